@@ -28,13 +28,13 @@ def main() -> None:
     # MuJoCo is imported only once it is settled what draws.
     import mujoco
 
-    from yamsim_cli.core.certify.subject import compiled, grounded_spec, subject, with_camera
+    from yamsim_cli.core.certify.subject import compiled, grounded_spec, read_subject, with_camera
     from yamsim_cli.core.vision.renderer import SceneRenderer
 
     tiles = []
     for name in (name for name in where.config_names("objects") if name.startswith("kitchen_")):
         item = load_config(ObjectConfig, "objects", name, where)
-        looked = subject(item, {}, where)
+        looked = read_subject(item, {}, where)
         points = looked.surface[0]
         low, high = points.min(axis=0), points.max(axis=0)
         size = float(np.linalg.norm(high - low))

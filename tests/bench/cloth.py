@@ -26,7 +26,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.episode.rules import REPEATED_RULES
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.geometry.tangles import crossings
+from yamsim_cli.core.geometry.sheets import crossings
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles

@@ -25,13 +25,14 @@ from tests.mugs import HEIGHT, RADIUS, WALL, mug, write_mugs
 def imported(file: Path, folder: Path, **wishes: Any) -> Any:
     from yamsim_cli.core.import_thing.from_file import import_file
     from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.thing_files.read import Told
-    from yamsim_cli.core.things.wishes import Wishes
+    from yamsim_cli.core.thing_files.read import UnitOptions
+    from yamsim_cli.core.things.make import ImportOptions
 
     where = replace(Locations.find(os.environ), assets=folder / "assets")
     plain = file.suffix in (".obj", ".ply", ".stl")
-    told = Told("m", "z") if plain else Told()
-    made = import_file(file, told, Wishes(**{"name": "mug", **wishes}), where, folder / f"{time.monotonic_ns()}.yaml")
+    units = UnitOptions("m", "z") if plain else UnitOptions()
+    options = ImportOptions(**{"name": "mug", **wishes})
+    made = import_file(file, units, options, where, folder / f"{time.monotonic_ns()}.yaml")
     return made, {made.config.mesh.set: folder / "assets" / made.config.mesh.set}
 
 
@@ -135,7 +136,7 @@ def round_trip(folder: Path) -> None:
         first = image if first is None else first
         stays, _ = ball_stays_in(made.config, meshes)
         sunk = hangs(made.config, meshes)
-        kinds = f"{made.made.touches[0].kind}, {len(made.config.collision)}"
+        kinds = f"{made.made.collision[0].kind}, {len(made.config.collision)}"
         print(
             f"| {kind} | {made.made.mass * 1000:.2f} | {kinds} | {ssim(image, first):.3f} | "
             f"{'yes' if stays else 'no'} | "

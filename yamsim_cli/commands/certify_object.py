@@ -78,12 +78,12 @@ def certify_named(thing: str) -> Certified:
 
 def failure(certified: Certified) -> str:
     """One line on the first check that failed, and how many more did."""
-    from yamsim_cli.core.certify.codes import CHECKS
+    from yamsim_cli.core.certify.run import CHECKS
 
     code = certified.failed[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
     more = f" (and {len(certified.failed) - 1} more)" if len(certified.failed) > 1 else ""
-    return f"{certified.looked.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
+    return f"{certified.subject.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
 
 
 def brief(certified: Certified) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def import_object(
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
-    from yamsim_cli.core.thing_files.endings import ENDINGS
+    from yamsim_cli.core.thing_files import ENDINGS
 
     where = opener.locations()
     if Path(source).suffix.lower() not in ENDINGS:
@@ -72,16 +72,16 @@ def import_object(
         _tell(_ycb_item(made), _ycb_lines(made), certify=certify, json=json)
         return
     from yamsim_cli.core.import_thing.from_file import import_file, name_of
-    from yamsim_cli.core.thing_files.read import Told
-    from yamsim_cli.core.things.wishes import Wishes
+    from yamsim_cli.core.thing_files.read import UnitOptions
+    from yamsim_cli.core.things.make import ImportOptions
 
     if mass is not None and density is not None:
         raise UsageError("--mass and --density: give one of them")
     file = Path(source)
-    wishes = Wishes(name or name_of(file), mass, density, collision, base, friction)
+    options = ImportOptions(name or name_of(file), mass, density, collision, base, friction)
     with progress_bar(f"importing {file.name}", "%") as advance:
-        told = Told(unit, up, scale)
-        imported = import_file(file, told, wishes, where, out, lambda done: advance(round(100 * done), 100))
+        units = UnitOptions(unit, up, scale)
+        imported = import_file(file, units, options, where, out, lambda done: advance(round(100 * done), 100))
     for text in (*imported.made.notes, *_guesses(imported)):
         note(f"{file.name}: {text}")
     _tell(_item(imported), _lines(imported), certify=certify, json=json)
@@ -142,7 +142,7 @@ def _guesses(imported: ImportedFile) -> list[str]:
 
 def _item(imported: ImportedFile) -> dict[str, Any]:
     config, made = imported.config, imported.made
-    fits = [touch.fit for touch in made.touches if touch.fit is not None]
+    fits = [geometry.fit for geometry in made.collision if geometry.fit is not None]
     return {
         "name": config.name,
         "path": str(imported.path),
@@ -151,8 +151,8 @@ def _item(imported: ImportedFile) -> dict[str, Any]:
         "mass_is_a_guess": made.guessed,
         "closed": made.closed,
         "collision": {
-            "kind": made.touches[0].kind,
-            "parts": sum(len(touch.parts) for touch in made.touches),
+            "kind": made.collision[0].kind,
+            "parts": sum(len(geometry.parts) for geometry in made.collision),
             "p99_mm": round(1000 * max(fit.most for fit in fits), 3) if fits else None,
         },
         "meshes": len(config.all_meshes),

@@ -15,8 +15,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.breakdown import breakdown
 from yamsim_cli.core.scene.compiled import Kind
+from yamsim_cli.core.scene.compiling import breakdown
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Layout, Stand
 

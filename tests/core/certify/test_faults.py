@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.core.certify.things import Thing, flap, pin
-from yamsim_cli.core.certify.codes import CHECKS
-from yamsim_cli.core.certify.run import certify
+from yamsim_cli.core.certify.run import CHECKS, certify
 from yamsim_cli.core.resources import Locations
 
 BLOCK, CUP, PASTA = "kitchen_distractor", "kitchen_cup", "kitchen_penne"

@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.board import Board
-from yamsim_cli.core.geometry.se3 import inverse
 
 BOARD = Board("b", 217, 3, 3, "DICT_6X6_250", 0.0292, 0.0029)
 WIDE = Board("wide", 0, 4, 2, "DICT_4X4_50", 0.02, 0.005)
@@ -30,9 +29,3 @@ def test_the_board_frame_has_its_origin_in_the_middle_and_y_up(board):
     # Clockwise as one looks at the paper, so against +z.
     edges = np.diff(corners[:, :3], axis=1)
     assert (np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0).all()
-
-
-def test_z_points_out_of_the_paper_in_one_frame_and_into_it_in_the_other():
-    T_board_cv_in_board = inverse(BOARD.T_board_in_board_cv)
-    assert np.allclose(T_board_cv_in_board[:3, 2], (0, 0, -1))
-    assert np.allclose(T_board_cv_in_board[:3, 3], (-BOARD.width / 2, BOARD.height / 2, 0))

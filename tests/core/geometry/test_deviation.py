@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.meshes import ball, box
-from yamsim_cli.core.geometry.deviation import deviation, distances, points_on
+from yamsim_cli.core.geometry.deviation import deviation, distances, sample_surface
 
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]), np.array([[0, 1, 2]])
 
@@ -64,7 +64,7 @@ def test_deviation_of_a_shifted_body():
 
 
 def test_points_lie_on_the_surface_and_everywhere_on_it():
-    points = points_on(ball(rings=60), 4000, np.random.default_rng(0))
+    points, _ = sample_surface(ball(rings=60), 4000, np.random.default_rng(0))
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1, atol=2e-3)
     np.testing.assert_allclose(points.mean(axis=0), 0, atol=0.05)
     np.testing.assert_allclose((points**2).mean(axis=0), 1 / 3, atol=0.02)

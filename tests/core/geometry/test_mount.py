@@ -5,7 +5,6 @@ import pytest
 
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.mount import mount_mesh, union_of_boxes
-from yamsim_cli.core.geometry.stl import stl_bytes
 
 # Source: configs/rigs/single.yaml and russet.yaml.
 X, Y, Z = (2.41, 225.23), (-69.57, 30.43), (-9.41, 4.26)
@@ -54,15 +53,6 @@ def test_watertight_and_turned_outwards(mirror):
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_upright_lines_leave_through_faces_that_look_up(mirror):
-    vertices, faces = mesh(mirror)
-    for x, y in np.random.default_rng(0).uniform((2.5, -69), (225, 30), (60, 2)) / 1000:
-        hits = heights_at(vertices, faces, -x if mirror else x, y)
-        assert [up for _, up in hits] == [k % 2 == 1 for k in range(len(hits))]
-        assert len(hits) in (0, 2)
-
-
-@pytest.mark.parametrize("mirror", [False, True])
 def test_the_board_lies_on_the_plate_and_nothing_stands_above_it(mirror):
     vertices, faces = mesh(mirror)
     centre = np.array(MIRRORED if mirror else CENTRE)
@@ -105,15 +95,3 @@ def test_merged_boxes_have_no_faces_inside():
     assert np.linalg.norm(
         np.cross(*np.diff(vertices[faces], axis=1).swapaxes(0, 1)), axis=1
     ).sum() / 2 == pytest.approx(14)
-
-
-def test_stl():
-    vertices, faces = mesh(False)
-    data = stl_bytes(vertices, faces)
-    assert data == stl_bytes(*mesh(False))
-    assert len(data) == 84 + 50 * len(faces)
-    assert int.from_bytes(data[80:84], "little") == len(faces)
-    first = np.frombuffer(data, "<f4", 12, offset=84).reshape(4, 3)
-    a, b, c = vertices[faces[0]]
-    assert np.allclose(first[1:], (a, b, c), atol=1e-7)
-    assert first[0] @ np.cross(b - a, c - a) == pytest.approx(np.linalg.norm(np.cross(b - a, c - a)))

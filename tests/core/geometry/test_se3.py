@@ -42,18 +42,6 @@ def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(rotation_vector(one.T @ other)))
 
 
-def test_a_pose_is_the_identity_unless_told_otherwise():
-    assert np.array_equal(pose(), np.eye(4))
-    T = pose((1, 2, 3), rotation_z(0.5))
-    assert np.array_equal(T[:3, 3], [1, 2, 3])
-    assert np.array_equal(T[:3, :3], rotation_z(0.5))
-    assert np.array_equal(T[3], [0, 0, 0, 1])
-
-
-def test_rotation_z_turns_x_towards_y():
-    assert np.allclose(rotation_z(math.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=SMALL)
-
-
 def test_poses_compose_as_their_names_say():
     """A point on a hand: the hand 1 m above a base that stands at x = 2 m and looks along +y."""
     T_base_in_world = pose((2, 0, 0), rotation_z(math.pi / 2))
@@ -65,20 +53,7 @@ def test_poses_compose_as_their_names_say():
 
 @given(poses)
 def test_the_inverse_undoes_a_pose_from_both_sides(T):
-    assert np.allclose(T @ inverse(T), np.eye(4), atol=1e-9)
-    assert np.allclose(inverse(T) @ T, np.eye(4), atol=1e-9)
     assert np.allclose(inverse(T), np.linalg.inv(T), atol=1e-9)
-
-
-@given(poses, poses)
-def test_the_inverse_of_a_product_is_the_product_of_the_inverses_turned_round(T, U):
-    assert np.allclose(inverse(T @ U), inverse(U) @ inverse(T), atol=1e-9)
-
-
-@given(rotations)
-def test_a_quaternion_gives_a_proper_rotation(R):
-    assert np.allclose(R @ R.T, np.eye(3), atol=SMALL)
-    assert np.linalg.det(R) == pytest.approx(1)
 
 
 @given(quaternions, st.floats(0.01, 100))
@@ -115,13 +90,6 @@ def test_the_quaternion_of_a_half_turn_is_its_axis(axis):
     assert abs(q[1:] @ axis) == pytest.approx(1, abs=SMALL)
 
 
-@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
-def test_half_turns_about_the_axes_are_exact(signs):
-    q = quat_from_rotation(np.diag(signs))
-    assert np.array_equal(np.abs(q[1:]), np.array(signs) == 1)
-    assert q[0] == 0
-
-
 @given(axes, st.floats(1e-9, 1e-6))
 def test_rotations_close_to_a_half_turn_keep_their_precision(axis, missing):
     R = rodrigues(axis, math.pi - missing)
@@ -134,37 +102,12 @@ def test_a_rotation_vector_is_axis_times_angle(axis, angle):
     assert np.allclose(rotation_vector(rodrigues(axis, angle)), axis * angle, atol=1e-9)
 
 
-@given(rotations)
-def test_a_rotation_survives_the_way_through_its_vector(R):
-    vector = rotation_vector(R)
-    assert np.linalg.norm(vector) <= math.pi + 1e-9
-    assert np.allclose(rotation_from_vector(vector), R, atol=1e-9)
-
-
-def test_no_rotation_has_a_zero_vector():
-    assert np.array_equal(rotation_vector(np.eye(3)), np.zeros(3))
-    assert np.array_equal(rotation_from_vector([0, 0, 0]), np.eye(3))
-
-
-@given(rotations, rotations)
-def test_interpolation_begins_and_ends_where_it_should(start, end):
-    assert np.allclose(interpolate_rotation(start, end, 0.0), start, atol=1e-9)
-    assert np.allclose(interpolate_rotation(start, end, 1.0), end, atol=1e-9)
-
-
 @given(rotations, axes, st.floats(0, 3.1), st.floats(0, 1))
 def test_interpolation_covers_the_given_part_of_the_shortest_arc(start, axis, angle, fraction):
     end = start @ rodrigues(axis, angle)
     between = interpolate_rotation(start, end, fraction)
     assert angle_between(start, between) == pytest.approx(fraction * angle, abs=1e-8)
     assert angle_between(between, end) == pytest.approx((1 - fraction) * angle, abs=1e-8)
-
-
-def test_the_midpoint_of_a_turn_is_half_the_turn():
-    middle = interpolate_rotation(rotation_z(0.2), rotation_z(1.0), 0.5)
-    assert np.allclose(middle, rotation_z(0.6), atol=SMALL)
-    across = interpolate_rotation(rotation_z(math.radians(170)), rotation_z(math.radians(-170)), 0.5)
-    assert np.allclose(across, rotation_z(math.pi), atol=SMALL)
 
 
 @given(st.floats(0, math.pi), st.floats(-math.pi, math.pi))

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.columns import columns, water_level
-from yamsim_cli.core.geometry.hull import depth_in_hull, spread_points
-from yamsim_cli.core.geometry.loft import joined, loft, moved, outline, ring, thickened, tube, turned
-from yamsim_cli.core.geometry.solid import filling, open_edges
+from yamsim_cli.core.geometry.loft import loft, moved, outline, ring, thickened, tube, turned
+from yamsim_cli.core.geometry.solid import depth_in_hull, filling, open_edges, spread_points
 
 
 def block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:
@@ -25,17 +24,6 @@ def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
     assert found.centre == pytest.approx([0.5, -0.2, 0.25])
     expected = np.diag([0.1**2 + 0.3**2, 0.2**2 + 0.3**2, 0.2**2 + 0.1**2]) * 0.006 / 12
     assert found.inertia == pytest.approx(expected, abs=1e-12)
-
-
-def test_what_is_inside_out_has_a_negative_volume() -> None:
-    vertices, faces = block(0.1, 0.1, 0.1)
-    assert filling(vertices, faces[:, ::-1]).volume == pytest.approx(-0.001)
-
-
-def test_a_turned_profile_is_a_cylinder() -> None:
-    surface = turned([[0, 0], [0.1, 0], [0.1, 0.2], [0, 0.2]], 256)
-    assert open_edges(surface[1]) == 0
-    assert filling(*surface).volume == pytest.approx(math.pi * 0.01 * 0.2, rel=1e-3)
 
 
 def test_a_shell_is_closed_and_as_thick_as_it_was_told() -> None:
@@ -89,8 +77,3 @@ def test_water_stands_in_a_cup_up_to_its_rim_and_runs_through_a_hoop() -> None:
     level = water_level(through.top)
     there = np.isfinite(through.top)
     assert level[there] == pytest.approx(through.top[there], abs=1e-9)
-
-
-def test_two_surfaces_joined_hold_what_both_hold() -> None:
-    one, other = block(0.1, 0.1, 0.1), moved(block(0.1, 0.1, 0.1), (1, 0, 0))
-    assert filling(*joined([one, other])).volume == pytest.approx(0.002)

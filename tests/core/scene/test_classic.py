@@ -18,8 +18,7 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.scene_files import scene_files
+from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.compose import at_home, task_start
 
@@ -101,21 +100,6 @@ def test_it_does_with_meshes_too(
 def test_what_3_3_does_not_read_is_refused_and_what_does_is_told(composed: Callable[..., Composed]) -> None:
     with pytest.raises(UsageError, match=r"armature=\S+ of <fixed> left_foot_slip_1, .* write it with --mujoco 4$"):
         classic_xml(*composed("single_finray", None, "weld", {}))
-
-
-def test_only_words_of_3_3_are_in_it(scene: Composed) -> None:
-    root = ElementTree.fromstring(classic_xml(*scene))
-    assert not [element for element in root.iter() if element.tag in ("frame", "pid", "dcmotor", "flexstrain")]
-    newer = {
-        "geom": {"castshadow", "adhesion", "surfacevel"},
-        "general": {"input", "inheritrange", "damping", "armature", "delay"},
-        "light": {"type", "intensity", "range", "softness", "texture"},
-        "texture": {"colorspace", "class", "embed"},
-        "body": {"sleep", "simple", "fuse"},
-        "compiler": {"savecompiled", "savecanonical", "saveinertial", "conflict", "passthrough"},
-    }
-    for element in root.iter():
-        assert not newer.get(element.tag, set()) & set(element.attrib), ElementTree.tostring(element)
 
 
 def test_what_has_another_default_in_another_version_is_said(scene: Composed) -> None:

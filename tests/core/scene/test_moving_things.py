@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.scene.classic import classic_xml
+from yamsim_cli.core.scene.scene_files import classic_xml
 from yamsim_cli.core.scene.things.joints import motion
 from yamsim_cli.core.scene.things.thing import add_object
 

@@ -76,14 +76,6 @@ def test_committed_reference_is_what_the_other_model_gives(tmp_path: Path, refer
     assert json.loads(made.stdout) == reference
 
 
-def test_masses_are_those_of_the_inertials(arm: mujoco.MjModel) -> None:
-    # Source: MuJoCo Menagerie i2rt_yam, `inertial` of link_1 ... link_6 and both fingers.
-    masses = [0.12415, 1.24434, 0.853698, 0.463511, 0.350962, 0.367476, 0.118, 0.118]
-    names = [f"link_{k}" for k in range(1, 7)] + ["link_left_finger", "link_right_finger"]
-    np.testing.assert_allclose([arm.body(name).mass[0] for name in names], masses)
-    assert arm.body_mass.sum() == pytest.approx(sum(masses))
-
-
 def test_drives(arm: mujoco.MjModel) -> None:
     # Source: MuJoCo Menagerie i2rt_yam.
     kp = [40, 40, 40, 20, 10, 10, 100]
@@ -124,11 +116,6 @@ def test_pinch_site_lies_between_the_finger_tips(arm: mujoco.MjModel) -> None:
         apart = site.xmat.reshape(3, 3).T @ (tips[0] - tips[1])
         assert abs(apart[0]) < 0.007
         assert apart[1] == pytest.approx(2 * opening, abs=2e-3)
-
-
-def test_bare_arm_is_kinematics_alone(config: RecordConfig) -> None:
-    bare = bare_arm(config.rig.arms[0])
-    assert (bare.nq, bare.nu, bare.ngeom, bare.neq) == (6, 0, 0, 0)
 
 
 def test_tool_site_can_be_moved_after_compiling(config: RecordConfig) -> None:

@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene, noting_meshes
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.shown_meshes import PATTERN, PRIMITIVES, differences, remedy, shown
+from yamsim_cli.core.shown_meshes import PATTERN, PRIMITIVES, differences, remedy
 
 Make = Callable[..., RecordConfig]
 ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb_small"
@@ -133,7 +133,3 @@ def test_what_differs_is_named_with_what_to_do(
 ) -> None:
     assert differences(recorded | {"b": FULL}, now | {"b": FULL}) == [told]
     assert todo in remedy(recorded, now)
-
-
-def test_what_is_shown_is_short() -> None:
-    assert (shown(FULL), shown(PRIMITIVES), shown(None)) == ("full 000000000000", "primitives", "not used")

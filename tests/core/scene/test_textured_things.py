@@ -14,11 +14,10 @@ from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.import_thing.from_file import ImportedFile, import_file
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.scene_files import scene_files
+from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
 from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.core.thing_files.read import Told, read_thing
-from yamsim_cli.core.things.wishes import Wishes
+from yamsim_cli.core.thing_files.read import UnitOptions, read_thing
+from yamsim_cli.core.things.make import ImportOptions
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -33,8 +32,8 @@ def printed(tmp_path_factory: pytest.TempPathFactory, locations: Locations) -> t
     made.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # y up
     made.export(folder / "mug.glb")
     where = Locations((folder, *locations.data), folder / "assets")
-    wishes = Wishes("mug", mass=0.3, collision="hull")
-    return import_file(folder / "mug.glb", Told(), wishes, where, folder / "mug.yaml"), where
+    wishes = ImportOptions("mug", mass=0.3, collision="hull")
+    return import_file(folder / "mug.glb", UnitOptions(), wishes, where, folder / "mug.yaml"), where
 
 
 def spec_of(printed: tuple[ImportedFile, Locations]) -> mujoco.MjSpec:
@@ -107,7 +106,7 @@ def test_a_composed_scene_is_read_back_with_its_picture(
     for name, data in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(data)
-    (part,) = read_thing(tmp_path / "scene.xml", Told()).parts
+    (part,) = read_thing(tmp_path / "scene.xml", UnitOptions()).parts
     (look,) = part.looks
     from yamsim_cli.core.images.png import decode_png
 

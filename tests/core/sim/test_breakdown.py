@@ -15,7 +15,7 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.episode.rules import EndReason
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
+from yamsim_cli.core.scene.compiling import breakdown, keep_warnings_quiet
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Cause
 

@@ -19,7 +19,7 @@ from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
-from yamsim_cli.core.geometry.tangles import crossings
+from yamsim_cli.core.geometry.sheets import crossings
 from yamsim_cli.core.scene.cloth import edges, triangles
 from yamsim_cli.core.sim import crumple
 from yamsim_cli.core.sim.imagined import pulled

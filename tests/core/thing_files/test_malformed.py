@@ -12,8 +12,8 @@ import pytest
 from tests.malformed import malformed
 from tests.mugs import has_import_extra
 from yamsim_cli.core.errors import ResourceError, YamsimError
-from yamsim_cli.core.thing_files.child import _read
-from yamsim_cli.core.thing_files.read import Told, read_thing
+from yamsim_cli.core.thing_files.child import read_file
+from yamsim_cli.core.thing_files.read import UnitOptions, read_thing
 from yamsim_cli.core.untrusted.jail import Folder
 from yamsim_cli.core.untrusted.refusals import CODES, RefusedError
 
@@ -29,7 +29,7 @@ def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) ->
     for path, code in malformed(tmp_path):
         start = time.monotonic()
         try:
-            read_thing(path, Told("m", "z"))
+            read_thing(path, UnitOptions("m", "z"))
             found = None
         except YamsimError as error:
             said = str(error)
@@ -65,7 +65,7 @@ def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) ->
 )
 def test_each_kind_of_trap_has_its_code(name: str, code: str, traps: dict[str, Path]) -> None:
     with pytest.raises(RefusedError) as caught:
-        _read(traps[name], traps[name].parent)
+        read_file(traps[name], traps[name].parent)
     assert caught.value.code == code
 
 
@@ -77,7 +77,7 @@ def traps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_pipe_is_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.obj")
     with pytest.raises(ResourceError, match=r"no regular file \[not-a-file\]"):
-        read_thing(tmp_path / "pipe.obj", Told("m", "z"))
+        read_thing(tmp_path / "pipe.obj", UnitOptions("m", "z"))
     with pytest.raises(RefusedError, match="no regular file"):
         Folder(tmp_path).read("pipe.obj")
 

@@ -11,12 +11,12 @@ import pytest
 from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, has_import_extra, picture, write_mugs
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.geometry.closed import enclosed, is_closed
+from yamsim_cli.core.geometry.solid import filling, is_closed
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.core.thing_files.child import _read
+from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.parts import ReadThing, Surface
-from yamsim_cli.core.thing_files.read import Told, _in_metres, read_thing
-from yamsim_cli.core.things.weigh import whole
+from yamsim_cli.core.thing_files.read import UnitOptions, in_metres, read_thing
+from yamsim_cli.core.things.surfaces import whole
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -26,13 +26,13 @@ def mugs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return write_mugs(tmp_path_factory.mktemp("mugs"), segments=32)
 
 
-def read_here(path: Path, told: Told | None = None) -> ReadThing:
+def read_here(path: Path, told: UnitOptions | None = None) -> ReadThing:
     """As `read_thing` does, in this process."""
-    return _in_metres(_read(path, path.parent), told or Told())
+    return in_metres(read_file(path, path.parent), told or UnitOptions())
 
 
-def told(kind: str) -> Told:
-    return Told("m", "z") if kind in ("obj", "ply", "stl") else Told()
+def told(kind: str) -> UnitOptions:
+    return UnitOptions("m", "z") if kind in ("obj", "ply", "stl") else UnitOptions()
 
 
 @pytest.mark.parametrize("kind", ["glb", "obj", "sdf", "dae", "ply", "stl"])
@@ -43,7 +43,7 @@ def test_a_mug_is_the_same_in_every_format(mugs: dict[str, Path], kind: str) -> 
     assert vertices[:, 2].max() == pytest.approx(HEIGHT, abs=1e-5)
     assert vertices[:, 0].max() > RADIUS + 0.02  # its handle
     assert is_closed(faces)
-    assert enclosed(vertices, faces).volume == pytest.approx(1.27e-4, rel=0.02)
+    assert filling(vertices, faces).volume == pytest.approx(1.27e-4, rel=0.02)
 
 
 @pytest.mark.parametrize("kind", ["glb", "obj", "sdf", "dae", "ply"])
@@ -77,7 +77,7 @@ def colour_at(surface: Surface, at: np.ndarray) -> np.ndarray:
 
 
 def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
-    (part,) = read_thing(mugs["glb"], Told()).parts
+    (part,) = read_thing(mugs["glb"], UnitOptions()).parts
     (here,) = read_here(mugs["glb"]).parts
     assert np.array_equal(part.looks[0].vertices, here.looks[0].vertices)
     assert part.looks[0].material == here.looks[0].material
@@ -86,14 +86,14 @@ def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
 
 def test_what_the_file_does_not_say_is_asked_for(mugs: dict[str, Path]) -> None:
     with pytest.raises(UsageError, match=r"give --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"):
-        read_thing(mugs["obj"], Told())
+        read_thing(mugs["obj"], UnitOptions())
     with pytest.raises(UsageError, match=r"which way is up.* \[up\]"):
-        read_thing(mugs["obj"], Told(unit="m"))
+        read_thing(mugs["obj"], UnitOptions(unit="m"))
 
 
 def test_an_absurd_size_is_refused_with_its_mend(mugs: dict[str, Path]) -> None:
     with pytest.raises(UsageError, match=r"117 x .* m large.*--unit mm makes it 0\.117 m long.* \[size\]"):
-        read_thing(mugs["stl"], Told("m", "z", scale=1000))
+        read_thing(mugs["stl"], UnitOptions("m", "z", scale=1000))
 
 
 def test_an_sdf_says_its_weight_and_where_it_is(mugs: dict[str, Path]) -> None:
@@ -151,7 +151,7 @@ def test_links_joined_rigidly_become_one(tmp_path: Path) -> None:
 
 
 def test_another_axis_can_be_up(mugs: dict[str, Path]) -> None:
-    (part,) = read_here(mugs["obj"], Told("m", "y")).parts
+    (part,) = read_here(mugs["obj"], UnitOptions("m", "y")).parts
     # What was z of the file lies along -y.
     assert part.looks[0].vertices[:, 1].min() == pytest.approx(-HEIGHT, abs=1e-5)
 
@@ -161,7 +161,7 @@ def test_a_mirrored_mesh_still_has_its_outside_outside(tmp_path: Path, mugs: dic
     copy = mugs["sdf"].with_name("mirrored.sdf")
     copy.write_text(text)
     (part,) = read_here(copy).parts
-    assert enclosed(*whole(part.looks)).volume > 0
+    assert filling(*whole(part.looks)).volume > 0
 
 
 def test_without_the_extra_one_line_names_it(mugs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,4 +169,4 @@ def test_without_the_extra_one_line_names_it(mugs: dict[str, Path], monkeypatch:
 
     monkeypatch.setattr(read, "find_spec", lambda name: None if name == "trimesh" else object())
     with pytest.raises(ResourceError, match=r"needs trimesh: pip install 'yamsim\[import\]'"):
-        read_thing(mugs["glb"], Told())
+        read_thing(mugs["glb"], UnitOptions())

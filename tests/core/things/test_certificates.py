@@ -17,7 +17,7 @@ from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.things.certificates import Certificate, Standing, find_certificate, inputs_hash, store_certificate
+from yamsim_cli.core.things.certificates import Certificate, Standing, find_certificate, store_certificate
 
 GOOD: dict[str, Any] = {"ok": True, "checks": [{"code": "rest.moves", "ok": True, "figures": {}, "note": ""}]}
 BAD: dict[str, Any] = {"ok": False, "checks": [{"code": "rest.moves", "ok": False, "figures": {}, "note": "rolls"}]}
@@ -63,15 +63,6 @@ def test_two_imports_under_one_name_have_a_certificate_each(
     assert find_certificate(tmp_path, other, lock).standing is Standing.GOOD
 
 
-def test_a_config_that_is_changed_back_has_its_certificate_again(
-    bowl: ObjectConfig, tmp_path: Path, locations: Locations
-) -> None:
-    lock = load_lock(locations)
-    store_certificate(tmp_path, bowl, lock, BAD, {})
-    store_certificate(tmp_path, changed(bowl), lock, GOOD, {})
-    assert find_certificate(tmp_path, bowl, lock).standing is Standing.FAILED
-
-
 @pytest.mark.parametrize("mesh_set", ["ycb_objects", "own-mug-111111111111"])
 def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     bowl: ObjectConfig, tmp_path: Path, locations: Locations, mesh_set: str
@@ -85,13 +76,6 @@ def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     assert find_certificate(tmp_path, item, lock) == Certificate(Standing.STALE, ("rest.moves",), old)
     store_certificate(tmp_path, item, lock, GOOD, {})
     assert find_certificate(tmp_path, item, lock).standing is Standing.GOOD
-
-
-def test_the_hash_holds_the_meshes(bowl: ObjectConfig, locations: Locations) -> None:
-    lock = load_lock(locations)
-    assert inputs_hash(bowl, lock) == inputs_hash(bowl, lock)
-    scan = bowl.mesh.model_copy(update={"file": "029_plate.stl"})
-    assert inputs_hash(bowl.model_copy(update={"mesh": scan}), lock) != inputs_hash(bowl, lock)
 
 
 def test_a_damaged_certificate_is_none(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:

@@ -8,13 +8,11 @@ import pytest
 from yamsim_cli.core.config.things.primitives import Box, Capsule, Cylinder, Ring, Sphere
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.things.body import Body
-from yamsim_cli.core.things.describe import Thing, describe
-from yamsim_cli.core.things.distance import signed_distance
-from yamsim_cli.core.things.scan import Scan
-from yamsim_cli.core.things.solids import fit_solid
+from yamsim_cli.core.things.describe import ScannedThing, describe
+from yamsim_cli.core.things.fit import Scan, fit_solid
+from yamsim_cli.core.things.primitives import Body, signed_distance
 
-THING = Thing("thing", 100.0, (1, 1, 1, 1), "imported", "thing.stl", "A thing")
+THING = ScannedThing("thing", 100.0, (1, 1, 1, 1), "imported", "thing.stl", "A thing")
 
 
 def revolved(profile: list[tuple[float, float]], segments: int = 96) -> bytes:

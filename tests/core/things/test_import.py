@@ -2,22 +2,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
 from tests.core.things.test_fits import ball, block
+from tests.mugs import has_import_extra
 from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, YamsimError
 from yamsim_cli.core.import_thing.from_file import import_file
 from yamsim_cli.core.import_thing.ycb import import_ycb
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.skills.checked import check_config
-from yamsim_cli.core.thing_files.read import Told
-from yamsim_cli.core.things.wishes import Wishes
+from yamsim_cli.core.thing_files.read import UnitOptions
+from yamsim_cli.core.things.make import ImportOptions
+
+needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
 
 def own(tmp_path: Path, locations: Locations) -> Locations:
@@ -29,7 +33,7 @@ def test_an_own_stl_becomes_an_object_by_name(
 ) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
-    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
+    made = import_file(tmp_path / "drawn.stl", UnitOptions(), ImportOptions("brick", mass=0.12), where, None)
     assert made.path == tmp_path / "configs/objects/brick.yaml"
     item = load_config(ObjectConfig, "objects", "brick", where)
     assert item == made.config
@@ -45,33 +49,61 @@ def test_an_own_stl_becomes_an_object_by_name(
     assert config.task.things["object"].of == (item,)
     assert config.task.language_prompt == "pick up the brick and put it on the plate"
     with pytest.raises(UsageError, match="exists; move it away"):
-        import_file(tmp_path / "drawn.stl", Told(), Wishes("brick"), where, None)
+        import_file(tmp_path / "drawn.stl", UnitOptions(), ImportOptions("brick"), where, None)
 
 
 def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
-    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
+    brick = ImportOptions("brick", mass=0.12)
+    made = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, None)
     store = AssetStore(where.assets)
     folder = resolve_own(store, made.config.mesh.set)
     assert folder is not None
     file = folder / made.config.mesh.file
     file.write_bytes(file.read_bytes() + b"x")
     assert resolve_own(store, made.config.mesh.set) is None
-    again = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, tmp_path / "b.yaml")
+    again = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, tmp_path / "b.yaml")
     assert again.config == made.config
     assert resolve_own(store, made.config.mesh.set) == folder
 
 
+TETRAHEDRON = "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESH_LINK = '<robot name="a"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link></robot>'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "unit", "code", "message"),
+    [
+        ("mm.stl", ball(30.0), None, 2, "60 x 60 x 60 m large*--unit mm makes it 0.06 m long [[]size]"),
+        ("cut.stl", ball(0.03)[:-20], None, 4, "as a binary STL it says * faces, * [[]damaged]"),
+        ("noise.glb", bytes(100), None, 4, "it does not begin as a GLB does [[]damaged]"),
+        ("bare.obj", TETRAHEDRON, None, 2, "give --unit cm * or --unit mm *, and --up z, y or x [[]unit]"),
+        ("bare.obj", TETRAHEDRON, "m", 2, "--unit mm makes it 0.06 m long [[]size]"),
+        ("gone.urdf", MESH_LINK.format("no.obj"), None, 4, "'no.obj' is not in its folder [[]missing]"),
+        ("out.urdf", MESH_LINK.format("../a.obj"), None, 4, "'../a.obj', which * [[]outside]"),
+        ("thing.step", b"ISO-10303-21;", None, 4, "what ends in '.step' is not read; valid: * [[]unknown-kind]"),
+    ],
+)
+@needs_extra
+def test_a_file_that_cannot_be_imported_is_one_line_with_what_to_do(
+    name: str, content: str | bytes, unit: str | None, code: int, message: str, tmp_path: Path, locations: Locations
+) -> None:
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    where, units = own(tmp_path, locations), UnitOptions(unit, unit and "z")
+    with pytest.raises(YamsimError) as caught:
+        import_file(tmp_path / name, units, ImportOptions("thing"), where, None)
+    assert fnmatch(str(caught.value), f"{tmp_path / name}: *{message}"), str(caught.value)
+    assert caught.value.exit_code == code and "\n" not in str(caught.value)
+    assert not (tmp_path / "configs").exists() and not where.assets.exists()
+
+
 def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
-    (tmp_path / "mm.stl").write_bytes(ball(30.0))
-    with pytest.raises(UsageError, match=r"mm\.stl: it would be 60 x 60 x 60 m large.*--unit mm makes it 0\.06 m long"):
-        import_file(tmp_path / "mm.stl", Told(), Wishes("ball"), where, None)
     with pytest.raises(ResourceError, match=r"no\.stl: it cannot be read"):
-        import_file(tmp_path / "no.stl", Told(), Wishes("ball"), where, None)
+        import_file(tmp_path / "no.stl", UnitOptions(), ImportOptions("ball"), where, None)
     with pytest.raises(UsageError, match="'my ball' is not valid"):
-        import_file(tmp_path / "mm.stl", Told(), Wishes("my ball"), where, None)
+        import_file(tmp_path / "mm.stl", UnitOptions(), ImportOptions("my ball"), where, None)
     with pytest.raises(UsageError, match="unknown YCB object '013_aple'; did you mean '013_apple'"):
         import_ycb("013_aple", where, None, None)
     with pytest.raises(UsageError, match=r"give --out FILE\.yaml"):

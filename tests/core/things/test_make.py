@@ -11,27 +11,27 @@ import numpy as np
 import pytest
 
 from tests.drawers import MJCF, URDF, cabinet_sdf
-from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug, mug_mesh, write_mugs
+from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug_mesh, write_mugs
 from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.attempt.alone import reachable_places
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.geometry.closed import columns, enclosed, is_closed
+from yamsim_cli.core.geometry.columns import crossings_along_z
+from yamsim_cli.core.geometry.solid import filling
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.core.import_thing.from_file import ImportedFile, import_directly, import_file, name_of
+from yamsim_cli.core.import_thing.from_file import import_directly, import_file, name_of
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.core.thing_files.child import _read
+from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.parts import Material, Part, ReadThing, Surface
-from yamsim_cli.core.thing_files.read import Told
+from yamsim_cli.core.thing_files.read import UnitOptions
 from yamsim_cli.core.thing_files.solids import seen, touching
-from yamsim_cli.core.things.body import Body
-from yamsim_cli.core.things.convex import convexity, decompose, hull
+from yamsim_cli.core.things.convex import decompose
 from yamsim_cli.core.things.looks import looks_of
-from yamsim_cli.core.things.make import make
-from yamsim_cli.core.things.weigh import filling
-from yamsim_cli.core.things.wishes import Wishes
+from yamsim_cli.core.things.make import ImportOptions, make
+from yamsim_cli.core.things.primitives import Body
+from yamsim_cli.core.things.surfaces import solid_or_sheet
 
 needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -45,28 +45,13 @@ def mug_surface(segments: int = 32) -> Surface:
     return Surface(vertices, faces.astype(np.int32))
 
 
-def test_what_a_surface_encloses_is_exact() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
-    T = np.eye(4)
-    T[:3, 3] = 0.1, 0.2, 0.3
-    moved = block.moved(T)
-    held = enclosed(moved.vertices, moved.faces)
-    assert held.volume == pytest.approx(0.1 * 0.04 * 0.06)
-    assert held.centre == pytest.approx([0.1, 0.2, 0.3])
-    a, b, c = 0.1, 0.04, 0.06
-    assert np.diag(held.tensor) == pytest.approx(
-        [held.volume / 12 * (b * b + c * c), held.volume / 12 * (a * a + c * c), held.volume / 12 * (a * a + b * b)]
-    )
-    assert is_closed(block.faces) and not is_closed(block.faces[1:])
-
-
 def test_mass_follows_what_is_told() -> None:
     read = thing(mug_surface())
-    volume = filling(*mug_mesh(32)).enclosed.volume
+    volume = filling(*mug_mesh(32)).volume
     kept = Path("unused")
 
     def mass(**wishes: Any) -> tuple[float, bool]:
-        made = make(read, Wishes("mug", collision="hull", **wishes), kept)
+        made = make(read, ImportOptions("mug", collision="hull", **wishes), kept)
         return made.mass, made.guessed
 
     assert mass() == (pytest.approx(1000 * volume), True)
@@ -79,18 +64,18 @@ def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, tilt * 0.1], [0, 0.1, tilt * 0.1]])
     plane = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     with pytest.raises(ResourceError, match=r"^sheet: all 4 corners of its base lie in one plane: no volume"):
-        make(thing(plane), Wishes("sheet", collision="hull"), Path("unused"))
+        make(thing(plane), ImportOptions("sheet", collision="hull"), Path("unused"))
 
 
 def test_an_open_surface_weighs_as_a_sheet() -> None:
     vertices, faces = mug_mesh(32)
-    held = filling(vertices, faces[5:].astype(np.int32))
-    assert not held.closed
-    assert held.enclosed.volume == pytest.approx(2 * filling(vertices, faces.astype(np.int32)).enclosed.volume, rel=0.6)
+    held, closed = solid_or_sheet(vertices, faces[5:].astype(np.int32))
+    assert not closed
+    assert held.volume == pytest.approx(2 * filling(vertices, faces.astype(np.int32)).volume, rel=0.6)
 
 
 def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
-    made = make(thing(mug_surface()), Wishes("mug", mass=0.3, collision="hull"), Path("unused"))
+    made = make(thing(mug_surface()), ImportOptions("mug", mass=0.3, collision="hull"), Path("unused"))
     item = ObjectConfig.model_validate(made.with_set("own-mug-000000000000"))
     assert item.rest_height == 0 and item.preposition == "in"
     assert item.support_height == pytest.approx(0.006, abs=2e-4)
@@ -107,7 +92,7 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
 ) -> None:
     where = Locations(locations.data, tmp_path / "assets")
     file = write_mugs(tmp_path, 24)["glb"]
-    made = import_file(file, Told(), Wishes("mug", mass=0.3), where, tmp_path / "mug.yaml")
+    made = import_file(file, UnitOptions(), ImportOptions("mug", mass=0.3), where, tmp_path / "mug.yaml")
     item = load_config(ObjectConfig, "objects", str(made.path), where)
     assert item == made.config and item.grasp is not None and item.grasp.friction is not None
     # Straight down across 19 degrees, where the body is narrowest, a finger would come down on the handle.
@@ -120,17 +105,9 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
 
 def test_what_is_a_block_becomes_one() -> None:
     block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
-    made = make(thing(block), Wishes("brick"), Path("unused"))
-    assert made.touches[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
-    assert made.touches[0].fit is not None and made.touches[0].fit.most < 1e-3
-
-
-def test_a_filled_cup_is_not_taken_for_a_hollow_one() -> None:
-    """A cylinder fits a mug's outside, and would fill it."""
-    from yamsim_cli.core.things.touch import NEAR, fitted
-
-    vertices, faces = mug_mesh(32)
-    assert fitted((vertices, faces.astype(np.int32))).most > NEAR
+    made = make(thing(block), ImportOptions("brick"), Path("unused"))
+    assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
+    assert made.collision[0].fit is not None and made.collision[0].fit.most < 1e-3
 
 
 def test_the_inside_of_a_mug_is_not_of_it() -> None:
@@ -138,23 +115,15 @@ def test_the_inside_of_a_mug_is_not_of_it() -> None:
     body = Body.inside(vertices, faces.astype(np.int32))
     inner = np.hypot(body.points[:, 0], body.points[:, 1]) < RADIUS - WALL - 0.001
     assert body.points[inner, 2].max() < 0.008
-    assert len(body.points) * body.step**3 == pytest.approx(filling(*mug_mesh(32)).enclosed.volume, rel=0.05)
+    assert len(body.points) * body.step**3 == pytest.approx(filling(*mug_mesh(32)).volume, rel=0.05)
 
 
 def test_columns_go_through_a_surface_an_even_number_of_times() -> None:
     vertices, faces = mug_mesh(32)
-    found = columns(vertices, faces, np.array([[0.001, 0.002], [RADIUS - WALL / 2, 0.0011], [0.2, 0.2]]))
+    found = crossings_along_z(vertices, faces, np.array([[0.001, 0.002], [RADIUS - WALL / 2, 0.0011], [0.2, 0.2]]))
     assert found[0] == pytest.approx([0, 0.006], abs=1e-6)
     assert found[1] == pytest.approx([0, HEIGHT], abs=1e-6)
     assert len(found[2]) == 0
-
-
-def test_hulls_know_what_is_convex() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
-    assert convexity((block.vertices, block.faces)) == pytest.approx(1, abs=1e-6)
-    vertices, faces = mug_mesh(32)
-    assert convexity((vertices, faces.astype(np.int32))) < 0.3
-    assert is_closed(hull((vertices, faces))[1])
 
 
 @needs_extra
@@ -167,7 +136,7 @@ def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     shares: list[float] = []
     parts = decompose(body, tmp_path, share=shares.append)
     assert 2 <= len(parts) <= 4
-    assert sum(enclosed(*part).volume for part in parts) == pytest.approx(enclosed(*body).volume, rel=0.15)
+    assert sum(filling(*part).volume for part in parts) == pytest.approx(filling(*body).volume, rel=0.15)
     assert shares == sorted(shares) and shares[-1] == 1.0
     monkeypatch.setattr("yamsim_cli.core.things.convex.run_child", None)
     again = decompose(body, tmp_path)
@@ -221,7 +190,7 @@ def subdivided(levels: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("name", "text"), [("c.sdf", cabinet_sdf()), ("f.urdf", URDF), ("d.xml", MJCF)])
 def test_what_moves_in_a_file_moves_in_a_scene(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    made = make(_read(tmp_path / name, tmp_path), Wishes("thing"), tmp_path)
+    made = make(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
     set_name = "own-thing-000000000000"
     item = ObjectConfig.model_validate(made.with_set(set_name))
     folder = tmp_path / set_name
@@ -274,20 +243,6 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
         assert ball_stays_in(made.config, meshes)[0], path.name
         assert hangs(made.config, meshes) < 0.05, path.name
     assert max(masses) / min(masses) < 1.01
-
-
-@needs_extra
-def test_a_hull_keeps_the_ball_out(tmp_path: Path, locations: Locations) -> None:
-    """What the test above tells apart."""
-    from tests.bench.things import ball_stays_in
-
-    made: ImportedFile
-    file = tmp_path / "mug.obj"
-    mug(24).export(file)
-    where = Locations(locations.data, tmp_path / "assets")
-    made = import_file(file, Told("m", "z"), Wishes("mug", collision="hull"), where, tmp_path / "m.yaml")
-    meshes = {made.config.mesh.set: resolve_own(AssetStore(where.assets), made.config.mesh.set)}
-    assert not ball_stays_in(made.config, meshes)[0]
 
 
 def test_plain_bodies_keep_their_kind_where_configs_can_say_them() -> None:

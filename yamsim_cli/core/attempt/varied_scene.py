@@ -5,8 +5,7 @@ from __future__ import annotations
 from ..config.recording import RecordConfig
 from ..images.image import Image
 from ..scene.compiled import CompiledScene
-from ..scene.varied_arms import VariedArms
-from ..scene.varied_model import VariedModel
+from ..scene.varied_model import VariedArms, VariedModel
 from ..types import Attempt
 from ..variation import Variation
 from ..vision.augment import PictureAugmenter

@@ -1,22 +1,38 @@
-"""Write a certificate's page: draw, and publish it whole or not at all."""
+"""The page of a certificate, with pictures of what the checks looked at."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
+
+from ..images.jpeg import encode_jpeg
 from ..report import page_files
 from ..report.certificate_page import certificate_page
-from .codes import CHECKS
-from .pictures import draw
-from .run import Certified
+from ..vision.renderer import SceneRenderer
+from .outcome import View
+from .run import CHECKS, Certified
+
+_SIZE, _FINE = (320, 240), (640, 480)  # px, of a picture, and of its rendering before reduction
+_QUALITY = 85  # of JPEG
 
 
 def write_page(certified: Certified, path: Path) -> None:
-    """Write the page, replacing what is there.
+    """Write the page, replacing an older one.
 
     Raises:
         ResourceError: nothing can be drawn here, or the file cannot be written.
     """
     titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
-    text = certificate_page(certified.plain(), titles, draw(certified.outcomes), page_files.made_line())
-    page_files.write_page(text, path)
+    pictures = {
+        code: [(view.caption, _picture(view)) for view in outcome.views] for code, outcome in certified.outcomes.items()
+    }
+    page_files.write_page(certificate_page(certified.plain(), titles, pictures, page_files.made_line()), path)
+
+
+def _picture(view: View) -> bytes:
+    data = mujoco.MjData(view.model)
+    data.qpos[:] = view.qpos
+    mujoco.mj_forward(view.model, data)
+    with SceneRenderer(view.model, _SIZE, _FINE) as renderer:
+        return encode_jpeg(renderer.render(data, "view"), _QUALITY)

@@ -1,4 +1,4 @@
-"""Certify a thing: make every check, in order, and say which could not be made."""
+"""Certify a thing: all checks, in their order, each after those that it needs."""
 
 from __future__ import annotations
 
@@ -9,20 +9,70 @@ from typing import Any
 
 from ..config.things.thing import ObjectConfig
 from ..resources import Locations
-from .codes import CHECKS
-from .matching import kinds
+from . import grasp
+from . import physics_checks as physics
+from . import static_checks as static
 from .outcome import Outcome, unchecked
-from .subject import Subject, subject
+from .static_checks import kinds
+from .subject import Subject, read_subject
 
-# Told of checks done, of how many, and which is next.
+# Called with the number of checks done, the number of all checks, and the next code.
 CheckDone = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
-class Certified:
-    """What all checks found: code -> outcome."""
+class Check:
+    """One check of a certificate.
 
-    looked: Subject
+    Attributes:
+        code: `<subject>.<fault>`, stable across versions.
+        title: the fault, as a clause.
+        advice: how to correct the fault.
+        needs: codes of the checks that must not have failed before this one is made.
+    """
+
+    code: str
+    title: str
+    advice: str
+    make: Callable[[Subject], Outcome]
+    needs: tuple[str, ...] = ()
+
+
+_SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
+_HEAVY = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
+
+_ALL = (
+    Check("size.implausible", "it is not as large as things are", "give the unit that its file is in", static.size),
+    Check("mesh.open", "a surface has holes", "close it in the program that made it", static.closed, _SURFACES[:1]),
+    Check("mesh.inverted", "a surface is inside out", "turn its faces round where it was made", static.normals,
+          _SURFACES[:2]),
+    Check("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.density, _SURFACES),
+    Check("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m", static.centre,
+          _SURFACES[:1]),
+    Check("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or mend "
+          "`inertia.diagonal`, kg m2", static.inertia, ("size.implausible", "mass.density", "mass.centre")),
+    Check("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
+          static.collision, _SURFACES),
+    Check("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
+          physics.rest, _HEAVY),
+    Check("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.drop,
+          _HEAVY),
+    Check("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
+          physics.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
+    Check("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
+          physics.articulation, _HEAVY),
+    Check("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
+          grasp.grasp, _HEAVY),
+)  # fmt: skip
+
+CHECKS: Mapping[str, Check] = {check.code: check for check in _ALL}
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The outcomes of all checks, by code."""
+
+    subject: Subject
     outcomes: Mapping[str, Outcome]
 
     @property
@@ -32,12 +82,12 @@ class Certified:
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Codes of those that failed."""
+        """The codes of the failed checks."""
         return tuple(code for code, outcome in self.outcomes.items() if outcome.ok is False)
 
     def plain(self) -> dict[str, Any]:
-        """As JSON holds it, always the same for the same thing."""
-        item = self.looked.item
+        """The certificate as JSON, always the same for the same thing."""
+        item = self.subject.item
         return {
             "ok": self.ok,
             "thing": item.name,
@@ -62,12 +112,12 @@ def certify(
     """Make every check of a thing.
 
     Args:
-        meshes: asset set -> folder; without one, what is seen is not checked.
+        meshes: asset set -> folder; without the folders, visual surfaces are not checked.
 
     Raises:
-        ResourceError: it cannot be read at all.
+        ResourceError: the thing cannot be read.
     """
-    looked = subject(item, meshes, locations)
+    subject = read_subject(item, meshes, locations)
     outcomes: dict[str, Outcome] = {}
     for number, (code, check) in enumerate(CHECKS.items()):
         progress(number, len(CHECKS), code)
@@ -75,5 +125,5 @@ def certify(
         if failed:
             outcomes[code] = unchecked(f"means nothing before {', '.join(failed)} is mended")
         else:
-            outcomes[code] = check.make(looked)
-    return Certified(looked, outcomes)
+            outcomes[code] = check.make(subject)
+    return Certified(subject, outcomes)

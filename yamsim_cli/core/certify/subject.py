@@ -1,4 +1,4 @@
-"""The thing that is looked at: its config, the surfaces that are seen, and points on what touches."""
+"""The thing under test: its config, visual surfaces and collision points, and scenes of the thing alone."""
 
 from __future__ import annotations
 
@@ -20,84 +20,85 @@ from ..scene.compiling import compile_spec
 from ..scene.things.thing import add_object
 from ..sim.shapes import body_surface, geom_corners
 
-# Of the slab that everything lies on: its surface is a table's in a scene (configs/scenes/tabletop.yaml), but it is
-# thick: what a light thing does to a thin table top is not the thing's fault.
-_GROUND_FRICTION = (1.0, 0.005, 0.0001)
-_GROUND_HALF = (1.0, 1.0, 0.05)
-_TIMESTEP = 0.002
-# What is behind a thing in its pictures.
-_PAPER = (0.80, 0.81, 0.82)
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # as the table's in configs/scenes/tabletop.yaml
+_GROUND_HALF = (1.0, 1.0, 0.05)  # m, half size: thick, so that no thing falls through
+_TIMESTEP = 0.002  # s
+_BACKGROUND = (0.80, 0.81, 0.82)  # colour behind the thing in pictures
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A thing, and all that checks need to know of it.
+    """A thing under test.
 
     Attributes:
-        meshes: asset set -> folder, None where it is not here.
-        locations: where the hand's model is.
-        looks: each mesh of the base as a closed surface (or not), welded, in the thing's frame; none where a set is
+        meshes: asset set -> folder, None where the set is not here.
+        locations: of the hand's model.
+        looks: each visual mesh of the base as a surface with merged vertices, in the thing's frame; empty if a set is
             not here.
-        touching: points (n, 3) on the base's collision geoms, in the thing's frame, m.
+        collision_points: points (n, 3) on the base's collision geoms, in the thing's frame, m.
     """
 
     item: ObjectConfig
     meshes: Mapping[str, Path | None]
     locations: Locations
     looks: tuple[Surface, ...]
-    touching: Array
+    collision_points: Array
 
     @property
     def surface(self) -> Surface:
-        """All that is seen of it as one."""
+        """All visual surfaces as one."""
         return joined(self.looks)
 
     @property
-    def shown(self) -> bool:
-        """Whether its meshes are here."""
-        return bool(self.looks)
+    def outline(self) -> Array:
+        """Points (n, 3) on the visual surfaces, or on the collision geoms if the meshes are not here."""
+        return self.surface[0] if self.looks else self.collision_points
+
+    @property
+    def size(self) -> float:
+        """The diagonal of the bounding box of the collision geoms, m."""
+        return float(np.linalg.norm(np.ptp(self.collision_points, axis=0)))
 
 
-def subject(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> Subject:
-    """Read a thing.
+def read_subject(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> Subject:
+    """The thing of a config.
 
     Raises:
-        ResourceError: a mesh cannot be read, or it collides by files that are not here.
-        UsageError: it is cloth.
+        ResourceError: a mesh cannot be read, or a mesh that the thing collides by is not here.
+        UsageError: the thing is cloth.
     """
     if item.cloth is not None:
         raise UsageError(f"{item.name} is cloth, and certificates are of stiff things; give another object")
     model = compiled(bare_spec(item, meshes))
-    looks, touching = [], []
+    looks, points = [], []
     here = all(meshes.get(name) is not None for name in item.mesh_sets)
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] != model.body(item.name).id:
             continue
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            touching.append(geom_corners(model, geom))
+            points.append(geom_corners(model, geom))
         elif here and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and "_look" in model.geom(geom).name:
             looks.append(welded(*body_surface(model, [geom])))
-    return Subject(item, meshes, locations, tuple(looks), np.concatenate(touching))
+    return Subject(item, meshes, locations, tuple(looks), np.concatenate(points))
 
 
 def bare_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed: bool = False) -> mujoco.MjSpec:
-    """The thing alone, without ground."""
+    """A thing alone, without ground."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits = True
-    # What cannot be is for checks to say.
-    spec.compiler.balanceinertia = True
+    spec.compiler.balanceinertia = True  # impossible inertias compile, and fail their check
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = _TIMESTEP
     add_object(spec, item, meshes, fixed=fixed)
     for mesh in spec.meshes:
-        if mesh.inertia != mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL and "collide" not in mesh.name:
+        if "collide" not in mesh.name:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     return spec
 
 
-def grounded_spec(looked: Subject) -> mujoco.MjSpec:
-    """The thing and a slab under it, its top at z = 0."""
-    spec = bare_spec(looked.item, looked.meshes)
+def grounded_spec(subject: Subject) -> mujoco.MjSpec:
+    """The thing and a slab with its top at z = 0."""
+    spec = bare_spec(subject.item, subject.meshes)
     spec.worldbody.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -113,7 +114,7 @@ def grounded_spec(looked: Subject) -> mujoco.MjSpec:
 def with_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """The same spec with lights, and a camera `view` that shows so much (m) around a place."""
+    """The spec with lights, and a camera `view` that shows `size` (m) around a place from a height of `steep` sizes."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
     light = Light(direction=(-0.35, 0.30, -1), diffuse=(0.6, 0.6, 0.6))
@@ -122,7 +123,7 @@ def with_camera(
     )
     spec.add_texture(
         name="certificate_sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=_PAPER, rgb2=_PAPER, width=16, height=16,
+        rgb1=_BACKGROUND, rgb2=_BACKGROUND, width=16, height=16,
     )  # fmt: skip
     x, y, z = (float(v) for v in centre)
     away = max(1.75 * size, 0.05)
@@ -135,9 +136,10 @@ def with_camera(
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The compiled spec.
-
-    Raises:
-        ResourceError: MuJoCo refused it.
-    """
+    """The compiled spec. Raises `ResourceError`."""
     return compile_spec(spec, "the thing", ResourceError)
+
+
+def step(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+    """Step physics for a time."""
+    mujoco.mj_step(model, data, round(seconds / model.opt.timestep))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene
+from ..scene.compiling import breakdown
 from ..types import Margins
 
 CONTACT_STEPS = 8  # physics steps after which contacts are looked at although their number has not changed

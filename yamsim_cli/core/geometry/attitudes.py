@@ -1,4 +1,4 @@
-"""The ways in which a thing can lie still: where rolling on would lift its centre of mass."""
+"""Resting attitudes of rigid bodies: the orientations in which rolling on would lift the centre of mass."""
 
 from __future__ import annotations
 
@@ -6,33 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .hull import directions
 from .se3 import Array, rotation_from_vector
+from .solid import directions
 
-_STARTS = 240
-_STEPS = 220
-# Attitudes of which the centre of mass is equally high are alike, m.
-_ALIKE = 4e-4
-# Of all directions in which a thing may be let go, a face that it lies on catches at least this share.
-_SHARE = 0.04
-_MOST = 6
-# Directions that differ by less are one way to lie, rad.
-_SAME = np.radians(10.0)
-# A face on which a hand may put a thing down reaches at least so far out beyond the centre of mass, as a share of its
-# height: the thing then stands until it is tipped by 14 degrees.
-_STEADY = 0.25
-# A face reaches so far out beyond the centre of mass, m; by tipping it so far one sees whether it does, rad.
-_FOOT, _TIP = 1e-3, np.radians(3.0)
+_STARTS, _STEPS = 240, 220  # directions in which the body is dropped, and steps of each roll
+_ALIKE = 4e-4  # m, difference in the height of the centre of mass below which attitudes are alike
+_LEAST_SHARE = 0.04  # least share of the dropped directions that end on a face
+_MOST = 6  # attitudes returned
+_SAME = np.radians(10.0)  # rad, angle below which two directions are one face
+_STEADY = 0.25  # least reach of a face beyond the centre of mass, as a share of its height: tips at 14 degrees
+_FOOT, _TIP = 1e-3, np.radians(3.0)  # m, least reach of any face beyond the centre of mass; rad, tilt that tests it
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """One way to lie.
+    """An orientation in which a body rests.
 
     Attributes:
-        down: the direction (3,) in the thing's frame that points to the ground.
+        down: direction (3,) in the body's frame that points to the ground.
         height: of the centre of mass over the ground, m.
-        share: of all directions, how many end up like this.
+        share: of all directions in which the body may be dropped, those that end in this attitude.
     """
 
     down: Array
@@ -50,28 +43,21 @@ class Attitude:
 
 
 def attitudes(points: Array, centre: Array) -> list[Attitude]:
-    """Where a body of collision points (n, 3) with a centre of mass (3,) may come to lie: most likely first.
+    """The attitudes in which a body of collision points (n, 3) and a centre of mass (3,) may rest, likeliest first.
 
-    What rolls has no face where it does.
+    Faces of equal height count as one attitude: a cube has one. A side on which the body rolls is none.
     """
     rest = _extreme(points - centre)
     down, height = _rolled(rest)
     order = np.argsort(height)
     groups = np.split(order, np.flatnonzero(np.diff(height[order]) > _ALIKE) + 1)
     found = [Attitude(down[group[0]], float(height[group[0]]), len(group) / _STARTS) for group in groups]
-    kept = [attitude for attitude in found if attitude.share >= _SHARE and _is_face(rest, attitude)]
+    kept = [attitude for attitude in found if attitude.share >= _LEAST_SHARE and _is_face(rest, attitude)]
     return sorted(kept, key=lambda attitude: -attitude.share)[:_MOST]
 
 
 def steady_attitudes(points: Array, centre: Array) -> list[Attitude]:
-    """Each face on which a body stands so surely that a hand may put it down there: most likely first.
-
-    Unlike in `attitudes`, faces of equal height are each listed: a cube has six.
-
-    Args:
-        points: on what collides (n, 3), in the body's frame, m.
-        centre: of mass (3,).
-    """
+    """Each face on which a hand can stand a body, likeliest first; see `attitudes`. A cube has six."""
     rest = _extreme(points - centre)
     down, height = _rolled(rest)
     found: list[Attitude] = []
@@ -80,31 +66,31 @@ def steady_attitudes(points: Array, centre: Array) -> list[Attitude]:
         near = down[left] @ down[left[0]] > np.cos(_SAME)
         found.append(Attitude(down[left[0]], float(height[left[0]]), float(near.sum()) / _STARTS))
         left = left[~near]
-    kept = [one for one in found if one.share >= _SHARE and _is_face(rest, one, _STEADY * one.height)]
+    kept = [face for face in found if face.share >= _LEAST_SHARE and _is_face(rest, face, _STEADY * face.height)]
     return sorted(kept, key=lambda attitude: -attitude.share)
 
 
 def _rolled(rest: Array) -> tuple[Array, Array]:
-    """Where bodies that are let go in any direction end: `down` (n, 3), and the height (n,) of their centres, m."""
+    """Where bodies dropped in all directions come to rest: `down` (n, 3), and the height (n,) of their centres, m."""
     down = directions(_STARTS)
     scale = float(np.linalg.norm(rest, axis=1).max())
     for k in range(_STEPS):
         lowest = rest[(down @ rest.T).argmax(axis=1)]
-        # Rolling on: the thing turns about its lowest point until that lies under its centre of mass.
-        aside = lowest - np.einsum("ij,ij->i", lowest, down)[:, None] * down
-        length = np.linalg.norm(aside, axis=1, keepdims=True)
+        # The body rolls about its lowest point until that point is under the centre of mass.
+        lever = lowest - np.einsum("ij,ij->i", lowest, down)[:, None] * down
+        length = np.linalg.norm(lever, axis=1, keepdims=True)
         step = 0.35 * 0.972**k
-        down = down - step * aside / np.maximum(length, 1e-12) * np.minimum(1.0, length / (0.2 * scale) + 0.05)
+        down = down - step * lever / np.maximum(length, 1e-12) * np.minimum(1.0, length / (0.2 * scale) + 0.05)
         down /= np.linalg.norm(down, axis=1, keepdims=True)
     return down, (down @ rest.T).max(axis=1)
 
 
 def _is_face(rest: Array, attitude: Attitude, foot: float = _FOOT) -> bool:
-    """Whether it takes more than a breath to tip it: its foot is so far (m) beyond its centre of mass."""
-    aside = np.linalg.svd(attitude.down[None])[2][1:]
+    """Whether a small tilt in every direction lifts the centre of mass: the face reaches `foot` (m) beyond it."""
+    across = np.linalg.svd(attitude.down[None])[2][1:]
     angle = 2 * np.pi * np.arange(12) / 12
-    ways = np.column_stack([np.cos(angle), np.sin(angle)]) @ aside
-    tipped = np.cos(_TIP) * attitude.down + np.sin(_TIP) * ways
+    tilts = np.column_stack([np.cos(angle), np.sin(angle)]) @ across
+    tipped = np.cos(_TIP) * attitude.down + np.sin(_TIP) * tilts
     lift = (tipped @ rest.T).max(axis=1) - attitude.height
     return bool(lift.min() > foot * np.sin(_TIP))
 

@@ -1,4 +1,4 @@
-"""A flat board of ArUco markers: its measures, and its two frames.
+"""A flat board of ArUco markers: its dimensions, and its two frames.
 
 `board` has its origin at the centre, x right, y up, z out of the paper. Poses are given in this frame.
 `board_cv` is the frame of OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
@@ -15,10 +15,10 @@ from .se3 import Array, pose
 
 @dataclass(frozen=True)
 class Board:
-    """A grid of square markers with gaps between them, read row by row from the top left.
+    """A grid of square markers, numbered row by row from the top left.
 
     Attributes:
-        name: the board's name in messages and prints.
+        name: in messages and on prints.
         first_id: id of the top-left marker; the others count up.
         columns, rows: size of the grid.
         dictionary: name of OpenCV's predefined dictionary, such as "DICT_6X6_250".
@@ -62,15 +62,11 @@ class Board:
         for k in range(len(corners)):
             row, column = divmod(k, self.columns)
             left, top = column * step - self.width / 2, self.height / 2 - row * step
-            corners[k, :, :2] = [
-                (left, top),
-                (left + length, top),
-                (left + length, top - length),
-                (left, top - length),
-            ]
+            right, bottom = left + length, top - length
+            corners[k, :, :2] = [(left, top), (right, top), (right, bottom), (left, bottom)]
         return corners
 
     def outer_corners(self) -> Array:
-        """The print's own corners (4, 3) in the `board` frame, m, clockwise from the top left."""
+        """Corners (4, 3) of the whole board in the `board` frame, m, clockwise from the top left."""
         x, y = self.width / 2, self.height / 2
         return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])

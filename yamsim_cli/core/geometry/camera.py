@@ -1,4 +1,4 @@
-"""Pinhole cameras by OpenCV's convention: x right, y down, z forward; (0, 0) is the centre of the top-left pixel."""
+"""Pinhole cameras in OpenCV's convention: x right, y down, z forward; (0, 0) is the centre of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from .se3 import Array
 
-# A MuJoCo camera looks along its -z with +y up, and OpenCV's along +z with +y down. The turn is its own inverse.
-_FLIP_YZ = np.diag([1.0, -1.0, -1.0])
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0])  # MuJoCo cameras look along -z with +y up; the rotation is its own inverse
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,7 @@ class Intrinsics:
     def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
         """The camera with which MuJoCo renders a vertical field of view of `fovy` radians: square pixels, centred.
 
-        Pixel centres are at whole numbers, so that the image's centre, and the principal point, is at `(width - 1) / 2`
-        and not at `width / 2`. Half a pixel is 0.7 mm at a metre, for a focal length of 700 px.
+        Pixel centres are whole numbers, so the principal point is at `(width - 1) / 2`.
         """
         focal = height / 2 / math.tan(fovy / 2)
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -46,12 +44,12 @@ class CameraModel:
     """A real camera as OpenCV calibrates it: pinhole with lens distortion.
 
     Attributes:
-        width, height: size of its images, px.
+        width, height: image size, px.
         K: the camera matrix, row by row.
         distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
-        focal_sigma: standard deviation of the focal length, as a share of it. A careful calibration gives 0.003.
+        focal_sigma: relative standard deviation of the focal length; a careful calibration gives 0.003.
         doubt: for an estimated camera, the covariance (4, 4), row by row, of the logarithm of the focal length, the
-            principal point (in focal lengths, right and down) and `k1`. It is empty if only `focal_sigma` is known.
+            principal point (in focal lengths, right and down) and `k1`; empty if only `focal_sigma` is known.
     """
 
     width: int
@@ -63,7 +61,7 @@ class CameraModel:
 
     @classmethod
     def pinhole(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
-        """A camera without distortion, with square pixels and the principal point in the image's middle."""
+        """A camera without distortion: square pixels, and the principal point in the image's centre."""
         K = ((focal, 0.0, (width - 1) / 2), (0.0, focal, (height - 1) / 2), (0.0, 0.0, 1.0))
         return cls(width, height, K, focal_sigma=focal_sigma)
 
@@ -74,15 +72,11 @@ class CameraModel:
 
     @property
     def mistakes(self) -> Array:
-        """How independent errors of one standard deviation each change the uncertain figures, in columns.
-
-        Returns:
-            (1, 1) for the focal length's logarithm alone, or (4, 4) for all figures in `doubt`.
-        """
+        """The Cholesky factor of the covariance: (4, 4) of `doubt`, or (1, 1) of the focal length's logarithm."""
         return np.linalg.cholesky(np.array(self.doubt)) if self.doubt else np.array([[self.focal_sigma]])
 
     def scaled(self, factor: float) -> CameraModel:
-        """The camera of this one's images resized by `factor`; pixel centres at whole numbers before and after."""
+        """The camera of images resized by `factor`."""
         (fx, skew, cx), (_, fy, cy), last = self.K
         shift = (factor - 1) / 2
         K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
@@ -91,12 +85,12 @@ class CameraModel:
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:
-    """The rotation (3, 3) of a camera's OpenCV frame, from that of its MuJoCo frame. The inverse is the same."""
+    """The rotation (3, 3) of a camera's OpenCV frame from that of its MuJoCo frame, or the other way round."""
     return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ
 
 
 def project(K: ArrayLike, points_in_cam: ArrayLike) -> Array:
-    """Pixel coordinates (n, 2) of points (n, 3) in the camera frame, which must lie in front of it (z > 0)."""
+    """Pixel coordinates (n, 2) of points (n, 3) in the camera frame, which must have z > 0."""
     points = np.atleast_2d(np.asarray(points_in_cam, dtype=np.float64))
     rays = points @ np.asarray(K, dtype=np.float64).T
     pixels: Array = rays[:, :2] / rays[:, 2:]

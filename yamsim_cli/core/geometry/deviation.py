@@ -1,55 +1,52 @@
-"""The distance between two surfaces, measured at points of both."""
+"""Distances between surfaces, and points sampled from them."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .se3 import Array
 from .stl import Faces
 
-# Points that are compared with the same selection of triangles at once.
-_BATCH = 200
-# Points are grouped in cells: so many along the longest side of the box around them.
-_CELLS = 16
+_BATCH = 200  # points compared with the same selection of triangles at once
+_CELLS = 16  # cells that group points, along the longest side of their bounding box
 
 
 def deviation(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
-    """The largest distance of a point on either surface from the other surface.
-
-    It is measured at points sampled evenly by area, and at as many vertices, or at all if there are fewer. The same
-    surfaces give the same points.
+    """The largest distance between two surfaces, measured at sampled points and vertices of both (Hausdorff distance).
 
     Args:
         surface, other: vertices (n, 3) and triangles (m, 3), in one unit.
-        limit: larger distances count as infinite, so that they need not be measured.
-        samples: how many points are sampled on each surface.
+        limit: distances above this limit count as infinite.
+        samples: number of points, and of vertices at most, on each surface; the same points at each call.
     """
     rng = np.random.default_rng(0)
     farthest = 0.0
     for here, there in ((surface, other), (other, surface)):
         vertices = rng.permutation(here[0])[:samples]
-        points = np.concatenate([points_on(here, samples, rng), vertices])
+        points = np.concatenate([sample_surface(here, samples, rng)[0], vertices])
         farthest = max(farthest, float(distances(points, there, limit).max()))
     return farthest
 
 
-def points_on(surface: tuple[Array, Faces], count: int, rng: np.random.Generator) -> Array:
-    """Points (count, 3) sampled evenly from a surface."""
+def sample_surface(
+    surface: tuple[Array, Faces], count: int, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
+    """Points (count, 3) sampled from a surface, evenly by area, and the triangle of each (count,)."""
     vertices, faces = surface
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     face = rng.choice(len(faces), count, p=area / area.sum())
     root, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-    points: Array = (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face]
-    return points
+    return (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face], face
 
 
 def distances(points: Array, surface: tuple[Array, Faces], limit: float) -> Array:
-    """Distance (n,) of each point (n, 3) from a surface; infinity where it is more than `limit`."""
+    """The distance (n,) of each point (n, 3) from a surface; infinite above `limit`."""
     vertices, faces = surface
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit
-    # Points that lie close together are compared only with the triangles near them.
+    # Points of one cell are compared only with the triangles near that cell.
     cell = np.floor((points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()) / _CELLS, limit))
     order = np.lexsort(cell.T)
     starts = np.flatnonzero(np.diff(cell[order], axis=0).any(axis=1)) + 1
@@ -65,7 +62,7 @@ def distances(points: Array, surface: tuple[Array, Faces], limit: float) -> Arra
 
 
 def _squared(points: Array, triangles: Array) -> Array:
-    """Squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3): from their plane inside, else an edge."""
+    """Squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3): from the plane, or from an edge."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     length = _dot(normal, normal)

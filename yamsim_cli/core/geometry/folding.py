@@ -1,4 +1,4 @@
-"""Ways to fold a sheet: which points are laid onto which, and which lie on each other then."""
+"""Folds of a sheet: the points that are placed onto others, and the layers that result."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from .se3 import Array
 
 Fold = Literal["half", "diagonal", "thirds"]
 
-# Of two layers of a folded sheet, row and column of their points (n, 2): the k-th of each lie on each other.
+# Row and column of the points (n, 2) of two layers of a folded sheet; the k-th points lie on each other.
 Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
-# Points, by row and column, that are taken at once, each with the point onto which it is laid.
+# Points, by row and column, that are grasped together, each with the point onto which it is placed.
 Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class FoldWay:
-    """A way to fold a grid of points.
+    """One fold of a grid of points.
 
     Attributes:
-        moves: what is laid onto what, one after the other.
-        layers: which lie on each other then, each time the upper one first, points on a crease left out.
-        covered: the share of the flat sheet that it covers then.
+        moves: in their order.
+        layers: pairs of layers of the folded sheet, the upper one first, without the points on creases.
+        covered: area of the folded sheet, as a share of the flat one.
     """
 
     moves: tuple[Move, ...]
@@ -37,30 +37,28 @@ class FoldWay:
 
 
 def ways_to_fold(how: Fold, rows: int, columns: int) -> list[FoldWay]:
-    """The ways to fold a grid of points: from each side, or from each corner; none if the grid does not allow it.
+    """All folds of one kind of a grid of points: from each side or corner; empty if the grid does not allow the kind.
 
-    `diagonal` takes as many points along both sides. `thirds` takes a side of 3 n + 2 cells: the first third, which
-    comes inside, is one cell shorter than the others.
+    `diagonal` needs a square grid. `thirds` needs a side of 3 n + 2 cells: the inner third is one cell shorter.
     """
-    # From a side, rows are as good as columns; from a corner, both ends of either are.
-    aside = how == "diagonal"
+    diagonal = how == "diagonal"
     found = []
-    for across in (False,) if aside else (False, True):
-        size = (columns, rows) if across else (rows, columns)
-        if (way := _WAYS[how](*size)) is None:
+    for transposed in (False,) if diagonal else (False, True):
+        size = (columns, rows) if transposed else (rows, columns)
+        if (way := _FOLDS[how](*size)) is None:
             continue
-        ends = itertools.product((False, True), (False, True) if aside else (False,))
-        found += [_seen(way, size, low, left, across) for low, left in ends]
+        ends = itertools.product((False, True), (False, True) if diagonal else (False,))
+        found += [_mapped(way, size, low, left, transposed) for low, left in ends]
     return found
 
 
-def _seen(way: FoldWay, size: tuple[int, int], low: bool, left: bool, across: bool) -> FoldWay:
-    """The same way from the other end of the rows, or of the columns, or with rows for columns."""
+def _mapped(way: FoldWay, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldWay:
+    """The fold with its rows reversed (`low`), its columns reversed (`left`), or both exchanged."""
 
     def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
         rows = size[0] - 1 - given[:, 0] if low else given[:, 0]
         columns = size[1] - 1 - given[:, 1] if left else given[:, 1]
-        return np.column_stack([columns, rows] if across else [rows, columns])
+        return np.column_stack([columns, rows] if transposed else [rows, columns])
 
     def point(given: tuple[int, int]) -> tuple[int, int]:
         row, column = points(np.array([given]))[0]
@@ -72,7 +70,8 @@ def _seen(way: FoldWay, size: tuple[int, int], low: bool, left: bool, across: bo
 
 def _half(rows: int, columns: int) -> FoldWay:
     upper = _grid(range(rows // 2), range(columns))
-    return FoldWay((_side_over(rows, columns),), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
+    first_row_over = tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
+    return FoldWay((first_row_over,), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
 
 
 def _diagonal(rows: int, columns: int) -> FoldWay | None:
@@ -94,7 +93,7 @@ def _thirds(rows: int, columns: int) -> FoldWay | None:
     over = tuple(((cells, column), (first, column)) for column in (0, last))
     lowest = _grid(range(first), range(columns))
     highest = _grid(range(first + third + 1, rows), range(columns))
-    # What the first third lies on has the last one over it.
+    # The middle third, which the first third lies on and the last third covers.
     under = _mirrored(lowest, 2 * first)
     return FoldWay(
         (inside, over),
@@ -107,12 +106,7 @@ def _thirds(rows: int, columns: int) -> FoldWay | None:
     )
 
 
-_WAYS = {"half": _half, "diagonal": _diagonal, "thirds": _thirds}
-
-
-def _side_over(rows: int, columns: int) -> Move:
-    """The first row onto the last one."""
-    return tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
+_FOLDS = {"half": _half, "diagonal": _diagonal, "thirds": _thirds}
 
 
 def _grid(rows: range, columns: range) -> NDArray[np.int_]:
@@ -120,25 +114,25 @@ def _grid(rows: range, columns: range) -> NDArray[np.int_]:
 
 
 def _mirrored(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
-    """Points (n, 2) by rows that are `both` less theirs."""
+    """Points (n, 2) whose rows are mirrored: each row and its mirror image add up to `both`."""
     return np.column_stack([both - points[:, 0], points[:, 1]])
 
 
 def sheet_area(points: Array) -> float:
-    """Area of a sheet of points (rows, columns, 3), folded or not, m2."""
+    """The area of a sheet of points (rows, columns, 3), folded or not, m2."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
 
     def triangle(o: Array, p: Array, q: Array) -> Array:
         area: Array = np.linalg.norm(np.cross(p - o, q - o), axis=-1) / 2
         return area
 
-    # A cell that is folded along one of its diagonals has its area in the two triangles beside that one alone.
+    # A cell that is folded along a diagonal keeps its area only in the two triangles beside that diagonal.
     cells = np.maximum(triangle(a, b, c) + triangle(d, b, c), triangle(b, a, d) + triangle(c, a, d))
     return float(cells.sum())
 
 
 def outline_area(places: Array) -> float:
-    """Area of the convex outline around places (n, 2), m2."""
+    """The area of the convex hull of places (n, 2), m2 (Andrew's monotone chain)."""
     ordered = places[np.lexsort(places.T[::-1])]
     outline: list[Array] = []
     for points in (ordered, ordered[::-1]):

@@ -1,8 +1,7 @@
-"""Least squares that are not linear, by Levenberg's and Marquardt's steps: for one problem, or for many alike at once.
+"""Nonlinear least squares by Levenberg-Marquardt steps, for one problem or for many problems of one shape at once.
 
-A problem says how its residuals change with what is varied. Each step solves the linearized problem, damped: a step
-that makes the cost smaller is taken and the next one is bolder, any other is taken back and the next one is more
-careful.
+Each step solves the damped, linearized problem. A step that reduces the cost is kept and the damping shrinks; any other
+step is undone and the damping grows.
 """
 
 from __future__ import annotations
@@ -15,31 +14,28 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-# How strongly steps are damped (a share of the normal equations' diagonal): at first, at least, and at most. A problem
-# that is damped more than that stands still.
+# Damping as a share of the normal equations' diagonal: the first, the least, and the limit at which a problem stops.
 _FIRST, _LEAST, _MOST = 1e-3, 1e-6, 1e4
-# How much less a step is damped after a good one, and how much more after a bad one.
-_BOLDER, _CAREFUL = 1 / 8, 8.0
-# Added to the diagonal, so that what nothing depends on stays where it is.
-_TINY = 1e-9
+_SHRINK, _GROW = 1 / 8, 8.0  # factors of the damping after a kept and after an undone step
+_TINY = 1e-9  # added to the diagonal, so that variables without influence keep their value
 
 
 class Linearized(Protocol):
-    """A problem at a state; the leading dimensions (...) are those of many problems at once, () for one."""
+    """A problem at a state; the leading dimensions (...) are those of many problems, or () of one."""
 
     @property
     def cost(self) -> Array | float:
-        """What is to become small (...)."""
+        """The cost to be minimized (...)."""
         ...
 
     @property
     def normal(self) -> Array:
-        """The normal equations' matrix (..., k, k)."""
+        """The matrix (..., k, k) of the normal equations."""
         ...
 
     @property
     def gradient(self) -> Array:
-        """Their right-hand side (..., k): undamped, the step is `solve(normal, gradient)`."""
+        """The right-hand side (..., k): the undamped step is `solve(normal, gradient)`."""
         ...
 
 
@@ -48,14 +44,14 @@ L = TypeVar("L", bound=Linearized)
 
 
 class LeastSquares(ABC, Generic[S, L]):
-    """What is varied, and what comes of it."""
+    """A least-squares problem over states of type S."""
 
     @abstractmethod
     def linearized(self, state: S, before: L | None) -> L | None:
-        """The problem at a state, None where it cannot be told there.
+        """The linearized problem at a state, or None where the problem is undefined there.
 
         Args:
-            before: the problem at the state that this one is compared with; None for the first.
+            before: the problem at the state that `state` is compared with; None at the first state.
         """
 
     @abstractmethod
@@ -67,18 +63,18 @@ class LeastSquares(ABC, Generic[S, L]):
         """Whether to stop.
 
         Args:
-            state, known: where the last step left the problem.
-            step: that was tried last (..., k).
-            gain: how much smaller it made the cost (...); negative where it was taken back.
+            state, known: the state after the last step, and the problem there.
+            step: the last step tried (..., k).
+            gain: reduction of the cost by that step (...); negative where the step was undone.
         """
 
     def better_of(self, better: NDArray[np.bool_], there: tuple[S, L], here: tuple[S, L]) -> tuple[S, L]:
-        """The new state where it is `better` (...), and the old one elsewhere. This one is for a single problem."""
+        """The new state where it is `better` (...), else the old one. Override this method for many problems."""
         return there if better else here
 
 
 def descend(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
-    """The best state near a first one, and the problem there; None where it cannot be told at the first."""
+    """The best state found from a first one, and the problem there; None if the problem is undefined at the first."""
     known = problem.linearized(state, None)
     if known is None:
         return None
@@ -91,7 +87,7 @@ def descend(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, 
         better = gain > 0
         if trial is not None:
             state, known = problem.better_of(better, (there, trial), (state, known))
-        damping = np.where(better, np.maximum(damping * _BOLDER, _LEAST), damping * _CAREFUL)
+        damping = np.where(better, np.maximum(damping * _SHRINK, _LEAST), damping * _GROW)
         if problem.settled(state, known, step, gain) or (damping > _MOST).all():
             break
     return state, known

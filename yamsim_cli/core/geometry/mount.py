@@ -1,7 +1,7 @@
-"""A plain stand-in for the printed mount that carries a board beside an arm's base.
+"""A simplified mesh of the printed mount that carries a board beside an arm's base.
 
-It has a plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip over
-the foot. Everything higher than the board ends at the step, so that it hides no marker.
+The mount is a plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip
+over the foot. Nothing beyond the step is higher than the board, so the mount hides no marker.
 """
 
 from __future__ import annotations
@@ -15,13 +15,10 @@ from ..errors import ConfigError
 from .se3 import Array
 from .stl import Faces
 
-# The base's foot ends at this x and its top lies at this z, mm. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
-_FOOT_END = 100.0
-_FOOT_TOP = 0.6
-# Thickness of the step in front of the foot's end, mm.
-_STEP = 5.0
-# Height of the board, which is paper, above the plate, mm.
-_PAPER = 0.1
+# x of the end and z of the top of the base's foot, mm. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
+_FOOT_END, _FOOT_TOP = 100.0, 0.6
+_STEP = 5.0  # mm, thickness of the step in front of the foot
+_PAPER = 0.1  # mm, thickness of the board
 
 
 def mount_mesh(
@@ -32,16 +29,16 @@ def mount_mesh(
     board_size_mm: tuple[float, float],
     mirror_x: bool = False,
 ) -> tuple[Array, Faces]:
-    """A closed surface with the mount's outline, in the base mesh's frame.
+    """A closed surface of a mount in the base mesh's frame.
 
     Args:
-        x_mm, y_mm, z_mm: the outline's extent, before mirroring.
-        board_centre_mm: the board's centre (x, y, z), after mirroring, as a rig gives it.
+        x_mm, y_mm, z_mm: the mount's extent, before mirroring.
+        board_centre_mm: the board's centre (x, y, z), after mirroring.
         board_size_mm: the board's width and height.
         mirror_x: whether the mount is mirrored at x = 0.
 
     Returns:
-        Vertices (n, 3) in metres, and triangles (m, 3), anticlockwise seen from outside.
+        Vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
 
     Raises:
         ConfigError: the board does not lie on the mount.
@@ -63,10 +60,10 @@ def mount_mesh(
         raise ConfigError(
             f"a board of {board_size_mm[0]:.1f} x {board_size_mm[1]:.1f} mm at x {board_centre_mm[0]:g}, "
             f"y {board_y:g}, z {board_z:g} mm does not lie on its mount (x {x0:g}..{x1:g}{mirrored}, y {y0:g}..{y1:g}, "
-            f"z {z0:g}..{z1:g}); mend the board's position_mm, or the mount's x_mm, y_mm, z_mm or mirror_x"
+            f"z {z0:g}..{z1:g}); correct the board's position_mm, or the mount's x_mm, y_mm, z_mm or mirror_x"
         )
 
-    # The tongue is centred on y = 0 as the foot is. It ends where the plate begins, whatever the figures are.
+    # The tongue is centred on y = 0, as the foot is, and always ends where the plate begins.
     reach = max(0.0, min(-y0, y1))
     foot_end = min(max(x0, _FOOT_END), plate_x0)
     step_end = min(foot_end + _STEP, plate_x0)
@@ -82,14 +79,15 @@ def mount_mesh(
 
 
 def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
-    """The surface of axis-aligned boxes merged into one solid; boxes without volume are left out.
+    """The closed surface of the union of axis-aligned boxes; boxes without volume are left out.
+
+    The faces of all boxes cut space into cells. The surface has a quad wherever a full cell meets an empty one.
 
     Args:
-        boxes: (k, 2, 3), the low and the high corner of each.
+        boxes: (k, 2, 3), the low and the high corner of each box.
 
     Returns:
-        Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside. The surface is closed: space is cut into
-        cells at the faces of all boxes, and there is a quad wherever a full cell meets an empty one.
+        Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside.
     """
     corners = np.asarray(boxes, dtype=np.float64)
     corners = corners[(corners[:, 0] < corners[:, 1]).all(axis=1)]
@@ -105,7 +103,7 @@ def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
         around = np.array([0 * across[0], across[0], across[0] + across[1], across[1]])
         for side in (0, 1):
             outside = np.roll(full, 1 - 2 * side, axis)
-            cells = np.argwhere(full & ~outside) - 1  # Without the padding.
+            cells = np.argwhere(full & ~outside) - 1  # without the padding
             corner = cells[:, None, :] + around + side * np.eye(3, dtype=int)[axis]
             quads.append(corner if side else corner[:, ::-1])
     numbers, quad = np.unique(np.ravel_multi_index(np.concatenate(quads).T, grid).T, return_inverse=True)

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# Where something stands upright: x, y and z in m, and its heading about +z in rad.
+# An upright pose: x, y and z, m, and the heading about +z, rad.
 UprightPose = tuple[float, float, float, float]
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
-    """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), identity when left out."""
+    """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), by default the identity."""
     T = np.eye(4)
     T[:3, 3] = position
     if rotation is not None:
@@ -57,7 +57,7 @@ def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
 def quat_from_rotation(rotation: ArrayLike) -> Array:
     """The unit quaternion (4,) of a rotation (3, 3), with w >= 0.
 
-    It is computed from the largest of its four components (Shepperd's method), and so is exact near 180 degrees, too.
+    Shepperd's method: the quaternion follows from its largest component, and is also exact near 180 degrees.
     """
     R = np.asarray(rotation, dtype=np.float64)
     squares = np.array(
@@ -82,14 +82,14 @@ def quat_from_rotation(rotation: ArrayLike) -> Array:
 
 
 def inverse(T: ArrayLike) -> Array:
-    """The inverse pose: from `T_a_in_b`, `T_b_in_a`."""
+    """The inverse pose: `T_b_in_a` of `T_a_in_b`."""
     matrix = np.asarray(T, dtype=np.float64)
     R = matrix[:3, :3].T
     return pose(-R @ matrix[:3, 3], R)
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
-    """The axis (3,) times the angle in radians, angle in 0..pi, of a rotation (3, 3)."""
+    """The rotation vector (3,) of a rotation (3, 3): its axis times its angle in radians, 0..pi."""
     w, *xyz = quat_from_rotation(rotation)
     vector = np.asarray(xyz)
     length = float(np.linalg.norm(vector))
@@ -99,7 +99,7 @@ def rotation_vector(rotation: ArrayLike) -> Array:
 
 
 def rotation_from_vector(vector: Sequence[float] | Array) -> Array:
-    """The rotation (3, 3) about the axis `vector` (3,) by its length in radians."""
+    """The rotation (3, 3) of a rotation vector (3,)."""
     v = np.asarray(vector, dtype=np.float64)
     angle = float(np.linalg.norm(v))
     if angle < 1e-12:

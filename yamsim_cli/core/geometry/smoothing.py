@@ -1,4 +1,4 @@
-"""How cloth that does not lie flat is pulled flat: how far it is from that, and which points could be taken where."""
+"""Pulls that flatten a sheet of cloth, and measures of its unevenness."""
 
 from __future__ import annotations
 
@@ -13,46 +13,34 @@ from .se3 import Array
 
 Point = tuple[int, int]
 
-# A point that is no higher over the lowest one than this lies on the table, as a share of a layer's thickness. Those
-# that lie so tell how the sheet lies; ones that are farther off count less, as a share of its side.
-_LOW, _OFF = 0.8, 0.03
-_ROUNDS = 10
+_LOW = 0.8  # height over the lowest point below which a point lies on the table, as a share of a layer's thickness
+_OFF = 0.03  # distance from the fit at which a point counts a quarter, as a share of the sheet's side
+_ROUNDS = 10  # reweighted fits
 
-# Distances as shares of a sheet's side: so far off is worth a pull, so far apart are points that are tried, and so far
-# goes a pull that straightens.
-_WORTH, _APART, _STRAIGHTEN = 0.05, 0.15, 0.13
+# Distances as shares of the sheet's side.
+_WORTH = 0.05  # least distance of a point from its place that is worth a pull
+_APART = 0.15  # least distance between points that are tried
+_STRAIGHTEN = 0.13  # length of a pull that straightens
 
-# Around a point, a hand with open fingers needs so much room, m.
-_FOOTPRINT = 0.028
-
-# Points are taken around which nothing is more layers higher than the first, and which are as many as the second high
-# at most.
-_ABOVE, _LAYERS = 2.2, 4.5
-
-# What lies higher than a point by this share of a layer, and is farther from it in the sheet than so many cells, covers
-# it.
-_LAYER, _NEXT = 0.3, 2
-
-# What is as many layers high, and as high as this share of the highest point, stands up.
-_RIDGE, _UPPER = 2.0, 0.4
-
-# Two points are drawn apart by so much more than they are in the flat sheet at most: it stretches by that much.
-_TAUT = 1.05
-
-# So many points are tried of each kind.
-_MOST = 3
-
-# What is unfolded goes on an arch so high, as a share of its way.
-_ARCH = 0.25
-
-# A sheet that lies by the whole of its side off, and one that stands so high (m), are as bad.
-_BADLY = 0.2
+_FOOTPRINT = 0.028  # m, room that a hand with open fingers needs around a point
+_ABOVE = 2.2  # layers, most height of the surroundings over a grasped point
+_LAYERS = 4.5  # layers, most height of a grasped point
+_LAYER, _NEXT = 0.3, 2  # a layer covers a point if it is this share of a thickness higher, and more cells away
+_RIDGE, _UPPER = 2.0, 0.4  # a point stands up above this many layers, and above this share of the greatest height
+_TAUT = 1.05  # most distance of two pulled points, as a share of their distance in the flat sheet
+_MOST = 3  # points tried of each kind
+_ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
+_BADLY = 0.2  # m, height that counts as much as a whole side of displacement
 
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Points that are taken, by row and column, where they are laid (2,), seen from above, m; and on how high an arch,
-    as a share of the way.
+    """Points to grasp, and the places to put them.
+
+    Attributes:
+        points: by row and column.
+        to: the place (2,) of each point, seen from above, m.
+        arch: height of the path, as a share of its length.
     """
 
     points: tuple[Point, ...]
@@ -61,20 +49,20 @@ class Pull:
 
 
 def lying(points: Array, rest: Array, thickness: float) -> Array:
-    """Where points (..., 2) would be, seen from above, if all of the sheet lay as the part does that lies on the table.
+    """The places (rows, columns, 2) of a sheet's points if the sheet were flat, fitted to the part on the table, m.
 
     Args:
-        points: where they are (along y, along x, 3), m.
-        rest: the same where the sheet is flat (n, 3), in its own frame.
+        points: of the sheet (rows, columns, 3), m.
+        rest: of the flat sheet (n, 3), in the sheet's frame, m.
         thickness: of the sheet, m.
     """
-    # It may lie with its other side up.
+    # Either side of the sheet may be up.
     fits = [_fitted(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
     return min(fits, key=lambda fitted: float(np.linalg.norm(fitted - points[..., :2], axis=-1).mean()))
 
 
 def _fitted(points: Array, rest: Array, thickness: float) -> Array:
-    """The same (..., 2) for a sheet that lies with a given side up."""
+    """`lying` for a known side up: a rigid fit in the plane, reweighted for outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _LOW * thickness).astype(float)
@@ -92,27 +80,27 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """How far from flat a sheet is: 0 where it is flat, 1 where it is as bad as can be. See `lying`."""
+    """The unevenness of a sheet, from 0 for flat to 1; see `lying`."""
     away = np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / side_of(rest) + height(points) / _BADLY) / 2
 
 
 def height(points: Array) -> float:
-    """How much higher than the lowest point the highest one is, m."""
+    """The height of the highest point over the lowest one, m."""
     return float(np.ptp(points[..., 2]))
 
 
 def furthest(points: Array, rest: Array, thickness: float) -> float:
-    """How far, seen from above, a point is at most from where it would lie, m. See `lying`."""
+    """The largest horizontal distance of a point from its place in the flat sheet, m; see `lying`."""
     return float(np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
 def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: float = 1.0) -> Iterator[Pull]:
-    """Pulls at the border of a sheet that may make it flatter; see `lying`.
+    """Pulls at the border of a sheet that may make the sheet flatter; see `lying`.
 
     Args:
-        spacing: the larger of the distances between neighbours, m.
-        bold: so many times as far what straightens goes, and as high may be, or stand around, what is taken.
+        spacing: the larger of the distances between neighbouring points, m.
+        bold: factor of the length of straightening pulls, and of the height limits of grasped points.
     """
     side, rows, columns = side_of(rest), *points.shape[:2]
     fitted = lying(points, rest, thickness)
@@ -123,14 +111,14 @@ def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: fl
         if (row in (0, rows - 1) or column in (0, columns - 1))
         and _free(points, (row, column), spacing, bold * thickness, thickness)
     ]
-    # What is off is brought to where it belongs, one point or two.
+    # Unfold: one or two displaced points are brought to their places.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
     wrong = _spread(points, sorted(border, key=lambda point: -off[point]), side)
     wrong = [point for point in wrong if off[point] > _WORTH * side]
     for count in (1, 2):
         for some in itertools.combinations(wrong, count):
             yield Pull(some, tuple(fitted[point] for point in some), _ARCH)
-    # What stands up is straightened: by what lies beside it, away from it, or by two corners, away from the middle.
+    # Straighten: a point beside a ridge is pulled away from the ridge, or two corners away from the middle.
     high = points[points[..., 2] - points[..., 2].min() > max(_RIDGE * thickness, _UPPER * height(points))]
     if len(high):
         ridge = high[:, :2].mean(axis=0)
@@ -145,17 +133,13 @@ def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: fl
 
 
 def side_of(rest: Array) -> float:
-    """The side of a square as large as a sheet, m.
-
-    Args:
-        rest: its points where it is flat (n, 3), in its own frame.
-    """
+    """The side, m, of a square with the area of a flat sheet of points (n, 3)."""
     return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
 
 
 def _free(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
-    """Whether a hand can take a point: no layer lies over it, it is not many times as high as `high` (m), and nothing
-    around it stands up so much.
+    """Whether a hand can grasp a point: no layer covers the point, and neither the point nor its surroundings are too
+    high, in layers of `high` (m).
     """
     place, lowest = points[point], float(points[..., 2].min())
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
@@ -168,7 +152,7 @@ def _free(points: Array, point: Point, spacing: float, high: float, thickness: f
 
 
 def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
-    """The first few points that are not beside one another."""
+    """The first few points that are apart from each other."""
     chosen: list[Point] = []
     for point in ordered:
         if all(np.linalg.norm(points[point] - points[other]) > _APART * side for other in chosen):
@@ -179,13 +163,13 @@ def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]
 
 
 def _away(place: Array, other: Array, side: float) -> Array:
-    """A place (2,) that is farther away from another one."""
+    """A place (2,) moved away from another place."""
     way = place - other
     return place + _STRAIGHTEN * side * way / max(float(np.linalg.norm(way)), 1e-9)
 
 
 def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
-    """Two places (2,), or nearer ones between them that are so far apart: what is taut is not to be stretched."""
+    """Two places (2,), moved towards each other until at most `length` apart."""
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
     return one + share * (other - one), other + share * (one - other)

@@ -1,4 +1,4 @@
-"""Binary STL. Each triangle in it has three corners of its own, so that reading has to find shared vertices again."""
+"""Binary STL, whose triangles do not share vertices; reading merges them again."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     records = np.zeros(len(corners), dtype=_FACE)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    # A triangle without area has no normal, and gets zeros.
+    # A triangle without area gets a normal of zeros.
     records["normal"] = normals / np.where(lengths > 0, lengths, 1.0)
     records["corners"] = corners
     return bytes(_HEADER) + len(records).to_bytes(4, "little") + records.tobytes()
 
 
 def is_binary_stl(data: bytes) -> bool:
-    """Whether bytes are as long as their count of faces says, and there are any."""
+    """Whether the length of the data fits its face count, and that count is not 0."""
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     return count > 0 and len(data) == _HEADER + 4 + count * _FACE.itemsize
 
 
 def read_stl(data: bytes) -> tuple[Array, Faces]:
-    """Vertices (n, 3) of a binary STL, in the file's unit, and triangles (m, 3) over them.
+    """Vertices (n, 3) of a binary STL, in the file's unit, and triangles (m, 3).
 
-    Corners with equal coordinates become one vertex. Triangles that lose a corner by that are left out.
+    Equal corners become one vertex. Triangles that lose a corner by that are left out.
 
     Raises:
-        ResourceError: it is no binary STL.
+        ResourceError: the data is no binary STL.
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     if not is_binary_stl(data):
         raise ResourceError(f"{len(data)} bytes are no binary STL")
     corners = np.frombuffer(data, _FACE, count, _HEADER + 4)["corners"].astype(np.float64)
     if not np.isfinite(corners).all():
-        raise ResourceError("an STL with coordinates that are no numbers")
+        raise ResourceError("an STL has coordinates that are no numbers")
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     faces = index.reshape(-1, 3).astype(np.int32)
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)

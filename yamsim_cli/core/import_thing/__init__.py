@@ -1,1 +1,1 @@
-"""Make an object's config: of one of the YCB set, or of a file from elsewhere."""
+"""Object configs from the YCB set, and from files of things."""

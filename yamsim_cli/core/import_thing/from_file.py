@@ -1,13 +1,11 @@
-"""Make an object's config from a file of a thing: read, made, its files kept by content, its config written."""
+"""Import a thing from a file: its meshes go into a set named by their content, and its config is written."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -15,23 +13,20 @@ from ..assets import AssetStore, publish_own
 from ..attempt.alone import reachable_places
 from ..config.things.thing import ObjectConfig
 from ..documents.document import dump_yaml
-from ..errors import ResourceError
-from ..files import sha256_bytes, sha256_file
+from ..errors import ResourceError, UsageError
+from ..files import sha256_bytes, sha256_file, write_file
 from ..resources import Locations
 from ..skills.errors import SkillFailedError
-from ..thing_files.read import Told, read_thing
-from ..things.convex import KEPT, Share
-from ..things.make import Made, make
-from ..things.wishes import Wishes
-from .written import checked_name, own_config, put, refuse_existing
+from ..thing_files.read import UnitOptions, read_thing
+from ..things.convex import CACHE, Share
+from ..things.make import ImportOptions, Made, make
 
-# Configs of things that were named by their file, where a config's name belongs.
-_DIRECT = "imports"
+_DIRECT = "imports"  # folder of the configs of files that were given in place of a config's name
 
 
 @dataclass(frozen=True)
 class ImportedFile:
-    """A config that was written, and what it was made of."""
+    """A written config, and the thing it describes."""
 
     path: Path
     config: ObjectConfig
@@ -39,59 +34,82 @@ class ImportedFile:
 
 
 def name_of(path: Path) -> str:
-    """What a thing is called after its file; after its folder where the file's name says only what it is."""
+    """The name of a thing by its file, or by its folder if the file has a generic name such as `model`."""
     stem = path.parent.name if path.stem.lower() in ("model", "mesh", "scene", "object", "textured") else path.stem
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "thing"
     return name if name[0].isalpha() else f"thing_{name}"
 
 
 def import_file(
-    file: Path, told: Told, wishes: Wishes, where: Locations, out: Path | None, share: Share = lambda done: None
+    file: Path,
+    units: UnitOptions,
+    options: ImportOptions,
+    where: Locations,
+    out: Path | None,
+    share: Share = lambda done: None,
 ) -> ImportedFile:
-    """Of a file in one of the formats of `core.thing_files.read`.
+    """Import a file in one of the formats of `core.thing_files`.
 
     Args:
         out: the YAML file to write; by default `<name>.yaml` in the user's own configs.
-        share: told how much of the work is done, 0 to 1.
+        share: called with the share of the work that is done, 0 to 1.
 
     Raises:
-        UsageError: the name is none, or there is no place to write to, or the file leaves open what has to be told.
-        ResourceError: the file is refused, or no config can be made of it, or something cannot be written.
+        UsageError: the name is invalid, the config's file exists or has no folder, or the file states no unit or axis.
+        ResourceError: the file is refused, no config can be made of it, or a file cannot be written.
     """
-    checked_name(wishes.name)
-    path = out or own_config(where, wishes.name)
-    refuse_existing(path)
-    config, made, yaml = _imported(file, told, wishes, where, share)
-    put(path, yaml.encode())
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", options.name):
+        raise UsageError(f"--name {options.name!r} is not valid: letters, digits and underscores, a letter first")
+    path = config_path(where, options.name, out)
+    config, made, yaml = _imported(file, units, options, where, share)
+    write_config(path, yaml)
     return ImportedFile(path, config, made)
 
 
 def import_directly(file: Path, where: Locations, share: Share = lambda done: None) -> ImportedFile:
-    """Of a file that is named where a config belongs, with what the file says alone; its config lies with the meshes.
-
-    Raises:
-        UsageError, ResourceError: as `import_file`.
-    """
-    config, made, yaml = _imported(file, Told(), Wishes(name_of(file)), where, share)
+    """Import a file without options; the config is written beside the meshes. Raises as `import_file`."""
+    config, made, yaml = _imported(file, UnitOptions(), ImportOptions(name_of(file)), where, share)
     path = where.assets / _DIRECT / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
-        put(path, yaml.encode())
+        write_config(path, yaml)
     return ImportedFile(path, config, made)
 
 
-def _imported(file: Path, told: Told, wishes: Wishes, where: Locations, share: Share) -> tuple[ObjectConfig, Made, str]:
+def config_path(where: Locations, name: str, out: Path | None) -> Path:
+    """The path of a new config: `out`, or the place of a config of this name among the user's own.
+
+    Raises:
+        UsageError: there is no folder for the user's own configs, or the file exists.
+    """
+    if out is None and len(where.data) < 2:
+        raise UsageError("no folder for configs of your own: set YAMSIM_DATA_DIR, or give --out FILE.yaml")
+    path = out or where.data[0] / "configs" / "objects" / f"{name}.yaml"
+    if path.exists():
+        raise UsageError(f"{path} exists; move it away, or choose another --out")
+    return path
+
+
+def write_config(path: Path, yaml: str) -> None:
+    """Write a config, and create its folder. Raises `ResourceError`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, yaml.encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _imported(
+    file: Path, units: UnitOptions, options: ImportOptions, where: Locations, share: Share
+) -> tuple[ObjectConfig, Made, str]:
+    """The config, the thing and the config's YAML; the meshes are published."""
     if file.suffix.lower() == ".stl":
-        # As STL is mostly written for robots; nothing in it says so.
-        told = replace(told, unit=told.unit or "m", up=told.up or "z")
-    made = make(read_thing(file, told), wishes, where.assets / KEPT, share)
-    about = {
-        "source": file.name,
-        "sha256": sha256_file(file),
-        "told": asdict(told),
-        "wishes": asdict(wishes),
-    }
+        # STL states neither; most files for robots are in metres, z up.
+        units = replace(units, unit=units.unit or "m", up=units.up or "z")
+    made = make(read_thing(file, units), options, where.assets / CACHE, share)
+    sha256 = sha256_file(file)
+    about = {"source": file.name, "sha256": sha256, "told": asdict(units), "wishes": asdict(options)}
     store = AssetStore(where.assets)
-    set_name = publish_own(store, wishes.name, made.files, about)
+    set_name = publish_own(store, options.name, made.files, about)
     data = made.with_set(set_name)
     try:
         config = ObjectConfig.model_validate(data)
@@ -101,16 +119,16 @@ def _imported(file: Path, told: Told, wishes: Wishes, where: Locations, share: S
         raise ResourceError(
             f"{file}: no config can be made of it: {place}: {first['msg']}, found {first['input']!r:.60}"
         ) from error
-    config = _held_in_reach(config, replace(where, meshes={set_name: store.root / set_name}))
+    config = _with_reachable_grasps(config, replace(where, meshes={set_name: store.root / set_name}))
     if config.grasp is not None:
         data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True)
-    return config, made, _comment(file, made, told, about) + dump_yaml(data)
+    return config, made, _comment(file, made, units, sha256) + dump_yaml(data)
 
 
-def _held_in_reach(config: ObjectConfig, where: Locations) -> ObjectConfig:
-    """The thing with only those proposed places that the skill `pick` can take.
+def _with_reachable_grasps(config: ObjectConfig, where: Locations) -> ObjectConfig:
+    """The config with only those grasps that the skill `pick` can use.
 
-    Where it can take none of them, they stay as they are, and the certificate says what is wrong with them.
+    If the skill can use none, all of them stay, and the certificate reports the fault.
     """
     with suppress(SkillFailedError):
         if places := reachable_places(config, where):
@@ -118,15 +136,12 @@ def _held_in_reach(config: ObjectConfig, where: Locations) -> ObjectConfig:
     return config
 
 
-def _comment(file: Path, made: Made, told: Told, about: Mapping[str, Any]) -> str:
-    kinds = ", ".join(dict.fromkeys(touch.kind for touch in made.touches))
+def _comment(file: Path, made: Made, units: UnitOptions, sha256: str) -> str:
+    kinds = ", ".join(dict.fromkeys(geometry.kind for geometry in made.collision))
     guess = " (a guess: nobody said)" if made.guessed else ""
-    flags = "".join(f" --{key} {value:g}" if key == "scale" else f" --{key} {value}" for key, value in _given(told))
+    given = [(key, value) for key, value in asdict(units).items() if value is not None and value != 1.0]
+    flags = "".join(f" --{key} {value:g}" if key == "scale" else f" --{key} {value}" for key, value in given)
     return (
-        f"# {file.name}, SHA-256 {about['sha256']}. Written by `yamsim assets import {file.name}{flags}`.\n"
+        f"# {file.name}, SHA-256 {sha256}. Written by `yamsim assets import {file.name}{flags}`.\n"
         f"# It collides by {kinds} and weighs {made.mass * 1000:.4g} g{guess}.\n"
     )
-
-
-def _given(told: Told) -> list[tuple[str, Any]]:
-    return [(key, value) for key, value in asdict(told).items() if value is not None and value != 1.0]

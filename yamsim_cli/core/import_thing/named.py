@@ -1,4 +1,4 @@
-"""Things that are named by their file, where a config's name belongs: `--object my_mug.glb`."""
+"""Files of things in place of a config's name: `--object my_mug.glb`."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..thing_files.endings import ENDINGS
+from ..thing_files import ENDINGS
 
 if TYPE_CHECKING:
     from ..resources import Locations
 
 
 def config_of(name: str, where: Locations, notify: Callable[[str], None]) -> str:
-    """The config of the thing that a name stands for: of a file it is made, and any other name is one already.
+    """The name of a thing's config: a file of a thing is imported, and any other name is returned as it is.
 
     Args:
-        notify: told what was guessed.
+        notify: called with a note about a guessed mass.
 
     Raises:
         UsageError, ResourceError: as `from_file.import_directly`.

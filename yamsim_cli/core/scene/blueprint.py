@@ -1,4 +1,4 @@
-"""What a scene is to hold: one value, from which `compose` makes every scene there is."""
+"""The blueprint of a scene: the value from which `compose` makes every scene."""
 
 from __future__ import annotations
 
@@ -12,20 +12,14 @@ from ..config.scene import SceneConfig
 from ..config.things.thing import ObjectConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
-# How much stiffer contacts are along a surface than across it where friction alone has to hold. With MuJoCo's own 1 an
-# object turns by a few degrees a second in the hand. Held at its end, as for a hand-over, it would droop by 11 degrees
-# with 10. Source: MuJoCo's documentation of `impratio`.
+# MuJoCo's `impratio` for grasps by friction. With the default of 1 an object turns by a few degrees a second in the
+# hand; with 10 an object held at its end, as for a hand-over, droops by 11 degrees.
 _IMPRATIO, _IMPRATIO_AT_THE_END = 10.0, 100.0
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """What the pictures of a scene are to be like.
-
-    Attributes:
-        quality: what they may cost.
-        size: width and height, px.
-    """
+    """Quality and size (width, height), px, of the pictures of a scene."""
 
     quality: RenderConfig
     size: tuple[int, int]
@@ -33,14 +27,12 @@ class Pictures:
 
 @dataclass(frozen=True)
 class TaskPhysics:
-    """How a scene is stepped in which a task is done.
+    """How a task's scene is stepped.
 
     Attributes:
         timestep: of physics, s.
-        impratio: how much stiffer contacts are along a surface, where friction alone has to hold things; None where a
-            weld does.
-        carried: name of the thing that welds are compiled for; None where there are none. At run time a weld holds
-            whatever the hand takes.
+        impratio: MuJoCo's `impratio` for grasps by friction; None where welds hold things.
+        carried: name of the thing for which welds are compiled, or None. At run time a weld holds any grasped thing.
     """
 
     timestep: float
@@ -50,20 +42,20 @@ class TaskPhysics:
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What a scene is made of beside files of robots and meshes.
+    """What a scene is composed of, beside the files of robots and meshes.
 
     Attributes:
-        rig: the arms and how they stand.
-        scene: what stands around them, as wide as they need it.
-        name: of the scene; the rig's unless given.
+        rig: the arms and their poses.
+        scene: the surroundings, as wide as the rig needs.
+        name: of the scene; by default the rig's.
         boards: whether there are base boards and mounts.
-        background: whether there are sky, floor and lights; without them, MuJoCo's headlight is left as it is. A table
-            belongs to the task and stays.
+        background: whether there are sky, floor and lights; without these, MuJoCo's default headlight stays. A table
+            belongs to the task, and always stays.
         objects: free bodies.
-        randomization: what may differ from attempt to attempt; the scene gets the parts that this needs.
-        physics: how it is stepped; None leaves MuJoCo's own time step, and has no welds.
+        randomization: the parts that it needs are added to the scene.
+        physics: None keeps MuJoCo's default time step, without welds.
         cameras: in their order.
-        pictures: None where nothing is rendered.
+        pictures: None if nothing is rendered.
     """
 
     rig: RigConfig
@@ -79,7 +71,7 @@ class Blueprint:
 
 
 def task_blueprint(config: RecordConfig, *, boards: bool = True, background: bool = True) -> Blueprint:
-    """The scene in which a task is done, with its scene camera and nothing random."""
+    """The scene of a task with its scene camera, without randomization."""
     camera = config.surroundings.scene_camera
     assert camera is not None  # checked when the config was loaded
     return Blueprint(
@@ -94,7 +86,7 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
 
 
 def recording_blueprint(config: RecordConfig) -> Blueprint:
-    """The scene that a recording is made in: its task's, with all that it records and varies."""
+    """The scene of a recording: that of the task with all recorded cameras and the randomization."""
     task, size = task_blueprint(config, boards=config.boards), config.image.size_px
     return replace(
         task,
@@ -110,7 +102,7 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
 
 
 def _carried(config: RecordConfig) -> str | None:
-    """Return the thing that welds name until they hold one: any stiff thing; None if nothing is welded."""
+    """The thing that welds name until they hold one: any stiff thing; None without welds."""
     stiff = (item.name for item in config.task.objects if item.cloth is None)
     return next(stiff, None) if config.grasp == "weld" else None
 

@@ -1,28 +1,32 @@
-"""The scene of a recording, or of a rig alone, compiled, with the addresses of its parts."""
+"""Compiled scenes of recordings and of rigs alone, and the meshes that a scene shows."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from ..assets.reduced import REPORT
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
 from ..config.things.thing import ObjectConfig
+from ..files import sha256_bytes
 from ..resources import Locations
 from ..robots.models import Fingers
 from ..session import Session
+from ..shown_meshes import FULL, PRIMITIVES, REDUCED
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
 from .compiling import compile_spec
-from .compose import READING, WELD, compose
-from .composed_meshes import composed_meshes
+from .compose import READING, WELD, compose, mesh_sets
 
-# Of physics of a rig alone, s: that of the tasks, unless they say otherwise.
-TIMESTEP = 0.002
+TIMESTEP = 0.002  # s, of physics of a rig alone: the tasks' default
+_MOUNTS = "mounts"  # stands for the mounts for which a rig has its own STL files
 
 
 def build_scene(session: Session) -> CompiledScene:
@@ -53,10 +57,10 @@ def build_scene(session: Session) -> CompiledScene:
 def build_rig_scene(
     rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
 ) -> CompiledScene:
-    """Compose and compile a rig's arms and nothing else that they could touch: no floor, no table, no boards.
+    """Compose and compile a rig's arms alone, without floor, table and boards.
 
     Args:
-        scene: its looks do not matter here; its table is left out.
+        scene: the surroundings, without effect on physics; the table is left out.
         timestep: of physics, s.
 
     Raises:
@@ -79,16 +83,34 @@ def build_rig_scene(
 
 
 def shown_meshes(session: Session) -> dict[str, str]:
-    """Return what a session shows of each mesh set, see `core.shown_meshes`.
+    """Mesh set -> what a session shows of the set, see `core.shown_meshes`.
 
-    The files of a set are those of all things that the task may draw, so that every cast of a task has the same text.
+    The files of a set are those of all things that the task may draw, so that all casts of a task have the same text.
     """
-    blueprint = recording_blueprint(session.config)
-    return composed_meshes(compose(blueprint, session.locations), blueprint, session.locations.meshes)
+    blueprint, folders = recording_blueprint(session.config), session.locations.meshes
+    spec = compose(blueprint, session.locations)
+    assets = spec.assets
+    files: dict[str, dict[str, bytes]] = {}
+    for mesh in spec.meshes:
+        path = PurePosixPath(mesh.file)
+        files.setdefault(path.parent.name, {})[path.name] = assets[mesh.file]
+    found = {name: _shown(folders.get(name), files.get(name, {})) for name in mesh_sets(blueprint)}
+    own = {f"{arm.mount.name}.stl" for arm in blueprint.rig.arms if arm.mount and arm.mount.stl}
+    if mounts := {name: data for name, data in files.get(_MOUNTS, {}).items() if name in own}:
+        found[_MOUNTS] = _shown(None, mounts)
+    return found
+
+
+def _shown(folder: Path | None, files: Mapping[str, bytes]) -> str:
+    if not files:
+        return PRIMITIVES
+    kind = REDUCED if folder is not None and (folder / REPORT).is_file() else FULL
+    listed = "".join(f"{name} {sha256_bytes(files[name])}\n" for name in sorted(files))
+    return f"{kind} {sha256_bytes(listed.encode())}"
 
 
 def noting_meshes(session: Session) -> Session:
-    """Return the same session with a config that says which meshes the session shows."""
+    """The session with a config that states which meshes the session shows."""
     return session.with_values(meshes=shown_meshes(session))
 
 
@@ -113,12 +135,12 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
         most_torque=model.actuator_forcerange[moving, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
-        **_otherwise(model, arm),
+        **_identified(model, arm),
     )
 
 
-def _otherwise(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """What of an arm's dynamics no MJCF says, and where it is read late, as `SceneArm` has it."""
+def _identified(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
+    """The attributes of a `SceneArm` beyond MJCF: identified dynamics, and the sensors of late readings."""
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
     read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
@@ -141,7 +163,7 @@ def _otherwise(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
 
 def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:
     cloth, name = item.cloth, item.name
-    assert cloth is not None, "not called for anything else"
+    assert cloth is not None  # only called for cloth
     rest = rest_points(cloth)
     prefixes = [config.rig.arms[number].prefix for number in config.rig.recorded]
     joints = [[model.joint(f"{name}_{k}_{axis}") for axis in "xyz"] for k in range(len(rest))]
@@ -175,8 +197,8 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
     )
 
 
-def _with_what_hangs_on(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and all below it: MuJoCo numbers parents before their children."""
+def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and all its descendants: MuJoCo numbers parents before their children."""
     found = [body]
     for other in range(body + 1, model.nbody):
         if model.body_parentid[other] in found:
@@ -185,9 +207,7 @@ def _with_what_hangs_on(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _geoms(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
-    """`Kind` of every geom (ngeom,) as far as it is an arm's, and the number in `CompiledScene.arms` of the arm that it
-    belongs to, or -1.
-    """
+    """The `Kind` of every geom (ngeom,) of an arm, and the index of the geom's arm in `CompiledScene.arms`, or -1."""
     kind = np.full(model.nbody, int(Kind.OTHER))
     of_arm = np.full(model.nbody, -1)
     for k, number in enumerate(rig.recorded):
@@ -196,7 +216,7 @@ def _geoms(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
         kind[on_arm], of_arm[on_arm] = Kind.ARM, k
         if robot.fingers is not None:
             for name, finger in zip(robot.fingers.bodies, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER), strict=True):
-                kind[_with_what_hangs_on(model, model.body(prefix + name).id)] = finger
+                kind[_subtree(model, model.body(prefix + name).id)] = finger
     kinds: Ids = kind[model.geom_bodyid]
     arms: Ids = of_arm[model.geom_bodyid]
     return kinds, arms

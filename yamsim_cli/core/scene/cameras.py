@@ -18,11 +18,11 @@ WORLD = "world"
 
 @dataclass(frozen=True)
 class SceneCamera:
-    """A camera that stands in a scene, or moves with a part of it.
+    """A camera of a scene.
 
     Attributes:
-        body: that it moves with; `WORLD` stands still.
-        T_in_body: its pose (4, 4), as MuJoCo has cameras: -z towards what it sees, +y up in the image.
+        body: to which the camera is attached; `WORLD` for a fixed camera.
+        T_in_body: pose (4, 4) in MuJoCo's convention: looks along -z, +y up in the image.
         fovy_deg: vertical field of view.
     """
 
@@ -33,7 +33,7 @@ class SceneCamera:
 
 
 def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
-    """A camera that stands still and looks at a point."""
+    """A fixed camera that looks at a point."""
     return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
 
 
@@ -44,7 +44,7 @@ def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> 
 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
-    """An arm's wrist camera, which moves with its hand, for images of `size` (width, height) pixels."""
+    """An arm's wrist camera, for images of `size` (width, height) pixels."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
@@ -62,12 +62,12 @@ def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:
 
 
 def _look_at(camera: FixedCamera) -> Array:
-    """Rotation (3, 3) of a MuJoCo camera in `world`: -z towards the target, +y as far up as it can be."""
+    """The rotation (3, 3) of a MuJoCo camera in `world`: -z towards the target, +y as far up as possible."""
     forward = np.asarray(camera.look_at) - np.asarray(camera.position)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-6:
-        # Straight up or down: image up is then +x, away from the arm.
+        # A vertical camera has +x, away from the arm, up in its image.
         right = np.array([0.0, -1.0, 0.0]) * math.copysign(1.0, -forward[2])
     right /= np.linalg.norm(right)
     return np.column_stack([right, np.cross(right, forward), -forward])

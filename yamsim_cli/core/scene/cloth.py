@@ -1,4 +1,4 @@
-"""Cloth in a scene: a sheet of triangles between points that move freely, and what a hand can hold points by."""
+"""Cloth in a scene: a flex of freely moving points, and the constraints by which hands hold points."""
 
 from __future__ import annotations
 
@@ -13,27 +13,18 @@ from ..config.things.cloth import Cloth
 from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array
 
-# Pixels along a check of the pattern.
-_PIXELS = 16
-
-# About how long contacts of cloth, and grips on it, take to pull right what is off, s. MuJoCo needs two steps at least.
-_PULL = 0.01
-
-# How firmly a hand holds what it holds by layers, as MuJoCo's `solimp` has it. A point weighs a tenth of a gramme: with
-# MuJoCo's own 0.9 and 0.95, cloth that is pulled over a table stays 4 cm behind the hand.
+_PIXELS = 16  # px, along a check of the pattern
+_PULL = 0.01  # s, time constant of contacts of cloth and of grips; at least two steps
+# `solimp` of grips by layers. With MuJoCo's 0.9 and 0.95, cloth, whose points weigh 0.1 g, lags 4 cm behind the hand.
 _FIRM = (0.999, 0.9999)
 _CONDIM = 3
-
-# The solver that takes many small steps stops where one gains less than this, as MuJoCo scales it. With MuJoCo's own
-# 1e-8 a fold of 21 x 21 points takes a third longer, and ends within 0.02 mm of the same place.
+# Tolerance of the CG solver. With MuJoCo's 1e-8 a fold of 21 x 21 points takes a third longer, and ends within 0.02 mm.
 _TOLERANCE = 1e-6
-
-# A body needs some inertia, though nothing turns it: that of a ball of a millimetre, m2.
-_GYRATION = 1e-6
+_GYRATION = 1e-6  # m2, inertia over mass of a point, which nothing turns: that of a ball of a millimetre
 
 
 def rest_points(cloth: Cloth) -> Array:
-    """Where a cloth's points (n, 3) lie in its own frame when it is flat, m: along x first."""
+    """The points (n, 3) of a flat cloth in the cloth's frame, m: along x first."""
     (x, y), (columns, rows) = cloth.size, cloth.grid
     across, along = np.meshgrid(np.linspace(-x / 2, x / 2, columns), np.linspace(-y / 2, y / 2, rows))
     points: Array = np.column_stack([across.ravel(), along.ravel(), np.zeros(columns * rows)])
@@ -42,8 +33,9 @@ def rest_points(cloth: Cloth) -> Array:
 
 @functools.cache
 def triangles(columns: int, rows: int) -> NDArray[np.int_]:
-    """The numbers (m, 3) of the points of every triangle of a grid. The diagonals of neighbours go opposite ways, so
-    that the sheet is as stiff along either.
+    """The numbers (m, 3) of the points of every triangle of a grid.
+
+    The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both.
     """
     found = []
     for row in range(rows - 1):
@@ -57,7 +49,7 @@ def triangles(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def edges(columns: int, rows: int) -> NDArray[np.int_]:
-    """The numbers (m, 2) of the points at the ends of every edge of a grid's triangles."""
+    """The numbers (m, 2) of the end points of every edge of a grid's triangles."""
     corners = triangles(columns, rows)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -65,12 +57,12 @@ def edges(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
-    """Add a cloth: a body named after it that stands at the origin, with a body that slides freely for each point.
+    """Add a cloth: a fixed body of the cloth's name at the origin, with a freely sliding body for each point.
 
-    At MuJoCo's positions of zero its points lie at `rest_points` in `world`.
+    At joint positions of 0 the points are at `rest_points` in `world`.
     """
     cloth = item.cloth
-    assert cloth is not None, "not called for anything else"
+    assert cloth is not None  # only called for cloth
     base = spec.worldbody.add_body(name=item.name)
     points, (columns, rows) = rest_points(cloth), cloth.grid
     for k, (place, mass) in enumerate(zip(points, _masses(cloth), strict=True)):
@@ -93,7 +85,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
 
 
 def _masses(cloth: Cloth) -> Array:
-    """What each point (n,) weighs, kg: as the quarters of the cells around it."""
+    """The mass of each point (n,), kg: a quarter of each cell around the point."""
     columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
     shares: Array = np.outer(rows, columns).ravel() * cloth.mass
     return shares
@@ -114,23 +106,23 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
         width=2 * _PIXELS,
         height=2 * _PIXELS,
     )
-    # The pattern has two checks along a side.
+    # The texture has two checks along a side.
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = item.name
     material.texrepeat = [cloth.checks / 2, cloth.checks / 2]
     return item.name
 
 
 def set_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
-    """Choose how MuJoCo steps a scene with a cloth."""
-    # Others do not load the elasticity of sheets.
+    """Set the integrator and solver of a scene with a cloth."""
+    # Other integrators do not support the elasticity of flexes.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     if cloth.solver == "cg":
         spec.option.solver, spec.option.tolerance = mujoco.mjtSolver.mjSOL_CG, _TOLERANCE
 
 
 def add_cloth_grips(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> None:
-    """Add the constraints, all switched off, by which each hand of a rig can hold each point of a cloth."""
-    assert item.cloth is not None, "not called for anything else"
+    """Add the inactive constraints by which each hand of a rig can hold each point of a cloth."""
+    assert item.cloth is not None  # only called for cloth
     columns, rows = item.cloth.grid
     for arm in rig.arms:
         for k in range(columns * rows):
@@ -148,5 +140,5 @@ def add_cloth_grips(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> 
 
 
 def grip_name(prefix: str, cloth: str, point: int) -> str:
-    """The name of the constraint by which the hand of the arm with a prefix can hold a point of a cloth."""
+    """The name of the constraint by which the hand of an arm with a prefix can hold a point of a cloth."""
     return f"{prefix}{cloth}_{point}_grip"

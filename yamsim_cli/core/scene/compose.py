@@ -1,4 +1,4 @@
-"""Any scene as one MjSpec, made from its blueprint."""
+"""Composes the MjSpec of any scene from its blueprint."""
 
 from __future__ import annotations
 
@@ -20,34 +20,30 @@ from .cameras import add_camera
 from .cloth import add_cloth_grips, set_options
 from .compiling import compile_spec
 from .fiducials import add_base_board
-from .quality import apply_quality
 from .robot import arm_spec, with_looks
-from .surroundings import add_background, add_lights, add_table
+from .surroundings import add_background, add_lights, add_table, apply_quality
 from .things.thing import add_object
 from .varied_model import add_variable_parts
 
-# How MuJoCo reads what was told between two steps.
-_LINEAR = 1
-# After a joint's name: the sensor that reads it late.
-READING = "_reading"
-# Of each arm, after its prefix: the weld by which its hand can hold a thing.
-WELD = "grasp_weld"
+_LINEAR = 1  # MuJoCo's interpolation of delayed commands and readings
+READING = "_reading"  # suffix of a joint's name: the joint's delayed sensor
+WELD = "grasp_weld"  # after an arm's prefix: the weld by which the hand can hold a thing
 
 
 def mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
-    """Names of the asset sets whose meshes a scene shows."""
+    """Names of the asset sets of a scene's visual meshes."""
     things = (*blueprint.objects, *blueprint.randomization.extras)
     return tuple(sorted({*rig_mesh_sets(blueprint.rig), *(name for item in things for name in item.mesh_sets)}))
 
 
 def rig_mesh_sets(rig: RigConfig) -> tuple[str, ...]:
-    """Names of the asset sets whose meshes a rig shows."""
+    """Names of the asset sets of a rig's visual meshes."""
     robots = {name for arm in rig.arms for name in arm.robot.mesh_sets}
     return tuple(sorted(robots | {name for camera in rig.cameras for name in camera.mesh_sets}))
 
 
-def _with_own(locations: Locations, blueprint: Blueprint) -> Meshes:
-    """Folders of mesh sets, and of those that things collide by: that is physics, whatever is shown."""
+def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
+    """The folders of the mesh sets, and of all sets of collision meshes: these are physics, whatever is shown."""
     things = (*blueprint.objects, *blueprint.randomization.extras)
     needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
     store = AssetStore(locations.assets)
@@ -55,18 +51,16 @@ def _with_own(locations: Locations, blueprint: Blueprint) -> Meshes:
 
 
 def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
-    """Put a scene together: the one way in which any is made.
-
-    The first arm's names stay as its model has them where its prefix is empty; another arm's carry its prefix.
+    """Compose a scene. All names of an arm begin with the arm's prefix, which may be empty.
 
     Args:
-        locations: where the meshes are.
+        locations: of the meshes.
 
     Raises:
         ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
-        ResourceError: a mesh that should be there cannot be read.
+        ResourceError: a mesh cannot be read.
     """
-    rig, meshes = blueprint.rig, _with_own(locations, blueprint)
+    rig, meshes = blueprint.rig, _all_mesh_folders(locations, blueprint)
     bases = [rig.T_base_in_world(k) for k in range(len(rig.arms))]
     spec = _arms(rig, bases, locations, meshes)
     spec.modelname = blueprint.name or rig.name
@@ -92,7 +86,7 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
 
 
 def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence[Array]) -> None:
-    """What stands around the arms, and how MuJoCo is to show all of it."""
+    """Add background, lights and table, and set MuJoCo's visual options."""
     scene = blueprint.scene
     stand = np.mean([T[:3, 3] for T in bases], axis=0)
     middle = np.mean([stand, scene.table.position], axis=0) if scene.table else stand
@@ -102,42 +96,34 @@ def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence
     if scene.table:
         add_table(spec, scene.table, scene.safety_plane, bases)
     visual = spec.visual
-    # Fixed rather than fitted to the model, so that no object changes the clip planes or the shadow map's resolution.
+    # Fixed values: no object changes the clip planes or the shadow map's resolution.
     spec.stat.extent = 1.0
     spec.stat.center = middle
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
-    # The tighter, the sharper the shadows; what stands farther off casts none.
+    # A smaller clip sharpens shadows; things farther away cast none.
     visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
-    # Lights are directional, so a flat face is lit evenly, and cutting it up gives nothing.
+    # Directional lights light a flat face evenly, so one quad is enough.
     visual.quality.numquads = 1
 
 
 def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
-    """Step with contacts that hold a thing between two pads.
+    """Set elliptic friction cones and `impratio`, so that two pads hold a thing by friction.
 
-    Args:
-        impratio: how much stiffer contacts are along a surface than across it.
+    Source: MuJoCo's documentation of `impratio`, which asks for elliptic cones.
     """
-    # Source: MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = impratio
 
 
 def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
-    """Let an arm's drives follow what they were told, and its encoders read where it was, as long ago as it takes.
-
-    Where that varies it is as long as it may be at most, see `varied_arms`: there has to be room for it.
-    """
-    own, most, robot = (
-        arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name),
-        ranges or ArmRanges(),
-        arm.robot,
-    )
+    """Add the delays of an arm's drives and encoders: the longest ones, if they are randomized; see `VariedArms`."""
+    own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
+    most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
         for name in robot.drives:
             drive = spec.actuator(arm.prefix + name)
-            # Between two steps, since a delay need not be a whole number of them.
+            # Interpolated, since a delay need not be a whole number of steps.
             drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
     if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
@@ -153,7 +139,7 @@ def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRang
 
 
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, ranges: ArmRanges | None) -> None:
-    """The time step, contacts that hold where nothing else does, and the welds, which start inactive."""
+    """Set the time step and friction, and add delays and inactive welds."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
@@ -171,7 +157,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
 
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
-    """All arms in one spec: the one without a prefix is its root, since attaching would need one."""
+    """All arms in one spec. The arm without a prefix is the root, since MuJoCo attaches only with a prefix."""
     specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
@@ -191,7 +177,7 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 
 def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
-    """Add what is seen, and touched, of one of a rig's own cameras."""
+    """Add the housing of one of a rig's own cameras."""
     file = locations.file(f"robot_models/cameras/{camera.housing}.xml")
     child = with_looks(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
     T = rig.T_cam_in_world(camera)
@@ -200,7 +186,7 @@ def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locatio
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
-    """Let arms with the same meshes use the same files of a set: attaching renames each arm's own copy."""
+    """Let arms with the same meshes share files: attaching renames each arm's copy."""
     first: dict[tuple[str, bytes], str] = {}
     shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
@@ -214,12 +200,12 @@ def add_home_key(
     joints: Sequence[Sequence[float]] | None = None,
     parts: Mapping[str, float] | None = None,
 ) -> mujoco.MjModel:
-    """Add a keyframe `home` of the composed model's size, in which the arms rest, and compile.
+    """Add a keyframe `home` in which the arms rest, and compile.
 
     Args:
-        start: object -> pose (4, 4) in `world`, there and in the model's own reset.
-        joints: of each arm (dof,), rad; at rest if left out.
-        parts: joint of an articulated object -> how far it is open, m or rad.
+        start: object -> pose (4, 4) in `world`, in the keyframe and in the model's default state.
+        joints: of each arm (dof,), rad; by default the robots' home.
+        parts: joint of an articulated object -> position, m or rad.
     """
     for name, T in start.items():
         body = spec.body(name)
@@ -236,8 +222,8 @@ def add_home_key(
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
-            # A drive is a spring towards what it is told. What its arm's gravity compensation does not know of, such as
-            # a camera on the wrist, would pull it off by some milliradians; finer than a nanoradian is rounding.
+            # Loads without gravity compensation, such as a wrist camera, would displace the drives by milliradians. The
+            # commands compensate for that, rounded to a nanoradian.
             lead = round(load[model.joint(arm.prefix + moved).dofadr[0]] / drive.gainprm[0], 9)
             ctrl[drive.id] = np.clip(angle + lead, *drive.ctrlrange)
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
@@ -245,7 +231,7 @@ def add_home_key(
 
 
 def _load(model: mujoco.MjModel, qpos: Array) -> Array:
-    """What the drives have to bear (nv,) at rest at `qpos`, N m and N."""
+    """The static load of the drives (nv,) at `qpos`, N m and N."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

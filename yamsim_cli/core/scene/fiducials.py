@@ -1,7 +1,7 @@
-"""Base boards and their mounts in a scene: mocap bodies that stand where their arm's base stands.
+"""Base boards and their mounts: mocap bodies with the pose of their arm's base.
 
-A mocap body's own pose is that of the base, from the rig or from a photo. The geom inside it carries the constant pose
-of board or mount on the base. If the body carried both, moving it would stand the board upright beside the arm.
+The body has the pose of the base, from the rig or from a photo. The geom has the constant pose of the board or mount in
+the base's frame.
 """
 
 from __future__ import annotations
@@ -17,17 +17,16 @@ from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
 from ..images.png import encode_png
-from .things.looks import SEEN_GROUP
+from .things.geoms import SEEN_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"
 
-# Files for 3D printers are in millimetres.
-_STL_SCALE = (0.001, 0.001, 0.001)
+_STL_SCALE = (0.001, 0.001, 0.001)  # files for 3D printers are in millimetres
 
 
 def add_base_board(spec: mujoco.MjSpec, arm: ArmConfig, T_base_in_world: Array) -> None:
-    """Add an arm's board and mount, as far as it has them, as bodies `<prefix>base_board` and `<prefix>base_mount`."""
+    """Add an arm's board and mount, if any, as bodies `<prefix>base_board` and `<prefix>base_mount`."""
     if arm.mount is not None:
         _add_mount(spec, arm, arm.mount, T_base_in_world)
     if arm.board is not None:
@@ -45,7 +44,7 @@ def _add_board(spec: mujoco.MjSpec, arm: ArmConfig, config: BoardConfig, T_base_
     file = f"textures/{config.name}.png"
     spec.assets = {**spec.assets, file: encode_png(board_texture(board))}
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
-    # Paper does not shine, so that no light washes a marker out.
+    # Without highlights, no light overexposes a marker.
     material = spec.add_material(name=name, specular=0, shininess=0, texuniform=False)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
     T = arm.T_board_in_base
@@ -68,7 +67,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
     T = arm.robot.T_base_mesh
     file = f"meshes/mounts/{config.name}.stl"
     spec.assets = {**spec.assets, file: _mount_stl(config, arm.board)}
-    # A user's STL is mirrored here; yamsim's own plate is mirrored when it is made.
+    # A user's STL is mirrored here; `mount_mesh` mirrors yamsim's own mount.
     scale = (-_STL_SCALE[0], *_STL_SCALE[1:]) if config.stl and config.mirror_x else _STL_SCALE
     spec.add_mesh(name=name, file=file, scale=scale)
     material = spec.add_material(name=name, rgba=(0.93, 0.93, 0.93, 1), specular=0.1, shininess=0.1)
@@ -86,7 +85,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """The mount's STL in millimetres, in the base mesh's frame: the user's file, or yamsim's own plain plate."""
+    """The mount's STL in millimetres, in the base mesh's frame: the user's file, or yamsim's own mount."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()

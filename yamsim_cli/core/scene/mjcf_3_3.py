@@ -1,4 +1,4 @@
-"""The MJCF that MuJoCo 3.3 reads, as far as composed scenes use it, and where newer versions differ.
+"""The MJCF of MuJoCo 3.3, as far as composed scenes use it, and the differences of newer versions.
 
 Source: `mujoco.mj_printSchema` and the compiled defaults of the releases named below.
 """

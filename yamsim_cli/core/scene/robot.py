@@ -1,4 +1,4 @@
-"""The arm as MuJoCo knows it, on its two paths that must not be confused: whole for scenes, bare for kinematics."""
+"""MuJoCo models of an arm: whole for scenes, or bare for kinematics."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
 from .compiling import compile_spec
 
-# Geom groups: what a viewer shows by default (2) and what it hides (3).
-_SEEN_GROUP = 2
+_SEEN_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
 
 
 def _load(arm: ArmConfig) -> mujoco.MjSpec:
@@ -33,7 +32,7 @@ def _load(arm: ArmConfig) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=64)
 def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
-    """Raise a ConfigError, which names the file and MuJoCo's reason, if an arm with its gripper does not compile."""
+    """Raise a ConfigError with the file and MuJoCo's reason if an arm with its gripper does not compile."""
     for mjcf in (arm.mjcf, gripper.mjcf):
         try:
             mujoco.MjSpec.from_string(mjcf.text)
@@ -48,25 +47,20 @@ def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
 
 
 def _reason(error: ValueError, *, lines: bool) -> str:
-    """MuJoCo's reason in one line, without line numbers where they count lines of several files together."""
+    """MuJoCo's reason in one line, without line numbers unless they count the lines of one file."""
     reason = " ".join(str(error).split())
     return reason if lines else re.sub(r",? line \d+", "", reason)
 
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
-    """The whole arm, for scenes.
-
-    Args:
-        meshes: the visual meshes; without all of the arm's, the collision primitives are shown instead, with the same
-            physics.
-    """
+    """The whole arm. Unless all of its mesh sets are in `meshes`, its collision primitives are visible instead."""
     return with_looks(_load(arm), arm.robot.mesh_sets, meshes)
 
 
 def with_looks(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
-    """The same spec with its meshes where all of its sets are here; else with its collision primitives to be seen.
+    """The spec with its meshes if all of its sets are here, else with its collision primitives made visible.
 
-    A body that nothing is seen of, since it has no meshes at all, shows its primitives in any case.
+    The primitives of a body without meshes are always visible.
     """
     folders = {name: (meshes or {}).get(name) for name in sets}
     if all(folders.values()):
@@ -95,11 +89,7 @@ def with_looks(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) 
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """A mesh's file.
-
-    Raises:
-        ResourceError: it cannot be read.
-    """
+    """The content of a mesh file. Raises `ResourceError`."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -110,9 +100,9 @@ def mesh_bytes(path: Path) -> bytes:
 
 
 def bare_arm(arm: ArmConfig) -> mujoco.MjModel:
-    """The arm's kinematics alone: its joints in the base frame, no fingers, no geoms, no drives; nq is its `dof`.
+    """The arm's kinematics alone, in the base frame, without fingers, geoms and drives; nq is its `dof`.
 
-    It has the model's sites, and a site `tool` on the flange that inverse kinematics places where it needs it.
+    The model has all sites, and a further site `tool` on the flange, which inverse kinematics moves.
     """
     robot = arm.robot
     spec = _load(arm)
@@ -131,17 +121,13 @@ def bare_arm(arm: ArmConfig) -> mujoco.MjModel:
         spec.delete(mesh)
     spec.body(robot.flange).add_site(name="tool")
     model = spec.compile()
-    # Compiled at its body's own frame, the site would be marked as coinciding with it, and MuJoCo would ignore where it
-    # is moved to later.
+    # MuJoCo marks the site as coinciding with its body, and would ignore later moves.
     model.site_sameframe[model.site("tool").id] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
 
 
 def finger_places(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
-    """Where a robot's fingers are in `qpos`, and what each is there when both are open by 1 m; (0,) without fingers.
-
-    Some grippers' models count both openings up, some count the right finger's down.
-    """
+    """The addresses (2,) of the fingers in `qpos`, and the signs of their openings there; (0,) without fingers."""
     if robot.fingers is None:
         return np.zeros(0, int), np.zeros(0)
     addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])
@@ -149,7 +135,7 @@ def finger_places(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tupl
 
 
 def _is_in(body: mujoco.MjsBody, other: mujoco.MjsBody) -> bool:
-    """Whether a body is another one, or hangs on it."""
+    """Whether a body is another body or its descendant."""
     while body is not None and body.name != "world":
         if body.name == other.name:
             return True

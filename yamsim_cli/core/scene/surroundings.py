@@ -1,4 +1,4 @@
-"""What stands around a rig: floor, sky, lights, and the table with its legs."""
+"""The surroundings of a rig: floor, sky, lights, and the table with its legs; and the render quality."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.pictures import SHADOW_REACH, RenderConfig
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
-from .things.looks import SEEN_GROUP
-from .things.shapes import contact_numbers
+from .things.geoms import SEEN_GROUP, contact_numbers
 
-# Half the length of the floor's edges, and the length of a tile's edges, m.
-_FLOOR = 5.0
-_TILE = 0.5
-# Height of the tiles above the floor, m: enough for a depth buffer to tell them apart.
-_TILE_HEIGHT = 0.001
+_FLOOR, _TILE = 5.0, 0.5  # m, half the length of the floor's edges, and the length of a tile's edges
+_TILE_HEIGHT = 0.001  # m, of the tiles above the floor: enough for the depth buffer
 _CORE_DEPTH = 0.003  # m, how far below a box's faces its shadow starts: about two texels of the default shadow map
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """Add the sky, and the tiled floor, which catches what falls."""
+    """Add the sky and the tiled floor, which catches falling things."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -36,7 +33,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
         spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
-    # The floor casts no shadow: it could only cast dots of false shadow onto itself.
+    # The floor could only cast false shadows onto itself.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -45,7 +42,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         material="floor",
         castshadow=False,
     )
-    # The tiles are a mesh and no texture: without a GPU, texture look-ups would take longer than the rest of the floor.
+    # The tiles are a mesh: without a GPU, texture look-ups would take longer than the rest of the floor.
     file = "meshes/surroundings/floor_tiles.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_tiles())}
     spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
@@ -63,7 +60,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
 
 
 def _tiles() -> tuple[Array, NDArray[np.int32]]:
-    """Every second tile of the floor: vertices (4 n, 3) in m, and triangles (2 n, 3) that face up."""
+    """Every second tile of the floor: vertices (4 n, 3), m, and triangles (2 n, 3) that face up."""
     row, column = np.meshgrid(*2 * [np.arange(round(2 * _FLOOR / _TILE))], indexing="ij")
     low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _FLOOR
     square = _TILE * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -74,7 +71,7 @@ def _tiles() -> tuple[Array, NDArray[np.int32]]:
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
-    """Add the scene's directional lights, and the headlight that the camera itself sheds.
+    """Add the scene's directional lights and the camera's headlight.
 
     Args:
         centre: point (3,) in `world` around which shadows are sharpest.
@@ -111,7 +108,7 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
     inset = 0.03
     bottom = table.top - 2 * half_z
     posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
-    # A millimetre below the base, so that the two surfaces do not flicker through each other.
+    # The posts end 1 mm below the bases, so that the surfaces do not flicker.
     posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]
     for k, (px, py, top, half) in enumerate(posts):
         height = top - floor
@@ -121,12 +118,10 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
 def _add_box(
     spec: mujoco.MjSpec, name: str, position: Sequence[float], half_size: Sequence[float], contact: Mapping[str, Any]
 ) -> None:
-    """Add a box of the table's material, and the core inside it that casts its shadow.
-
-    If the box cast its own shadow, rounding in the shadow map would darken parts of its lit faces (shadow acne).
+    """Add a box of the table's material, and a smaller box inside that casts the shadow, which avoids shadow acne.
 
     Args:
-        contact: MuJoCo's contact parameters of the box; without any, it touches nothing.
+        contact: MuJoCo's contact parameters; if empty, the box touches nothing.
     """
     shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": SEEN_GROUP}
     nothing = {"contype": 0, "conaffinity": 0}
@@ -134,5 +129,21 @@ def _add_box(
         name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
     )
     core = np.maximum(np.asarray(half_size) - _CORE_DEPTH, np.asarray(half_size) / 4)
-    # No material: each box with a reflective material would be rendered in a pass of its own.
+    # The core has no material: MuJoCo renders each box with a reflective material in a pass of its own.
     spec.worldbody.add_geom(name=f"{name}_core", size=core, **shared, **nothing)
+
+
+def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, int]) -> None:
+    """Set the render quality of a composed scene for pictures of `size` (width, height), px."""
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
+    visual.quality.offsamples = quality.multisamples
+    visual.quality.shadowsize = quality.shadow_map_px
+    # The composed scene has the default reach and the distance between its arms.
+    visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
+    visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
+    for number, light in enumerate(spec.lights):
+        light.castshadow = number < quality.shadow_lights
+    if not quality.reflections:
+        for material in spec.materials:
+            material.reflectance = 0

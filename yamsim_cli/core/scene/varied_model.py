@@ -1,34 +1,31 @@
-"""Put an attempt's variation into a compiled model, and take it out again: the model is compiled once.
-
-Everything is set from a copy of the model as it was compiled, so that no attempt leaves anything to the next.
-"""
+"""Variations of a compiled scene: the model is compiled once, and reset before each attempt's variation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.recording import SCENE_CAMERA
 from ..config.scene import SceneConfig
 from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from ..resources import Meshes
-from ..variation import LightVariation, SurfaceVariation, Variation
-from .textures import SIZE, pattern
-from .things.looks import HIDDEN_GROUP
+from ..variation import ArmVariation, LightVariation, SurfaceVariation, Variation
+from .compiled import CompiledScene, SceneArm
+from .things.geoms import HIDDEN_GROUP
 from .things.thing import add_object
 
-# Absent distractors are seen by no camera, touch nothing, and lie out of everything's reach.
-_ABSENT_GROUP = 4
-_PARKED = (0.0, 0.0, -5.0)
+_ABSENT_GROUP, _PARKED = 4, (0.0, 0.0, -5.0)  # geom group, which no camera draws, and place of absent distractors
 _TEXTURED = "_textured"
+_TEXTURE_SIZE = 256  # px
+_OCTAVES = 4  # grids of noise, each twice as fine as the one before
 _TILES = "floor_tiles"
-# How often a floor's texture repeats for each time that a table's would: it is ten times as wide.
-_FLOOR_REPEAT = 8
-# Part -> the geom that shows it.
-_SURFACES = {"table": "table", "floor": "safety_plane"}
+_FLOOR_REPEAT = 8  # repetitions of a floor's texture for each of a table's: the floor is ten times as wide
+_SURFACES = {"table": "table", "floor": "safety_plane"}  # part -> geom
 
 _SAVED = (
     "light_diffuse", "light_dir", "light_pos",
@@ -40,26 +37,26 @@ _SAVED = (
 _SAVED_HEADLIGHT = ("ambient", "diffuse")
 
 
-def is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
+def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
     """Whether a surface may need a texture; the floor's tiles are geometry."""
-    free = {"plain", "checker"} if part == "floor" else {"plain"}
-    return ranges is not None and not free.issuperset(ranges.textures)
+    untextured = {"plain", "checker"} if part == "floor" else {"plain"}
+    return ranges is not None and not untextured.issuperset(ranges.textures)
 
 
 def add_variable_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
-    """Add what a randomization needs to a composed scene: distractors, and a second look of surfaces."""
+    """Add the distractors and the textured materials that a randomization needs to a composed scene."""
     for item in config.extras:
         add_object(spec, item, meshes, fixed=True)
     for part in _SURFACES:
-        if is_textured(getattr(config, part), part):
+        if _is_textured(getattr(config, part), part):
             name = part + _TEXTURED
             spec.add_texture(
                 name=name,
                 type=mujoco.mjtTexture.mjTEXTURE_2D,
                 builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
                 rgb1=(1, 1, 1),
-                width=SIZE,
-                height=SIZE,
+                width=_TEXTURE_SIZE,
+                height=_TEXTURE_SIZE,
             )
             repeat = _FLOOR_REPEAT if part == "floor" else 1
             material = spec.add_material(
@@ -72,11 +69,11 @@ class VariedModel:
     """A compiled model that is changed from attempt to attempt.
 
     Attributes:
-        textures: ids of the textures that the last variation changed, which a renderer has to be told of.
+        textures: ids of the textures that the last variation changed, which renderers have to upload.
 
     Args:
-        model: as it was compiled, with what `add_variable_parts` adds.
-        scene: whose lights it has.
+        model: as compiled, with the parts of `add_variable_parts`.
+        scene: of the model's lights.
     """
 
     def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
@@ -92,14 +89,14 @@ class VariedModel:
         self.textures: list[int] = []
 
     def apply(self, variation: Variation) -> None:
-        """Give the model all of a variation, and take everything out that it had of another."""
+        """Reset the model to its compiled values, and apply a variation."""
         model = self._model
         for key, value in self._saved.items():
             getattr(model, key)[:] = value
         for key, value in self._headlight.items():
             getattr(model.vis.headlight, key)[:] = value
         self.textures = []
-        # First, while all else is as compiled: MuJoCo derives more from the whole model than what follows from masses.
+        # Masses come first, since MuJoCo derives constants from the whole model.
         if variation.mass:
             scale_masses(model, variation.mass)
         for number, light in zip(self._lights, variation.lights, strict=False):
@@ -124,7 +121,7 @@ class VariedModel:
             self.place(name, variation.distractors.get(name))
 
     def place(self, name: str, where: UprightPose | None) -> None:
-        """Put a distractor on the table at `[x, y, z, yaw]`, or away."""
+        """Put a distractor on the table at `[x, y, z, yaw]`, or away if None."""
         model, body = self._model, self._extras[name]
         geoms = self._seen[body]
         if where is None:
@@ -143,7 +140,7 @@ class VariedModel:
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
         model.light_dir[number] = direction
-        # Where a directional light's shadow map is centred, see `surroundings.add_lights`.
+        # The position only centres the shadow map, see `surroundings.add_lights`.
         model.light_pos[number] = centre - direction
         model.light_diffuse[number] *= light.colour
 
@@ -181,7 +178,7 @@ class VariedModel:
 
 
 def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
-    """Multiply the masses and inertias of things, their links included, and let MuJoCo derive what follows from them.
+    """Multiply the masses and inertias of things with their links, and derive MuJoCo's constants anew.
 
     Args:
         factors: thing -> factor of the mass of each of its bodies.
@@ -191,3 +188,73 @@ def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
         model.body_mass[bodies] *= factor
         model.body_inertia[bodies] *= factor
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def pattern(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
+    """The image (size, size, 3) of a surface's pattern; opposite edges match, except for a gradient."""
+    first, second = np.array(surface.colours) * 255.0
+    match surface.texture:
+        case "checker":
+            cell = np.arange(size) * 2 * surface.repeat // size
+            share = ((cell[:, None] + cell[None, :]) % 2).astype(float)
+        case "gradient":
+            turn = 2 * np.pi * np.random.default_rng(surface.seed).uniform()
+            along = np.linspace(-0.5, 0.5, size)
+            share = 0.5 + (along[:, None] * np.sin(turn) + along[None, :] * np.cos(turn)) / np.sqrt(2)
+        case "noise":
+            share = _noise(np.random.default_rng(surface.seed), surface.repeat, size)
+        case _:
+            share = np.zeros((size, size))
+    image: NDArray[np.uint8] = np.rint(first + share[..., None] * (second - first)).astype(np.uint8)
+    return image
+
+
+def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
+    """Smooth noise (size, size) from 0 to 1: random grids, each finer and fainter than the one before."""
+    total = np.zeros((size, size))
+    for octave in range(_OCTAVES):
+        n = cells * 2**octave
+        grid = rng.uniform(size=(n, n))
+        at = np.arange(size) * n / size
+        low = at.astype(int)
+        high, part = (low + 1) % n, at - low
+        part = part * part * (3 - 2 * part)
+        rows = grid[low] * (1 - part)[:, None] + grid[high] * part[:, None]
+        total += (rows[:, low] * (1 - part) + rows[:, high] * part) / 2**octave
+    total -= total.min()
+    return total / max(float(total.max()), 1e-9)
+
+
+class VariedArms:
+    """A compiled scene whose arms differ from attempt to attempt in delays, readings and gravity compensation.
+
+    Args:
+        scene: as compiled, with room for the longest delays; its arms have their own delays.
+    """
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self._scene = scene
+        self.apply(())  # the model was compiled with the longest delays
+
+    def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
+        """The scene with varied arms, or its own arms if there are no variations; the model is changed in place."""
+        arms, model = self._scene.arms, self._scene.model
+        if variations:
+            arms = tuple(_varied(arm, by) for arm, by in zip(arms, variations, strict=True))
+        for arm in arms:
+            model.actuator_delay[arm.drives] = arm.command_delay
+            if arm.sensors is not None:
+                model.sensor_delay[arm.sensors] = arm.sensor_delay
+        return replace(self._scene, arms=arms)
+
+
+def _varied(arm: SceneArm, by: ArmVariation) -> SceneArm:
+    gravity = by.gravity if arm.gravity is None else arm.gravity + by.gravity
+    return replace(
+        arm,
+        gravity=np.array(gravity) if np.any(gravity) else None,
+        command_delay=arm.command_delay + by.command_delay_ms / 1000,
+        sensor_delay=arm.sensor_delay + by.sensor_delay_ms / 1000,
+        sensor_noise=arm.sensor_noise + by.sensor_noise_rad,
+        encoder_step=arm.encoder_step + by.encoder_step_rad,
+    )

@@ -13,8 +13,8 @@ from ..geometry.se3 import Array
 from ..motors.bus import Bus
 from ..motors.motor import Motor
 from ..motors.wiring import GripperWiring, Wiring
-from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
+from ..scene.compiling import breakdown
 
 # Of fingers that are stuck, kg: what no motor moves.
 _STUCK_MASS = 1e9

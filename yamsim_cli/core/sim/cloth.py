@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.pinching import between, nearest_of_layers
 from ..geometry.se3 import Array, pose
+from ..geometry.sheets import between, nearest_of_layers
 from ..scene.cloth import triangles
 from ..scene.compiled import CompiledScene, Kind, SceneCloth
 

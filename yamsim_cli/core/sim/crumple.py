@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, rotation_z
-from ..geometry.tangles import crossings
+from ..geometry.sheets import crossings
 from ..scene.cloth import edges, triangles
 from ..scene.compiled import CompiledScene, SceneCloth
 from .led import led

@@ -10,8 +10,8 @@ import numpy as np
 from ..errors import DatasetError, SimulationError, counted
 from ..geometry.se3 import Array, inverse, pose
 from ..motion import ArmMotion, Motion
-from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene, SceneArm
+from ..scene.compiling import breakdown
 
 # How often it is looked whether physics broke down, in steps.
 _LOOK_STEPS = 200
@@ -103,7 +103,7 @@ class _Run:
 def _run(scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array) -> _Run:
     """Step once for each row of `ctrl` (n, nu); `before` it drives were told that (nu,), or to hold the start."""
     model, data = scene.model, mujoco.MjData(scene.model)
-    scene.reset(data, start, told=before)
+    scene.reset(data, start, commanded=before)
     data.qvel[:] = speeds
     qpos, qvel = np.empty((len(ctrl) + 1, model.nq)), np.empty((len(ctrl) + 1, model.nv))
     qpos[0], qvel[0] = data.qpos, data.qvel

@@ -1,4 +1,4 @@
-"""Files of things from elsewhere, read in a child process that opens nothing beside them and takes only its due.
+"""Readers of files of things from elsewhere, which run in a child process with limits; see `read.read_thing`."""
 
-`read.read_thing` is the way in; what comes back are plain numbers, in metres, z up.
-"""
+# The file types that are read. Nothing else is loaded to know them.
+ENDINGS = (".sdf", ".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml", ".mjcf")

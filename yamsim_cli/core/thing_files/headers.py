@@ -1,4 +1,4 @@
-"""What the first bytes of a mesh file promise, checked before anything is made for it."""
+"""Checks of mesh files' headers before any memory is allocated for their content."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from ..untrusted.refusals import RefusedError
 
-# Bytes of an accessor's components. Source: glTF 2.0 specification, section 3.6.2.2.
+# Bytes and number of an accessor's components. Source: glTF 2.0 specification, section 3.6.2.2.
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _PLY_BYTES = {
@@ -21,11 +21,7 @@ _PLY_BYTES = {
 
 
 def check_header(data: bytes, suffix: str, most_faces: int) -> None:
-    """Refuse a file whose counts are more than its bytes can hold, or than a thing needs.
-
-    Raises:
-        RefusedError: so it is.
-    """
+    """Raise `RefusedError` if a file states more elements than its bytes can hold, or than a thing needs."""
     if not data:
         raise RefusedError("empty", "it has no bytes")
     match suffix:
@@ -106,7 +102,7 @@ def _json(text: bytes) -> Any:
 
 
 def _tree(tree: Any, binary: int | None, most: int) -> None:
-    """Accessors have to lie in their views, and views in the buffers; nodes may not hold each other."""
+    """Check that accessors lie in their views, views in their buffers, and that nodes form trees."""
     try:
         _accessors(tree, binary, most)
         _nodes(tree)

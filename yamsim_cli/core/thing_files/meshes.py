@@ -1,10 +1,11 @@
-"""Surfaces of mesh files: glTF, OBJ, STL, PLY and COLLADA, by trimesh, which is given bytes alone."""
+"""Surfaces and materials of mesh files: glTF, OBJ, STL, PLY and COLLADA, by trimesh, which opens no files itself."""
 
 from __future__ import annotations
 
 import io
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,12 @@ from ..geometry.stl import Faces, is_binary_stl, read_stl
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
 from .headers import check_header
-from .parts import GREY, Material, Surface
+from .parts import GREY, Material, Rgba, Surface
 from .textures import bake_colours, open_image, png_of
 
-# More than any scan here needs; a scanner's own output is to be reduced where it can be looked at.
-MOST_FACES = 2_000_000
+MOST_FACES = 2_000_000  # more than any scan needs; users reduce larger ones themselves
 
-# Ending -> trimesh's name, unit (m) and the axis that is up; None where the format does not say.
+# Ending -> trimesh's name, unit (m) and up axis; None where the format does not state them.
 FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     # Source: glTF 2.0 specification, section 3.4: metres, +Y up.
     ".glb": ("glb", 1.0, "y"),
@@ -30,18 +30,17 @@ FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     ".obj": ("obj", None, None),
     ".stl": ("stl", None, None),
     ".ply": ("ply", None, None),
-    # Both stand in the file.
+    # Each file states both.
     ".dae": ("dae", None, None),
 }
 
-
-# What materials may name, for all that only the first three are read.
+# Image types that materials may name; only the first three are read.
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".dds", ".exr", ".hdr")
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh file's surfaces in its own unit, and what it says of that."""
+    """A mesh file's surfaces in the file's unit, and its unit and up axis if stated."""
 
     surfaces: tuple[Surface, ...]
     unit_m: float | None
@@ -49,7 +48,7 @@ class MeshFile:
 
 
 class _Resolver:
-    """What trimesh asks for the files that a mesh names."""
+    """The resolver by which trimesh reads the files that a mesh names."""
 
     def __init__(self, folder: Folder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -57,7 +56,7 @@ class _Resolver:
     def get(self, name: str) -> bytes:
         data = self._folder.read(name, self._base)
         if Path(name).suffix.lower() in _PICTURES:
-            # trimesh would go on without a picture that it cannot open.
+            # trimesh ignores images that it cannot open.
             try:
                 open_image(data, name)
             except RefusedError as error:
@@ -78,14 +77,14 @@ class _Resolver:
 
 
 def read_mesh(data: bytes, suffix: str, folder: Folder, base: Path) -> MeshFile:
-    """Surfaces of a mesh file.
+    """The surfaces of a mesh file.
 
     Args:
-        suffix: the name's ending, which says the format.
-        base: the folder that it lies in, below `folder`.
+        suffix: the file's ending, which decides the format.
+        base: the file's folder, below `folder`.
 
     Raises:
-        RefusedError: it is damaged, too much, or names what it may not.
+        RefusedError: the file is damaged or too large, or names a file outside `folder`.
     """
     if suffix not in FORMATS:
         raise RefusedError("unknown-kind", f"{suffix or 'no ending'} is none of {', '.join(FORMATS)}")
@@ -111,7 +110,7 @@ def read_mesh(data: bytes, suffix: str, folder: Folder, base: Path) -> MeshFile:
         raise
     except MemoryError:
         raise RefusedError("too-much-memory", "it would take more memory than its size deserves") from None
-    # What a library makes of damaged input is anything at all; each is the file's fault.
+    # A library may raise anything on damaged input.
     except Exception as error:
         raise folder.refused or _damaged(suffix, error) from error
     if folder.refused is not None:
@@ -137,12 +136,12 @@ def _plain_stl(data: bytes) -> Surface:
 
 
 def _damaged(suffix: str, error: Exception) -> RefusedError:
-    said = " ".join(str(error).split())[:120]
-    return RefusedError("damaged", f"it cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {said})")
+    reason = " ".join(str(error).split())[:120]
+    return RefusedError("damaged", f"it cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {reason})")
 
 
 def _meshes(scene: Any) -> list[tuple[Any, Array]]:
-    """Every mesh of a scene with its pose, once for each place that it is used in."""
+    """Every mesh of a scene with its pose (4, 4), once per use."""
     import trimesh
 
     found, faces = [], 0
@@ -182,7 +181,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     elif visual.kind == "vertex":
         colours = np.asarray(visual.vertex_colors, np.uint8)
     elif visual.kind == "face":
-        # Each triangle with corners of its own.
+        # Each triangle gets its own corners.
         colours = np.repeat(np.asarray(visual.face_colors, np.uint8), 3, axis=0)
         vertices = vertices[triangles].reshape(-1, 3)
         triangles = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
@@ -194,8 +193,8 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     return Surface(vertices, triangles, Material(material, texture), uv).moved(T)
 
 
-def _textured(material: Any) -> tuple[tuple[float, float, float, float], Any]:
-    """Colour and base picture of trimesh's materials: PBR ones and those of OBJ and COLLADA."""
+def _textured(material: Any) -> tuple[Rgba, Any]:
+    """Colour and base texture of trimesh's materials: PBR ones and those of OBJ and COLLADA."""
     from trimesh.visual.material import PBRMaterial
 
     if isinstance(material, PBRMaterial):
@@ -203,7 +202,7 @@ def _textured(material: Any) -> tuple[tuple[float, float, float, float], Any]:
     else:
         factor, image = getattr(material, "diffuse", None), getattr(material, "image", None)
         if image is not None:
-            # In OBJ and COLLADA a texture stands in place of the colour, and exporters leave any grey beside it.
+            # In OBJ and COLLADA a texture replaces the colour, and exporters write any grey.
             return (1.0, 1.0, 1.0, 1.0), image
     if factor is None:
         return ((1.0, 1.0, 1.0, 1.0) if image is not None else GREY), image
@@ -219,13 +218,13 @@ def _as_bytes(colours: Any) -> Any:
     return colours
 
 
-def _rgba(values: Any) -> tuple[float, float, float, float]:
+def _rgba(values: Any) -> Rgba:
     red, green, blue, alpha = (round(min(1.0, max(0.0, float(v))), 4) for v in (*values, 1.0)[:4])
     return red, green, blue, alpha
 
 
 def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -> None:
-    """Trimesh goes on without a picture that it cannot read; a thing that lost its looks is not what was asked for."""
+    """Refuse a glTF file whose texture trimesh could not read and left out."""
     text = data if suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(text)
     named = {
@@ -241,3 +240,39 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
             and getattr(material, "baseColorTexture", None) is None
         ):
             raise RefusedError("texture-unreadable", f"the texture of material {material.name!r} cannot be read")
+
+
+def mesh_surfaces(
+    folder: Folder, uri: str, base: Path, scale: Sequence[float], material: Material | None
+) -> list[Surface]:
+    """The surfaces of a mesh that a description names, m, with another material if one is given.
+
+    The up axis of the mesh file is ignored, as in the simulators for which descriptions are written.
+    """
+    if not uri:
+        raise RefusedError("damaged", "it has a mesh without a name")
+    if not all(1e-6 <= abs(factor) <= 1e6 for factor in scale):
+        raise RefusedError("impossible", f"it scales a mesh by {' '.join(f'{factor:g}' for factor in scale)}")
+    path = folder.find(uri, base)
+    mesh = read_mesh(folder.read(uri, base), path.suffix.lower(), folder, path.parent)
+    T = np.diag([*(np.array(scale) * (mesh.unit_m or 1.0)), 1.0])
+    surfaces = [surface.moved(T) for surface in mesh.surfaces]
+    if material is None:
+        return surfaces
+    return [_painted(surface, material) for surface in surfaces]
+
+
+def _painted(surface: Surface, material: Material) -> Surface:
+    """The surface with a description's material; a texture of the mesh stays if the description has none."""
+    if material.texture is None and surface.material.texture is not None:
+        return surface
+    return replace(surface, material=material)
+
+
+def plain_material(folder: Folder, rgba: Sequence[float], texture: str, base: Path) -> Material:
+    """A material with a colour and, if named, a texture."""
+    red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
+    colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
+    if not texture:
+        return Material(colour)
+    return Material(colour, png_of(open_image(folder.read(texture, base), texture), texture))

@@ -1,7 +1,7 @@
 """MJCF of one thing: compiled by MuJoCo from bytes alone, then read out of the compiled model.
 
-MuJoCo knows its own format best: classes, includes, units and frames. It would open any path that a file names, so the
-text is rewritten first: every file is read by us, and MuJoCo finds it under a name of ours.
+MuJoCo itself resolves classes, units and frames. MuJoCo would open any path that a file names, so the text is rewritten
+first: yamsim reads every file, and hands it to MuJoCo under a new name.
 """
 
 from __future__ import annotations
@@ -24,17 +24,15 @@ from .meshes import MOST_FACES
 from .parts import Material, ReadThing, Surface
 from .solids import seen, touching
 from .textures import open_image, png_of
-from .tree import Joint, Link, bounded, checked_weight, parts_of
+from .tree import Joint, Link, bounded, checked_weight, marked_handle, parts_of
 from .xml import Element, parse
 
-# A finger's distance from a marked handle's middle, m.
-_HANDLE_OPENING = 0.01
-# What runs code of others, or multiplies what stands in a file.
+# Elements that run code of others, or multiply a file's content.
 _NOT_READ = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
 _FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}
-_MOST_BUILTIN = 4096
-_SEEN_GROUPS = 3
-_NO_RGBA = (0.5, 0.5, 0.5, 1.0)
+_MOST_BUILTIN = 4096  # px, side of a built-in texture
+_SEEN_GROUPS = 3  # geom groups that a viewer shows by default
+_NO_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour
 
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -62,13 +60,13 @@ def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     except MemoryError:
         raise RefusedError("too-much-memory", "it would take more memory than its size deserves") from None
     except (ValueError, TypeError, RuntimeError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise RefusedError("damaged", f"MuJoCo does not read it: {said}") from error
+        reason = " ".join(str(error).split())[:200]
+        raise RefusedError("damaged", f"MuJoCo does not read it: {reason}") from error
     return _read(model, name)
 
 
 def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:
-    """Read all files that a document names, and give them names of ours, in place."""
+    """Read all files that a document names, and rename them in the document: new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
         compiler |= element.attrib
@@ -89,10 +87,10 @@ def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:
                 if suffix not in (".stl", ".obj", ".msh"):
                     raise RefusedError("unknown-kind", f"MuJoCo reads no mesh that ends in {suffix!r}: {named}")
                 check_header(data, suffix, MOST_FACES)
+                element.attrib.setdefault("name", PurePosixPath(named).stem)
             elif element.tag == "texture":
                 data, suffix = png_of(open_image(data, named), named), ".png"
                 element.attrib.pop("content_type", None)
-            element.attrib.setdefault("name", PurePosixPath(named).stem) if element.tag == "mesh" else None
             element.attrib[key] = f"{len(assets)}{suffix}"
             assets[element.attrib[key]] = data
         if element.tag == "texture":
@@ -151,16 +149,8 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link
     for site in range(model.nsite):
         label = model.site(site).name
         if model.site_bodyid[site] == body and label.lower().startswith("handle"):
-            R = pose_from_quat((0, 0, 0), model.site_quat[site])[:3, :3]
-            link.handles.append(
-                {
-                    "name": label,
-                    "position": model.site_pos[site].tolist(),
-                    "approach": R[:, 2].tolist(),
-                    "axis": R[:, 1].tolist(),
-                    "opening": _HANDLE_OPENING,
-                }
-            )
+            T = pose_from_quat(model.site_pos[site], model.site_quat[site])
+            link.handles.append(marked_handle(label, T))
     return link
 
 
@@ -217,7 +207,7 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
         at = int(model.mesh_texcoordadr[mesh])
         coordinates = model.mesh_texcoord[at : at + int(model.mesh_texcoordnum[mesh])]
         uv = coordinates[model.mesh_facetexcoord[first : first + faces]].astype(np.float64)
-        # MuJoCo holds them from the picture's upper edge.
+        # MuJoCo counts v from the picture's upper edge.
         uv[..., 1] = 1 - uv[..., 1]
     elif material.texture is not None:
         material = Material(material.rgba)

@@ -1,9 +1,9 @@
-"""What was read of a thing: parts with surfaces, shapes and weight; plain numbers in metres, z up."""
+"""A thing that was read from a file: parts with surfaces, collision shapes and weight, in metres, z up."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,10 @@ GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks.
+    """A material.
 
     Attributes:
-        rgba: its colour; with a texture, what that is multiplied by.
+        rgba: the colour; with a texture, the factor of the texture.
         texture: a PNG file, or None.
     """
 
@@ -36,7 +36,7 @@ class Surface:
 
     Attributes:
         uv: texture coordinates (m, 3, 2) of each triangle's corners, from the picture's lower left; or None.
-        convex: whether its hull is meant where it touches.
+        convex: whether the surface collides by its convex hull.
     """
 
     vertices: Array
@@ -46,7 +46,7 @@ class Surface:
     convex: bool = False
 
     def moved(self, T: Array) -> Surface:
-        """The same at a pose, or under any affine map (4, 4); a mirror turns the triangles round."""
+        """The surface under an affine map (4, 4); a reflection reverses the triangles."""
         vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
         if np.linalg.det(T[:3, :3]) >= 0:
             return replace(self, vertices=vertices)
@@ -56,7 +56,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Weight:
-    """Mass, kg; centre of mass (3,), m; and inertia (3, 3) about it, kg m2; in the part's frame."""
+    """Mass, kg, centre of mass (3,), m, and inertia (3, 3) about that centre, kg m2, in the part's frame."""
 
     mass: float
     centre: Array
@@ -69,14 +69,13 @@ class Part:
 
     Attributes:
         name: in the file.
-        parent: place of its parent among the parts, None for the base; parents come first.
-        T_in_parent: pose (4, 4) with the joint at 0.
-        joint: as `config.things.articulation.LinkJoint` takes it; None for the base.
-        weight: as the file says, or None.
-        looks: what is seen.
-        shapes: what touches, as the file says: primitives as `config.things.primitives` takes them, or surfaces. None
-            where the file has none.
-        handles: as `config.things.articulation.Handle` takes them.
+        parent: index of the parent part, None for the base; parents come first.
+        T_in_parent: pose (4, 4) with the joint at 0; the identity for the base.
+        joint: data of a `config.things.articulation.LinkJoint`; None for the base.
+        weight: as in the file, or None.
+        looks: visual surfaces.
+        shapes: collision shapes of the file: data of `config.things.primitives`, or surfaces; None if there are none.
+        handles: data of `config.things.articulation.Handle`.
     """
 
     name: str
@@ -91,16 +90,16 @@ class Part:
 
 @dataclass(frozen=True)
 class ReadThing:
-    """A thing as a file has it.
+    """A thing as in its file.
 
     Attributes:
-        name: in the file, empty where it has none.
+        name: in the file, or empty.
         parts: the base first.
-        fixed: whether its base is said to stand still.
-        unit_m: how long the file's unit is, m; None where the file does not say.
-        up: "x", "y" or "z"; None where the file does not say.
-        friction: sliding friction, where the file says.
-        notes: what was left out, for people.
+        fixed: whether the base is fixed to the world.
+        unit_m: length of the file's unit, m; None if not stated.
+        up: "x", "y" or "z"; None if not stated.
+        friction: sliding friction, if stated.
+        notes: what was left out, for users.
     """
 
     name: str
@@ -109,4 +108,11 @@ class ReadThing:
     unit_m: float | None = 1.0
     up: str | None = "z"
     friction: float | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+
+    def poses(self) -> list[Array]:
+        """Each part's pose (4, 4) in the base's frame with every joint at 0."""
+        poses: list[Array] = []
+        for part in self.parts:
+            poses.append(part.T_in_parent if part.parent is None else poses[part.parent] @ part.T_in_parent)
+        return poses

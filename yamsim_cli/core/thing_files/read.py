@@ -1,4 +1,4 @@
-"""Read a thing's file: in a child process, within limits, and brought to metres with z up."""
+"""Read a file of a thing in a child process, and convert the thing to metres with z up."""
 
 from __future__ import annotations
 
@@ -14,39 +14,30 @@ from ..assets.child import python_call, run_child
 from ..assets.sources import SourceError
 from ..errors import ResourceError, UsageError
 from ..files import scratch_directory
-from ..geometry.se3 import Array
+from ..geometry.se3 import Array, pose
 from ..untrusted.jail import MOST_BYTES
 from ..untrusted.refusals import RefusedError
-from .child import REFUSED
-from .endings import ENDINGS
-from .exchange import read_written
-from .parts import Part, ReadThing
+from . import ENDINGS
+from .child import REFUSED, read_written
+from .parts import ReadThing
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
-# What a hand of this size can have to do with, m: from a crumb to a cabinet.
-_LARGEST, _SMALLEST = 2.0, 0.003
-# What is likely meant, m: things that are made for tables.
-_LIKELY = (0.01, 0.8)
-
-# How long reading may take, s of a core: at least, and for each megabyte; and how many times that on a busy machine.
-_SECONDS, _SECONDS_A_MB = 15.0, 0.7
-_BUSY = 4.0
-
-# Packages of the extra that readers need.
-_NEEDED = ("trimesh", "PIL", "defusedxml", "collada")
-# Binary STL needs none of them.
-_PLAIN = ".stl"
+_LARGEST, _SMALLEST = 2.0, 0.003  # m, sizes of things that an arm can handle
+_LIKELY = (0.01, 0.8)  # m, likely sizes, which decide the units that are suggested
+_SECONDS, _SECONDS_A_MB = 15.0, 0.7  # s of a core, time limit, and its growth with each megabyte
+_BUSY = 4.0  # factor of the wall-clock limit on a busy machine
+_NEEDED = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra; binary STL needs none
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a user says of a file, where it does not say so itself, or over what it says.
+class UnitOptions:
+    """What the user states about a file's lengths and axes, in place of what the file states.
 
     Attributes:
         unit: one of `UNITS`.
-        up: which of its axes is up: x, y or z.
-        scale: what all lengths are multiplied by on top.
+        up: the file's axis that is up: x, y or z.
+        scale: factor of all lengths.
     """
 
     unit: str | None = None
@@ -54,28 +45,24 @@ class Told:
     scale: float = 1.0
 
 
-def read_thing(path: Path, told: Told) -> ReadThing:
-    """A thing in metres, z up, its base where the file has it.
+def read_thing(path: Path, units: UnitOptions) -> ReadThing:
+    """The thing in a file, in metres, z up.
 
     Raises:
-        UsageError: the file does not say its unit or which way is up, and the user does not either.
+        UsageError: neither the file nor the user states the unit or the up axis, or the size is implausible.
         ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
-        return _in_metres(read_as_is(path), told)
+        return in_metres(_read_as_is(path), units)
     except RefusedError as error:
         kind = UsageError if error.code in ("unit", "up", "size") else ResourceError
         raise kind(f"{path}: {error} [{error.code}]") from error
 
 
-def read_as_is(path: Path) -> ReadThing:
-    """A thing in its file's unit and with its file's axes.
-
-    Raises:
-        RefusedError, ResourceError: see `read_thing`.
-    """
+def _read_as_is(path: Path) -> ReadThing:
+    """The thing in a file, with the file's unit and axes. Raises `RefusedError` or `ResourceError`."""
     missing = [name for name in _NEEDED if find_spec(name) is None]
-    if missing and path.suffix.lower() != _PLAIN:
+    if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
     if path.suffix.lower() not in ENDINGS:
         raise RefusedError("unknown-kind", f"what ends in {path.suffix!r} is not read; valid: {', '.join(ENDINGS)}")
@@ -96,7 +83,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:
     out = scratch / "out"
     out.mkdir()
     call = python_call("core.thing_files.child.main", str(path), str(path.parent), str(out), int(np.ceil(seconds)))
-    # One thread: each would reserve memory of its own.
+    # One thread, since each thread reserves memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
     limit = _BUSY * seconds
     try:
@@ -104,8 +91,8 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:
     except SourceError as error:
         raise RefusedError("too-slow", f"reading it is {error}: reduce it first") from error
     if (out / REFUSED).is_file():
-        said = json.loads((out / REFUSED).read_bytes())
-        raise RefusedError(said["code"], said["text"])
+        refusal = json.loads((out / REFUSED).read_bytes())
+        raise RefusedError(refusal["code"], refusal["text"])
     if result.returncode == 0:
         try:
             return read_written(out)
@@ -119,27 +106,28 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:
     raise RefusedError("crashed", f"the reader broke down over it ({result.returncode}: {last[:160]})")
 
 
-def _in_metres(thing: ReadThing, told: Told) -> ReadThing:
+def in_metres(thing: ReadThing, units: UnitOptions) -> ReadThing:
+    """A thing converted to metres, z up. Raises `RefusedError`."""
     size = _extent(thing)
-    no_up = told.up is None and thing.up is None
-    if told.unit is None and thing.unit_m is None:
-        sizes = {unit: size * metre * told.scale for unit, metre in UNITS.items()}
+    no_up = units.up is None and thing.up is None
+    if units.unit is None and thing.unit_m is None:
+        sizes = {unit: size * metre * units.scale for unit, metre in UNITS.items()}
         likely = [unit for unit, lengths in sizes.items() if _LIKELY[0] <= lengths.max() <= _LIKELY[1]]
         shown = " or ".join(f"--unit {unit} ({_spelt(sizes[unit])})" for unit in likely or UNITS)
         also = ", and --up z, y or x" if no_up else ""
         raise RefusedError("unit", f"it does not say its unit: give {shown}{also}")
     if no_up:
         raise RefusedError("up", "it does not say which way is up: give --up z, --up y or --up x")
-    metre = (UNITS[told.unit] if told.unit else thing.unit_m or 1.0) * told.scale
-    _check_size(size * metre, told)
-    return _brought(thing, metre, _upright(told.up or thing.up or "z"))
+    metre = (UNITS[units.unit] if units.unit else thing.unit_m or 1.0) * units.scale
+    _check_size(size * metre, units)
+    return _converted(thing, metre, _rotation_to_z(units.up or thing.up or "z"))
 
 
-def _check_size(size: Array, told: Told) -> None:
+def _check_size(size: Array, units: UnitOptions) -> None:
     longest = float(size.max())
     if _SMALLEST <= longest <= _LARGEST:
         return
-    bare = longest / (UNITS[told.unit] if told.unit else 1.0)
+    bare = longest / (UNITS[units.unit] if units.unit else 1.0)
     mends = {f"--unit {unit}": bare * metre for unit, metre in UNITS.items()}
     fitting = [
         f"{flag} makes it {length:.3g} m long" for flag, length in mends.items() if _LIKELY[0] <= length <= _LIKELY[1]
@@ -155,12 +143,8 @@ def _spelt(size: Array) -> str:
 
 
 def _extent(thing: ReadThing) -> Array:
-    corners = []
-    poses: list[Array] = []
-    for part in thing.parts:
-        T = part.T_in_parent if part.parent is None else poses[part.parent] @ part.T_in_parent
-        poses.append(T)
-        corners += [surface.moved(T).vertices for surface in part.looks]
+    poses = zip(thing.parts, thing.poses(), strict=True)
+    corners = [surface.moved(T).vertices for part, T in poses for surface in part.looks]
     if not corners:
         raise RefusedError("empty", "nothing of it can be seen")
     points = np.concatenate(corners)
@@ -168,8 +152,8 @@ def _extent(thing: ReadThing) -> Array:
     return extent
 
 
-def _upright(up: str) -> Array:
-    """The rotation (3, 3) that makes an axis z."""
+def _rotation_to_z(up: str) -> Array:
+    """The rotation (3, 3) that turns an axis to +z."""
     if up == "y":
         return np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     if up == "x":
@@ -177,37 +161,24 @@ def _upright(up: str) -> Array:
     return np.eye(3)
 
 
-def _brought(thing: ReadThing, metre: float, turn: Array) -> ReadThing:
-    """All lengths scaled; and the base turned, its own frame with it."""
+def _converted(thing: ReadThing, metre: float, turn: Array) -> ReadThing:
+    """The thing with all lengths scaled, and the base rotated with its frame."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
-    map_ = np.eye(4)
-    map_[:3, :3] = metre * turn
-    if len(thing.parts) > 1 or thing.parts[0].shapes or thing.parts[0].weight:
-        if metre != 1.0:
-            raise RefusedError("size", "a description says its own lengths: --unit and --scale are for mesh files")
-        return replace(thing, parts=(_turned(thing.parts[0], turn), *(_hung(part, turn) for part in thing.parts[1:])))
-    base = thing.parts[0]
-    looks = tuple(surface.moved(map_) for surface in base.looks)
-    return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
-
-
-def _turned(base: Part, turn: Array) -> Part:
+    base, *others = thing.parts
+    if not others and not base.shapes and not base.weight:
+        looks = tuple(surface.moved(pose(rotation=metre * turn)) for surface in base.looks)
+        return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
+    if metre != 1.0:
+        raise RefusedError("size", "a description says its own lengths: --unit and --scale are for mesh files")
     from .tree import moved_shape, moved_weight
 
-    T = np.eye(4)
-    T[:3, :3] = turn
-    return replace(
+    T = pose(rotation=turn)
+    turned = replace(
         base,
         looks=tuple(surface.moved(T) for surface in base.looks),
         shapes=None if base.shapes is None else tuple(moved_shape(shape, T) for shape in base.shapes),
         weight=None if base.weight is None else moved_weight(base.weight, T),
     )
-
-
-def _hung(part: Part, turn: Array) -> Part:
-    if part.parent != 0:
-        return part
-    T = np.eye(4)
-    T[:3, :3] = turn
-    return replace(part, T_in_parent=T @ part.T_in_parent)
+    hung = (replace(part, T_in_parent=T @ part.T_in_parent) if part.parent == 0 else part for part in others)
+    return replace(thing, parts=(turned, *hung))

@@ -1,4 +1,4 @@
-"""SDFormat: one model, its links and joints, with frames told relative to each other.
+"""SDFormat: one model with links, joints, and frames that are relative to each other.
 
 Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
 """
@@ -11,30 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.se3 import Array, inverse
+from ..geometry.se3 import Array, inverse, pose, pose_from_quat
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
-from .looks import mesh_surfaces, plain_material
+from .meshes import mesh_surfaces, plain_material
 from .parts import Material, ReadThing, Surface, Weight
-from .sdf_frames import Frames, name_of, pose_of
 from .solids import seen, touching
-from .tree import Joint, Link, bounded, checked_weight, parts_of
-from .xml import Element, number, numbers, parse
+from .tree import Joint, Link, bounded, checked_weight, marked_handle, parts_of
+from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
 
 _DEEPEST_INCLUDE = 8
-# How far a finger stands from a handle's middle where a file only marks it, m.
-_HANDLE_OPENING = 0.01
+_JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
 def read_sdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     """The thing that an SDFormat file describes.
 
     Raises:
-        RefusedError: it is damaged, holds several models, or what no config can say.
+        RefusedError: the file is damaged, has several models, or has something that no config can express.
     """
     model, where = _model(data, folder, base, ())
-    reader = _Reader(folder)
-    links, joints = reader.model(model, where)
+    reader = _Reader(folder, where)
+    links, joints = reader.model(model)
     parts, fixed = parts_of(links, joints)
     static = (model.findtext("static") or "").strip() in ("true", "1")
     notes = tuple(dict.fromkeys(reader.notes))
@@ -57,7 +55,7 @@ def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]
 
 
 def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
-    """The model that an include names: an SDF file, or a folder with `model.config`, or just `model.sdf`."""
+    """The model that an include names: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
     path: Path | None = None
     for name in (uri, f"{uri}/model.sdf"):
@@ -74,82 +72,80 @@ def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Pa
 
 
 class _Reader:
-    def __init__(self, folder: Folder) -> None:
-        self._folder = folder
+    """Reads a model whose files are relative to the folder `base`."""
+
+    def __init__(self, folder: Folder, base: Path) -> None:
+        self._folder, self._base = folder, base
         self.notes: list[str] = []
         self.friction: float | None = None
 
-    def model(self, model: Element, base: Path, level: int = 0) -> tuple[list[Link], list[Joint]]:
-        if level > _DEEPEST_INCLUDE:
-            raise RefusedError("cycle", "models lie in models too deeply")
+    def model(self, model: Element) -> tuple[list[Link], list[Joint]]:
         for tag in ("include", "model"):
             if model.find(tag) is not None:
-                raise RefusedError(
-                    "several-things", f"model {model.get('name')!r} holds another <{tag}>: put it into one"
-                )
-        frames = Frames(model)
-        links = [self._link(element, frames, base) for element in model.findall("link")]
+                name = model.get("name")
+                raise RefusedError("several-things", f"model {name!r} holds another <{tag}>: put it into one")
+        frames = _Frames(model)
+        links = [self._link(element, frames) for element in model.findall("link")]
         by_name = {link.name: link for link in links}
         joints = [self._joint(element, frames) for element in model.findall("joint")]
         for element in model.findall("frame"):
             self._handle(element, frames, by_name, links)
         return links, joints
 
-    def _link(self, element: Element, frames: Frames, base: Path) -> Link:
-        name = name_of(element)
+    def _link(self, element: Element, frames: _Frames) -> Link:
+        name = _name_of(element)
         link = Link(name, frames.T(name))
         link.weight = _weight(element.find("inertial"))
         for visual in element.findall("visual"):
-            surfaces = self._surfaces(visual, _material(visual, self, base), base)
-            link.looks += [surface.moved(pose_of(visual)) for surface in surfaces]
+            surfaces = self._surfaces(visual, self._material(visual))
+            link.looks += [surface.moved(_pose_of(visual)) for surface in surfaces]
         for collision in element.findall("collision"):
-            link.shapes += self._shapes(collision, base)
+            link.shapes += self._shapes(collision)
             mu = collision.findtext("surface/friction/ode/mu")
             if mu is not None:
                 self.friction = number(mu)
         return link
 
-    def _surfaces(self, element: Element, material: Material | None, base: Path) -> list[Surface]:
+    def _surfaces(self, element: Element, material: Material | None) -> list[Surface]:
         geometry = element.find("geometry")
         if geometry is None:
             return []
         mesh = geometry.find("mesh")
         if mesh is not None:
-            return self._mesh(mesh, material, base)
+            return self._mesh(mesh, material)
         found = _plain(geometry)
         if found is None:
             self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
             return []
         return [seen(*found, material or Material())]
 
-    def _mesh(self, mesh: Element, material: Material | None, base: Path) -> list[Surface]:
+    def _mesh(self, mesh: Element, material: Material | None) -> list[Surface]:
         scale = numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
         if mesh.find("submesh") is not None:
             self.notes.append("submesh: the whole mesh was taken")
         uri = (mesh.findtext("uri") or mesh.findtext("filename") or "").strip()
-        return mesh_surfaces(self._folder, uri, base, scale, material)
+        return mesh_surfaces(self._folder, uri, self._base, scale, material)
 
-    def _shapes(self, element: Element, base: Path) -> list[Any]:
-        geometry, T = element.find("geometry"), pose_of(element)
+    def _shapes(self, element: Element) -> list[Any]:
+        geometry, T = element.find("geometry"), _pose_of(element)
         if geometry is None:
             return []
         mesh = geometry.find("mesh")
         if mesh is not None:
-            return [surface.moved(T) for surface in self._mesh(mesh, None, base)]
+            return [surface.moved(T) for surface in self._mesh(mesh, None)]
         found = _plain(geometry)
         return [] if found is None else [touching(*found, T)]
 
-    def _joint(self, element: Element, frames: Frames) -> Joint:
-        name, kind = name_of(element), element.get("type", "")
+    def _joint(self, element: Element, frames: _Frames) -> Joint:
+        name, kind = _name_of(element), element.get("type", "")
         parent, child = ((element.findtext(tag) or "").strip() for tag in ("parent", "child"))
         parent_link, child_link = frames.link_of(parent), frames.link_of(child)
         if child_link is None:
             raise RefusedError("damaged", f"joint {name!r} has no child")
         if kind == "fixed":
             return Joint(name, parent_link, child_link, None)
-        types = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
-        if kind not in types:
-            raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(types)}")
+        if kind not in _JOINTS:
+            raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_JOINTS)}")
         T = inverse(frames.T(child_link)) @ frames.T(name)
         axis = element.find("axis")
         if axis is None:
@@ -158,47 +154,42 @@ class _Reader:
         xyz = np.array(numbers(None if along is None else along.text, 3, (0.0, 0.0, 1.0)))
         within = "" if along is None else along.get("expressed_in", "")
         R = T[:3, :3] if not within else (inverse(frames.T(child_link)) @ frames.T(within))[:3, :3]
-        return Joint(name, parent_link, child_link, _moves(element, axis, types[kind], R @ xyz, T[:3, 3]))
+        return Joint(name, parent_link, child_link, _moves(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3]))
 
-    def _handle(self, element: Element, frames: Frames, by_name: dict[str, Link], links: list[Link]) -> None:
-        """A frame called `handle...` marks where a hand takes hold: z into it, y along the closing axis."""
-        name = name_of(element)
+    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, Link], links: list[Link]) -> None:
+        """Add the handle that a frame named `handle...` marks."""
+        name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
             return
         link = by_name[owner or links[0].name]
         T = inverse(link.T) @ frames.T(name)
-        link.handles.append(
-            {
-                "name": name.replace("-", "_"),
-                "position": T[:3, 3].tolist(),
-                "approach": T[:3, 2].tolist(),
-                "axis": T[:3, 1].tolist(),
-                "opening": _HANDLE_OPENING,
-            }
-        )
+        link.handles.append(marked_handle(name.replace("-", "_"), T))
+
+    def _material(self, visual: Element) -> Material | None:
+        element = visual.find("material")
+        if element is None:
+            return None
+        if element.find("script") is not None:
+            self.notes.append("material scripts are not read: colours may be missing")
+        albedo = (element.findtext("pbr/metal/albedo_map") or element.findtext("pbr/specular/albedo_map") or "").strip()
+        diffuse = element.findtext("diffuse")
+        if not albedo and diffuse is None:
+            return None
+        colour = numbers(diffuse, len((diffuse or "1 1 1 1").split()), (1.0,) * 4)
+        return plain_material(self._folder, colour, albedo, self._base)
 
 
 def _weight(inertial: Element | None) -> Weight | None:
     if inertial is None or inertial.find("mass") is None:
         return None
-    T, told = pose_of(inertial), inertial.find("inertia")
-    value = {
-        key: number(None if told is None else told.findtext(key), default)
-        for key, default in (("ixx", 0.0), ("iyy", 0.0), ("izz", 0.0), ("ixy", 0.0), ("ixz", 0.0), ("iyz", 0.0))
-    }
-    tensor = np.array(
-        [
-            [value["ixx"], value["ixy"], value["ixz"]],
-            [value["ixy"], value["iyy"], value["iyz"]],
-            [value["ixz"], value["iyz"], value["izz"]],
-        ]
-    )
+    T, elements = _pose_of(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    tensor = inertia_matrix(*(number(inertial.findtext(f"inertia/{key}"), 0.0) for key in elements))
     return checked_weight(number(inertial.findtext("mass")), T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
 
 
 def _plain(geometry: Element) -> tuple[str, Array] | None:
-    """Kind and size of a plain body, see `solids.touching`."""
+    """Kind and size of a primitive, see `solids.touching`."""
     if (found := geometry.find("box")) is not None:
         return "box", np.array(numbers(found.findtext("size"), 3)) / 2
     if (found := geometry.find("sphere")) is not None:
@@ -211,35 +202,108 @@ def _plain(geometry: Element) -> tuple[str, Array] | None:
     return None
 
 
-def _material(visual: Element, reader: _Reader, base: Path) -> Material | None:
-    element = visual.find("material")
-    if element is None:
-        return None
-    if element.find("script") is not None:
-        reader.notes.append("material scripts are not read: colours may be missing")
-    albedo = (element.findtext("pbr/metal/albedo_map") or element.findtext("pbr/specular/albedo_map") or "").strip()
-    diffuse = element.findtext("diffuse")
-    if not albedo and diffuse is None:
-        return None
-    colour = numbers(diffuse, len((diffuse or "1 1 1 1").split()), (1.0,) * 4)
-    return plain_material(reader._folder, colour, albedo, base)
-
-
 def _moves(element: Element, axis: Element, kind: str, direction: Array, position: Array) -> dict[str, Any]:
     turns = kind != "slide"
-    low, high = (number(axis.findtext(f"limit/{end}"), sign * math.inf) if axis.findtext(f"limit/{end}") else sign
-                 * math.inf for end, sign in (("lower", -1), ("upper", 1)))  # fmt: skip
+    low, high = (
+        number(axis.findtext(f"limit/{end}"), open_end) for end, open_end in (("lower", -math.inf), ("upper", math.inf))
+    )
     moves = {
         "type": kind,
         "axis": direction.tolist(),
         "position": position.tolist(),
-        "range": bounded(low, high, turns=turns, name=name_of(element)),
+        "range": bounded(low, high, turns=turns, name=_name_of(element)),
         "damping": number(axis.findtext("dynamics/damping"), 0.0),
         "friction": number(axis.findtext("dynamics/friction"), 0.0),
     }
     if kind == "screw":
-        # The older word counts turns a metre, negative; the newer one metres a turn.
+        # The older element is negative radians a metre; the newer one metres a turn.
         lead = element.findtext("screw_thread_pitch")
         old = number(element.findtext("thread_pitch"), 1.0)
         moves["pitch"] = number(lead) if lead else -2 * math.pi / old if old else 0.0
     return moves
+
+
+class _Frames:
+    """Poses of all named elements of a model, in the model's frame.
+
+    Raises:
+        RefusedError: two elements have the same name, or an element has none.
+    """
+
+    def __init__(self, model: Element) -> None:
+        # Name -> pose (4, 4) relative to a frame by name; "" is the model's own.
+        self._frames: dict[str, tuple[Array, str]] = {}
+        self._attached: dict[str, str] = {}
+        self._links = {_name_of(element) for element in model.findall("link")}
+        for element in model.findall("link"):
+            self._add(element, "")
+        for element in model.findall("frame"):
+            attached = element.get("attached_to", "")
+            self._attached[_name_of(element)] = attached
+            self._add(element, attached)
+        for element in model.findall("joint"):
+            # A joint's pose is relative to its child.
+            child = (element.findtext("child") or "").strip()
+            self._attached[_name_of(element)] = child
+            self._add(element, child)
+        self._known: dict[str, Array] = {}
+
+    def _add(self, element: Element, default: str) -> None:
+        name, pose_element = _name_of(element), element.find("pose")
+        if name in self._frames:
+            raise RefusedError("damaged", f"two things are called {name!r}")
+        if pose_element is not None:
+            default = pose_element.get("relative_to") or pose_element.get("frame") or default
+        self._frames[name] = _pose_of(element), default
+
+    def relative(self, name: str) -> str:
+        """The frame to which a frame's pose is relative."""
+        return self._frames[name][1]
+
+    def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
+        """The pose (4, 4) of a frame in the model's. Raises `RefusedError` if it is missing or relative to itself."""
+        if name in ("", "__model__"):
+            return np.eye(4)
+        if name not in self._frames:
+            raise RefusedError("damaged", f"it tells a pose relative to {name!r}, which is not there")
+        if name in path:
+            raise RefusedError("cycle", f"the poses of {' and '.join(path[:4])} are told relative to each other")
+        if name not in self._known:
+            T, relative_to = self._frames[name]
+            self._known[name] = self.T(relative_to, (*path, name)) @ T
+        return self._known[name]
+
+    def link_of(self, name: str) -> str | None:
+        """The link that a frame is attached to; None for the world. Raises `RefusedError` if there is none."""
+        steps = 0
+        while name not in self._links:
+            if name in ("world", "__model__", ""):
+                return None
+            if name not in self._attached:
+                raise RefusedError("damaged", f"a joint names {name!r}, which is not there")
+            name, steps = self._attached[name], steps + 1
+            if steps > len(self._attached):
+                raise RefusedError("cycle", f"frames are attached to each other around {name!r}")
+        return name
+
+
+def _name_of(element: Element) -> str:
+    name = element.get("name", "").strip()
+    if not name:
+        raise RefusedError("damaged", f"a <{element.tag}> has no name")
+    return name
+
+
+def _pose_of(element: Element) -> Array:
+    """The pose (4, 4) in an element's <pose>, by default the identity."""
+    found = element.find("pose")
+    if found is None:
+        return np.eye(4)
+    if found.get("rotation_format") == "quat_xyzw":
+        x, y, z, qx, qy, qz, qw = numbers(found.text, 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+        if math.hypot(qx, qy, qz, qw) < 1e-9:
+            raise RefusedError("impossible", "it has a rotation of zeros")
+        return pose_from_quat((x, y, z), (qw, qx, qy, qz))
+    x, y, z, roll, pitch, yaw = numbers(found.text, 6, (0.0,) * 6)
+    factor = math.pi / 180 if found.get("degrees") in ("true", "1") else 1.0
+    return pose((x, y, z), from_rpy(roll * factor, pitch * factor, yaw * factor))

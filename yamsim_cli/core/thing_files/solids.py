@@ -1,4 +1,4 @@
-"""Plain bodies that description files have in place of meshes: as surfaces to see, and as primitives to touch."""
+"""Primitive shapes of description files, as visual surfaces and as collision primitives."""
 
 from __future__ import annotations
 
@@ -13,46 +13,12 @@ from ..geometry.stl import Faces
 from ..untrusted.refusals import RefusedError
 from .parts import Material, Surface
 
-# Of what is round.
-_SEGMENTS = 40
-_ALIGNED = 1e-6
-
-
-def check_size(*lengths: float) -> None:
-    """Refuse a body of no size, or a huge one; m."""
-    if not all(1e-6 <= length <= 1e4 for length in lengths):
-        raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in lengths)}")
-
-
-def box(half: Array, material: Material) -> Surface:
-    """A block around the origin, half its size (3,) in m."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
-    return Surface(signs * half, np.array(faces, np.int32), material)
-
-
-def cylinder(radius: float, half: float, material: Material) -> Surface:
-    """An upright cylinder around the origin, m."""
-    return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]), material)
-
-
-def ellipsoid(radii: Array, material: Material) -> Surface:
-    """An ellipsoid around the origin; a ball where its radii (3,) are equal, m."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, _SEGMENTS // 2 + 1)
-    unit = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), material)
-    return Surface(unit.vertices * radii, unit.faces, material)
-
-
-def capsule(radius: float, half: float, material: Material) -> Surface:
-    """An upright capsule around the origin; `half` of its straight part, m."""
-    angle = np.linspace(0, np.pi / 2, _SEGMENTS // 4 + 1)
-    top = np.stack([radius * np.cos(angle), half + radius * np.sin(angle)], axis=1)
-    return _turned(np.concatenate([top[::-1] * [1, -1], top]), material)
+_SEGMENTS = 40  # faces around an axis
+_ALIGNED = 1e-6  # most deviation of an axis from the vertical
 
 
 def _turned(outline: Array, material: Material) -> Surface:
-    """A closed surface of an outline (n, 2) of radius and height from the lowest to the highest point on the axis."""
+    """A surface of revolution of an outline (n, 2) of radius and height, from the lowest point on the axis upwards."""
     middle = outline[1:-1]
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     x, y = (np.outer(middle[:, 0], turn) for turn in (np.cos(angle), np.sin(angle)))
@@ -74,10 +40,11 @@ def _turned(outline: Array, material: Material) -> Surface:
 
 
 def touching(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Surface:
-    """What touches of a plain body at a pose (4, 4): a primitive as configs have it, or else its surface.
+    """The collision shape of a primitive at a pose (4, 4): data of a config's primitive, or else its surface.
 
     Args:
-        kind: "box" (half sizes), "cylinder" (radius, half), "capsule" (radius, half), "sphere" (radius) or "ellipsoid".
+        kind: "box", "cylinder", "capsule", "sphere" or "ellipsoid".
+        size: half sizes; radius and half the length (twice); radius; radii, m.
     """
     centre = [float(x) for x in T[:3, 3]]
     R = T[:3, :3]
@@ -100,16 +67,28 @@ def touching(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Surface:
 
 
 def seen(kind: str, size: Array, material: Material) -> Surface:
-    """The surface of a plain body around the origin; see `touching`."""
-    check_size(*(float(length) for length in size))
+    """The surface of a primitive around the origin; see `touching`. Raises `RefusedError` for an impossible size."""
+    if not all(1e-6 <= length <= 1e4 for length in size):
+        raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:
         case "box":
-            return box(size, material)
+            return _box(size, material)
         case "cylinder":
-            return cylinder(float(size[0]), float(size[1]), material)
+            radius, half = (float(length) for length in size)
+            return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]), material)
         case "capsule":
-            return capsule(float(size[0]), float(size[1]), material)
-        case "sphere":
-            return ellipsoid(np.repeat(size[0], 3), material)
+            radius, half = (float(length) for length in size)
+            angle = np.linspace(0, np.pi / 2, _SEGMENTS // 4 + 1)
+            top = np.stack([radius * np.cos(angle), half + radius * np.sin(angle)], axis=1)
+            return _turned(np.concatenate([top[::-1] * [1, -1], top]), material)
         case _:
-            return ellipsoid(size, material)
+            angle = np.linspace(-np.pi / 2, np.pi / 2, _SEGMENTS // 2 + 1)
+            unit = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), material)
+            return Surface(unit.vertices * size, unit.faces, material)
+
+
+def _box(half: Array, material: Material) -> Surface:
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
+    return Surface(signs * half, np.array(faces, np.int32), material)

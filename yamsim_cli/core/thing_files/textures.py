@@ -1,4 +1,4 @@
-"""Textures of things: decoded within bounds, made no larger than anyone sees, and written as PNG."""
+"""Textures: decoded within limits, reduced in size, and written as PNG; baked vertex colours."""
 
 from __future__ import annotations
 
@@ -12,33 +12,26 @@ from ..geometry.se3 import Array
 from ..geometry.stl import Faces
 from ..untrusted.refusals import RefusedError
 
-# What is decoded at most, and what is kept, px.
-_MOST_PIXELS = 64_000_000
-_LARGEST_SIDE = 2048
-
-# Texels beside each other that a triangle's colours need: three corners, and a fourth so that they go over evenly.
-_TILE = 2
+_MOST_PIXELS = 64_000_000  # decoded at most
+_LARGEST_SIDE = 2048  # px, kept
+_TILE = 2  # px, side of a triangle's tile: three corners, and a fourth texel for interpolation
 
 
 def open_image(data: bytes, name: str) -> Any:
-    """A Pillow image of encoded bytes, not decoded yet.
-
-    Raises:
-        RefusedError: it is none, or has too many pixels.
-    """
+    """A Pillow image of encoded bytes, not decoded yet. Raises `RefusedError` if it is none or too large."""
     from PIL import Image, UnidentifiedImageError
 
     Image.MAX_IMAGE_PIXELS = _MOST_PIXELS
     try:
-        return checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
+        return _checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
         raise RefusedError("texture-unreadable", f"the texture {name} is no PNG or JPEG") from error
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise RefusedError("texture-too-large", f"the texture {name} is too large to be decoded: {error}") from error
 
 
-def checked(image: Any, name: str) -> Any:
-    """The image itself, unless it has too many pixels."""
+def _checked(image: Any, name: str) -> Any:
+    """The image itself, unless the image has too many pixels."""
     width, height = image.size
     if width * height > _MOST_PIXELS:
         raise RefusedError(
@@ -50,12 +43,8 @@ def checked(image: Any, name: str) -> Any:
 
 
 def png_of(image: Any, name: str) -> bytes:
-    """A PNG of a Pillow image, in colour, at most 2048 pixels wide and high.
-
-    Raises:
-        RefusedError: it cannot be decoded.
-    """
-    checked(image, name)
+    """An RGB PNG of a Pillow image, at most 2048 pixels wide and high. Raises `RefusedError`."""
+    _checked(image, name)
     try:
         if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):
             image = image.convert("RGBA")
@@ -69,10 +58,10 @@ def png_of(image: Any, name: str) -> bytes:
 
 
 def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
-    """Texture coordinates (m, 3, 2) and a PNG that show colours (n, 4) of vertices, going over evenly between them.
+    """Texture coordinates (m, 3, 2) and a PNG that show vertex colours (n, 4), interpolated over the triangles.
 
-    Each triangle has a tile of its own. Neighbouring triangles have neighbouring tiles, so that they blend into each
-    other's colours where the picture is drawn small.
+    Each triangle has its own tile. Tiles of neighbouring triangles are close together, so that the colours of small
+    pictures blend well.
     """
     from PIL import Image
 
@@ -94,7 +83,7 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
 
 
 def _by_neighbourhood(points: Array) -> NDArray[np.int64]:
-    """An order of points (n, 3) in which neighbours mostly lie beside each other (Morton's)."""
+    """An order of points (n, 3) that keeps neighbours together (Morton order)."""
     low, high = points.min(axis=0), points.max(axis=0)
     cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
     key = np.zeros(len(points), np.int64)

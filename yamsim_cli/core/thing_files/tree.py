@@ -1,4 +1,4 @@
-"""From links and joints, as description files have them, to parts that move on each other."""
+"""Parts of a thing from the links and joints of a description file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..geometry.se3 import Array, inverse
 from ..untrusted.refusals import RefusedError
 from .parts import Part, Surface, Weight
 
-MOST_LINKS = 64
-# Of a hinge that has no stops, degrees: some turns are enough for anything that a hand can do.
-ENDLESS_DEG = 1800.0
+_MOST_LINKS = 64
+_ENDLESS_DEG = 1800.0  # degrees, range to each side of a hinge without stops: enough for anything that a hand can do
+_HANDLE_OPENING = 0.01  # m, opening of each finger at a handle that a file only marks
 
 
 @dataclass
 class Link:
-    """A link with all that hangs on it; its pose (4, 4) in the model with every joint at 0."""
+    """A link, and its pose (4, 4) in the model with every joint at 0."""
 
     name: str
     T: Array
@@ -32,10 +32,10 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint: links by name, parent None for the world.
+    """A joint between links by name; the parent is None for the world.
 
     Attributes:
-        moves: as `config.things.articulation.LinkJoint` takes it, in the child's frame; None where it is fixed.
+        moves: data of a `config.things.articulation.LinkJoint` in the child's frame; None for a fixed joint.
     """
 
     name: str
@@ -45,15 +45,15 @@ class Joint:
 
 
 def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part, ...], bool]:
-    """The parts, parents first, and whether the base is fixed to the world. Links joined rigidly become one part.
+    """The parts, parents first, and whether the base is fixed to the world. Rigidly joined links become one part.
 
     Raises:
-        RefusedError: they are no tree, or several, or too many.
+        RefusedError: the links are too many, or form no tree, or several.
     """
     if not links:
         raise RefusedError("empty", "it has no link")
-    if len(links) > MOST_LINKS:
-        raise RefusedError("too-large", f"it has {len(links)} links; at most {MOST_LINKS}")
+    if len(links) > _MOST_LINKS:
+        raise RefusedError("too-large", f"it has {len(links)} links; at most {_MOST_LINKS}")
     by_name, root, fixed = _rooted(links, joints)
     order, owner = _order(root.name, joints), {root.name: root}
     kept: list[tuple[Link, Joint | None]] = [(root, None)]
@@ -67,29 +67,26 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
             kept.append((link, joint))
     place = {link.name: k for k, (link, _) in enumerate(kept)}
     parts = []
-    for link, from_above in kept:
-        parent_link = owner[from_above.parent or ""] if from_above is not None else None
-        parts.append(
-            Part(
-                link.name,
-                None if parent_link is None else place[parent_link.name],
-                np.eye(4) if parent_link is None else inverse(parent_link.T) @ link.T,
-                None if from_above is None else from_above.moves,
-                link.weight,
-                tuple(link.looks),
-                tuple(link.shapes) or None,
-                tuple(link.handles),
-            )
+    for link, above in kept:
+        part = Part(
+            link.name,
+            parent=None,
+            T_in_parent=np.eye(4),
+            weight=link.weight,
+            looks=tuple(link.looks),
+            shapes=tuple(link.shapes) or None,
+            handles=tuple(link.handles),
         )
+        if above is not None:
+            parent = owner[above.parent or ""]
+            T = inverse(parent.T) @ link.T
+            part = replace(part, parent=place[parent.name], T_in_parent=T, joint=above.moves)
+        parts.append(part)
     return tuple(parts), fixed
 
 
 def _rooted(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[dict[str, Link], Link, bool]:
-    """Name -> link, the link that all others hang on, and whether that is fixed to the world.
-
-    Raises:
-        RefusedError: they are no tree, or several.
-    """
+    """Name -> link, the root link, and whether the root is fixed to the world. Raises `RefusedError`."""
     by_name = {link.name: link for link in links}
     if len(by_name) < len(links):
         raise RefusedError("damaged", "two of its links have the same name")
@@ -119,7 +116,7 @@ def _rooted(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[dict[str, L
 
 
 def _order(root: str, joints: Sequence[Joint]) -> list[Joint]:
-    """Joints from the root outwards."""
+    """The joints from the root outwards."""
     found: list[Joint] = []
     wave = [root]
     while wave:
@@ -130,14 +127,14 @@ def _order(root: str, joints: Sequence[Joint]) -> list[Joint]:
 
 
 def _merge(parent: Link, link: Link) -> None:
-    """Make a link that is joined rigidly a part of its parent."""
+    """Merge a rigidly joined link into its parent."""
     T = inverse(parent.T) @ link.T
     parent.looks += [surface.moved(T) for surface in link.looks]
     parent.shapes += [moved_shape(shape, T) for shape in link.shapes]
     parent.handles += [_moved_handle(handle, T) for handle in link.handles]
     if link.weight is not None:
         moved = moved_weight(link.weight, T)
-        parent.weight = moved if parent.weight is None else joined([parent.weight, moved])
+        parent.weight = moved if parent.weight is None else _sum(parent.weight, moved)
 
 
 def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
@@ -146,7 +143,7 @@ def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
 
 
 def moved_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, Any] | Surface:
-    """What touches, at a pose."""
+    """A collision shape at a pose (4, 4)."""
     from .solids import touching
 
     if isinstance(shape, Surface):
@@ -169,28 +166,24 @@ def moved_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, An
 
 
 def moved_weight(weight: Weight, T: Array) -> Weight:
-    """A weight in another frame."""
+    """A weight in another frame, of which T (4, 4) is the pose of its own."""
     R = T[:3, :3]
     return Weight(weight.mass, (T @ [*weight.centre, 1.0])[:3], R @ weight.tensor @ R.T)
 
 
-def joined(weights: Sequence[Weight]) -> Weight:
-    """Several weights of one body as one."""
-    mass = sum(weight.mass for weight in weights)
-    centre = sum((weight.mass * weight.centre for weight in weights), np.zeros(3)) / max(mass, 1e-12)
+def _sum(first: Weight, second: Weight) -> Weight:
+    """Two weights of one body as one."""
+    mass = first.mass + second.mass
+    centre = (first.mass * first.centre + second.mass * second.centre) / max(mass, 1e-12)
     tensor = np.zeros((3, 3))
-    for weight in weights:
+    for weight in (first, second):
         d = weight.centre - centre
         tensor += weight.tensor + weight.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    return replace(weights[0], mass=mass, centre=centre, tensor=tensor)
+    return Weight(mass, centre, tensor)
 
 
 def checked_weight(mass: float, centre: Array, tensor: Array) -> Weight | None:
-    """A weight as a file says it; None for one of nothing.
-
-    Raises:
-        RefusedError: it is none that a body can have.
-    """
+    """A weight as in a file; None without mass. Raises `RefusedError` if the mass is impossible."""
     if mass == 0:
         return None
     if not 0 < mass <= 1e4:
@@ -199,13 +192,19 @@ def checked_weight(mass: float, centre: Array, tensor: Array) -> Weight | None:
 
 
 def bounded(low: float, high: float, *, turns: bool, name: str) -> list[float]:
-    """Stops of a joint in a config's units, m or degrees, of a file's in m or rad; endless hinges get some turns."""
+    """The range of a joint, m or degrees, from the stops in a file, m or rad; endless hinges get some turns."""
     if not turns:
         if not (abs(low) <= 2 and abs(high) <= 2):
             raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
         ends = [low, high]
     else:
-        ends = [max(math.degrees(low), -ENDLESS_DEG), min(math.degrees(high), ENDLESS_DEG)]
+        ends = [max(math.degrees(low), -_ENDLESS_DEG), min(math.degrees(high), _ENDLESS_DEG)]
     if not ends[0] < ends[1]:
         raise RefusedError("impossible", f"joint {name!r} has no way to go: {low:g} to {high:g}")
     return ends
+
+
+def marked_handle(name: str, T: Array) -> Mapping[str, Any]:
+    """Data of a handle at a marked frame (4, 4) in its link: z into the handle, y along the closing axis."""
+    position, approach, axis = (column.tolist() for column in (T[:3, 3], T[:3, 2], T[:3, 1]))
+    return {"name": name, "position": position, "approach": approach, "axis": axis, "opening": _HANDLE_OPENING}

@@ -1,4 +1,4 @@
-"""URDF: links and joints, each link's frame that of the joint above it.
+"""URDF: links and joints; the frame of each link is that of the joint above the link.
 
 Source: wiki.ros.org/urdf/XML, elements link, joint and material.
 """
@@ -14,12 +14,11 @@ import numpy as np
 from ..geometry.se3 import Array, pose
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
-from .looks import mesh_surfaces, plain_material
+from .meshes import mesh_surfaces, plain_material
 from .parts import Material, ReadThing, Surface, Weight
-from .rotations import from_rpy
 from .solids import seen, touching
 from .tree import Joint, Link, bounded, checked_weight, parts_of
-from .xml import Element, number, numbers, parse
+from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
 
 _TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 _WORLD = "world"
@@ -48,7 +47,7 @@ def _ends(joint: Element) -> tuple[str, str]:
 
 
 def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
-    """Pose (4, 4) of every link in the root's frame."""
+    """Link -> pose (4, 4) in the root's frame."""
     above = {child: (parent, joint) for joint in joints for parent, child in (_ends(joint),)}
     known: dict[str, Array] = {}
     for name in links:
@@ -67,10 +66,10 @@ def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]
 
 
 def _origin(element: Element) -> Array:
-    told = element.find("origin")
-    if told is None:
+    origin = element.find("origin")
+    if origin is None:
         return np.eye(4)
-    return pose(numbers(told.get("xyz"), 3, (0.0,) * 3), from_rpy(*numbers(told.get("rpy"), 3, (0.0,) * 3)))
+    return pose(numbers(origin.get("xyz"), 3, (0.0,) * 3), from_rpy(*numbers(origin.get("rpy"), 3, (0.0,) * 3)))
 
 
 def _colour(element: Element, folder: Folder, base: Path) -> Material | None:
@@ -121,12 +120,16 @@ def _plain(element: Element) -> tuple[str, Array] | None:
 def _weight(inertial: Element | None) -> Weight | None:
     if inertial is None:
         return None
-    T, mass, told = _origin(inertial), inertial.find("mass"), inertial.find("inertia")
-    value = [number(None if told is None else told.get(key), 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-    xx, xy, xz, yy, yz, zz = value
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    kilograms = number(None if mass is None else mass.get("value"), 0.0)
-    return checked_weight(kilograms, T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+    T, elements = _origin(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    tensor = inertia_matrix(*(number(_attribute(inertial, "inertia", key), 0.0) for key in elements))
+    mass = number(_attribute(inertial, "mass", "value"), 0.0)
+    return checked_weight(mass, T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+
+
+def _attribute(element: Element, tag: str, name: str) -> str | None:
+    """An attribute of a child element, or None."""
+    child = element.find(tag)
+    return None if child is None else child.get(name)
 
 
 def _joint(element: Element) -> Joint:
@@ -137,17 +140,16 @@ def _joint(element: Element) -> Joint:
         return Joint(name, above, child, None)
     if kind not in _TYPES:
         raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_TYPES)}")
-    axis, limit, rubs = element.find("axis"), element.find("limit"), element.find("dynamics")
     low, high = -math.inf, math.inf
     if kind != "continuous":
-        if limit is None:
+        if element.find("limit") is None:
             raise RefusedError("damaged", f"joint {name!r} has no limit")
-        low, high = number(limit.get("lower"), 0.0), number(limit.get("upper"), 0.0)
+        low, high = (number(_attribute(element, "limit", end), 0.0) for end in ("lower", "upper"))
     moves: dict[str, Any] = {
         "type": _TYPES[kind],
-        "axis": numbers(None if axis is None else axis.get("xyz"), 3, (1.0, 0.0, 0.0)),
+        "axis": numbers(_attribute(element, "axis", "xyz"), 3, (1.0, 0.0, 0.0)),
         "range": bounded(low, high, turns=kind != "prismatic", name=name),
-        "damping": number(None if rubs is None else rubs.get("damping"), 0.0),
-        "friction": number(None if rubs is None else rubs.get("friction"), 0.0),
+        "damping": number(_attribute(element, "dynamics", "damping"), 0.0),
+        "friction": number(_attribute(element, "dynamics", "friction"), 0.0),
     }
     return Joint(name, above, child, moves)

@@ -1,11 +1,13 @@
-"""XML from elsewhere: no entities, no document type, not too deep."""
+"""XML from elsewhere, without entities and with limits, and the numbers and rotations in it."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from typing import Any
 
+import numpy as np
+
+from ..geometry.se3 import Array
 from ..untrusted.refusals import RefusedError
 
 Element = ElementTree.Element
@@ -16,11 +18,7 @@ _DEEPEST = 64
 
 
 def parse(data: bytes) -> Element:
-    """The root of a document.
-
-    Raises:
-        RefusedError: it is no XML, defines entities, or is too much.
-    """
+    """The root of a document. Raises `RefusedError` if it is no XML, defines entities, or is too large."""
     import defusedxml.ElementTree
     from defusedxml import DefusedXmlException
 
@@ -44,17 +42,13 @@ def _check_shape(root: Element) -> None:
             raise RefusedError("too-large", f"it has more than {_MOST_ELEMENTS:,} elements, or {_DEEPEST} levels")
         level = [child for element in level for child in element]
     for element in root.iter():
-        # Namespaces say nothing here.
+        # Namespaces do not matter here.
         if isinstance(element.tag, str):
             element.tag = element.tag.rpartition("}")[2]
 
 
 def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
-    """So many finite numbers of a text.
-
-    Raises:
-        RefusedError: they are not that many, or no numbers.
-    """
+    """A number of finite numbers in a text. Raises `RefusedError` if there are more, fewer or others."""
     words = (text or "").split()
     if not words and default is not None:
         return list(default)
@@ -75,11 +69,28 @@ def number(text: str | None, default: float | None = None) -> float:
 
 
 def collada_asset(data: bytes) -> tuple[float, str]:
-    """Unit (m) and up axis of a COLLADA file; a metre and y where it does not say. Source: COLLADA 1.4.1, `asset`."""
+    """Unit (m) and up axis of a COLLADA file, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
     root = parse(data)
     unit, up = root.find("asset/unit"), root.find("asset/up_axis")
-    said: Any = "" if up is None else (up.text or "").strip()
+    axis = "" if up is None else (up.text or "").strip()
     metre = number(None if unit is None else unit.get("meter"), 1.0)
     if not 1e-6 <= metre <= 1e4:
         raise RefusedError("impossible", f"its unit is {metre:g} m")
-    return metre, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(said, "y")
+    return metre, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(axis, "y")
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """The rotation (3, 3) by angles about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def inertia_matrix(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Array:
+    """The symmetric inertia matrix (3, 3) of its six elements."""
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -1,1 +1,1 @@
-"""From the scan of a thing to an object's config: primitives to collide, mass and inertia, and where to hold it."""
+"""Object configs from surfaces: collision primitives, mass and inertia, visual meshes, and grasps."""

@@ -1,4 +1,4 @@
-"""Certificates on the disk: the result of a thing's checks, kept by a hash over everything that was checked."""
+"""Stored certificates: the results of a thing's checks, by a hash over everything that was checked."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from ..config.things.thing import ObjectConfig
 from ..errors import ResourceError
 from ..files import sha256_bytes, write_file
 
-#: Grows whenever a check decides otherwise: older certificates are stale then.
-CHECKS_VERSION = 3
-
+_CHECKS_VERSION = 3  # grows with every change of a check's decisions, which makes older certificates stale
 _FOLDER = "certificates"
-# The content hash at the end of the name of one of the user's own sets.
-_CONTENT = re.compile(r"-[0-9a-f]{12}$")
+_CONTENT = re.compile(r"-[0-9a-f]{12}$")  # the content hash at the end of the name of an imported set
 
 
 class Standing(StrEnum):
-    """How a thing stands with its certificate."""
+    """The state of a thing's certificate."""
 
     NONE = "not certified"
     GOOD = "certified"
@@ -35,7 +32,7 @@ class Standing(StrEnum):
 
 @dataclass(frozen=True)
 class Certificate:
-    """A stored result: how it stands now, which checks failed, and its file; None where there is none."""
+    """A stored result: its state now, the codes of the failed checks, and its file if there is one."""
 
     standing: Standing
     failed: tuple[str, ...] = ()
@@ -43,10 +40,10 @@ class Certificate:
 
 
 def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
-    """SHA-256 over everything that a certificate is made from: config, meshes, and the checks themselves."""
+    """SHA-256 over everything that decides a certificate: config, meshes, and the version of the checks."""
     files = {}
     for mesh in item.all_meshes:
-        # The set of the user's own names its content, and a folder of theirs is not ours to vouch for.
+        # The name of an imported set contains a hash of its content; other folders have no known hash.
         locked = lock.sets.get(mesh.set)
         files[f"{mesh.set}/{mesh.file}"] = (
             locked.files[mesh.file].sha256 if locked and mesh.file in locked.files else ""
@@ -54,8 +51,8 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
     if item.shape is not None:
         made = made_files(item.name, item.shape)
         files |= {f"{MADE}/{name}": sha256_bytes(data) for name, data in made.items()}
-    told = {"checks": CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
-    return sha256_bytes(json.dumps(told, sort_keys=True).encode())
+    inputs = {"checks": _CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
+    return sha256_bytes(json.dumps(inputs, sort_keys=True).encode())
 
 
 def store_certificate(
@@ -65,10 +62,11 @@ def store_certificate(
 
     Args:
         assets: the cache of meshes.
-        made_with: names and versions of what found it.
+        found: the results, as JSON.
+        made_with: names and versions of the programs.
 
     Raises:
-        ResourceError: it cannot be written.
+        ResourceError: the certificate cannot be written.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -82,9 +80,9 @@ def store_certificate(
 
 
 def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
-    """Return the certificate of a thing as it is now, else the newest of what it was before, as stale.
+    """The certificate of a thing as it is now, else the newest of its earlier contents, as stale.
 
-    A certificate that cannot be read counts as none.
+    Certificates that cannot be read are ignored.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -97,7 +95,7 @@ def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certi
 
 
 def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:
-    """The codes that failed in a stored certificate; None where it cannot be read, or is not of these inputs."""
+    """The codes that failed in a stored certificate; None if the file is unreadable or of other inputs."""
     try:
         stored = json.loads(path.read_bytes())
         if inputs not in (None, stored["inputs"]):
@@ -108,7 +106,7 @@ def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | N
 
 
 def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
-    """The file of one content of a thing: its name, which thing of that name it is, and the hash of its inputs."""
+    """The file of one content of a thing."""
     return assets / _FOLDER / f"{item.name}-{_identity(item, item.mesh.set)}-{inputs[:12]}.json"
 
 
@@ -123,5 +121,5 @@ def _older(path: Path, item: ObjectConfig) -> list[Path]:
 
 
 def _identity(item: ObjectConfig, mesh_set: str) -> str:
-    """Tells two things of one name apart: a digest over what is seen of them."""
+    """A digest over the mesh, which tells two things of one name apart."""
     return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]

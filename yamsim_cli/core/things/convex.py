@@ -1,4 +1,4 @@
-"""Convex parts of a hollow or branched body, by CoACD in a child process; each body is taken apart once and kept.
+"""Convex decomposition by CoACD in a child process, with a cache of results.
 
 Source: X. Wei, M. Liu, Z. Ling, H. Su, "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity
 and Tree Search", SIGGRAPH 2022; the package `coacd`.
@@ -10,7 +10,6 @@ import io
 import json
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,71 +21,47 @@ from ..assets.child import python_call, run_child
 from ..assets.sources import SourceError
 from ..errors import ResourceError
 from ..files import scratch_directory, sha256_bytes, write_file
-from ..geometry.closed import is_closed, welded
 from ..geometry.se3 import Array
+from ..geometry.solid import filling, is_closed, merge_vertices
 from ..geometry.stl import Faces
-from .coarser import coarser
+from .surfaces import simplified_mesh
 
-KEPT = "decomposed"
+CACHE = "decomposed"  # folder of cached results, beside the mesh sets
 
-# So many faces are enough for parts that are a millimetre or two off anyway, as long as they stay so near, mm. With
-# each one more the search for cuts takes longer.
-_ENOUGH = (1_000, 2_000, 4_000, 8_000)
-_NEAR_MM = 0.3
+# Face counts of the reduced body, and its most deviation: the parts are a millimetre or two off anyway.
+_FACES, _NEAR_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# Told of the share that is done, 0 to 1.
-Share = Callable[[float], None]
+# Parameters of CoACD, found by trying, see docs/figures.md: the remaining concavity, as a share of half the body's
+# length; the most parts; and the tree search for each cut.
+_SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
+_LIMIT_S = 300.0  # several times what a body of some thousand faces takes
+_MEMORY = 8_000_000_000  # bytes of the child
+_CORE_SECONDS = 1200  # of all cores together
+
+Share = Callable[[float], None]  # called with the share of the work that is done, 0 to 1
 Body = tuple[Array, Faces]
 
 
-@dataclass(frozen=True)
-class Fineness:
-    """How finely a body is taken apart; found by trying, see docs/figures.md.
-
-    Attributes:
-        threshold: what of its concavity may stay, as a share of half its length.
-        parts: how many there may be.
-        iterations, nodes, depth, resolution: of the search for each cut.
-    """
-
-    threshold: float = 0.05
-    parts: int = 32
-    iterations: int = 40
-    nodes: int = 10
-    depth: int = 2
-    resolution: int = 1000
-
-
-# What CoACD takes a body of some thousand faces apart in, s, many times over; and bytes of memory.
-LIMIT_S = 300.0
-_MEMORY = 8_000_000_000
-# Of all cores together, s.
-_CORE_SECONDS = 1200
-
-
-def decompose(
-    body: Body, kept: Path, fineness: Fineness | None = None, share: Share = lambda done: None, limit_s: float = LIMIT_S
-) -> list[Body]:
-    """Convex parts (vertices and triangles each), whose union is nearly the body.
+def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
+    """Convex parts (vertices and triangles each) whose union approximates a body.
 
     Args:
-        kept: a folder where results are kept, by hash of the body and of everything that decides them.
-        limit_s: how long it may take.
+        cache: a folder of earlier results, by the hash of the body and of all parameters.
+        limit_s: time limit.
 
     Raises:
-        ResourceError: the extra is not installed, or it took too long or too much memory.
+        ResourceError: the extra is not installed, or the time or memory limit was reached.
     """
     if find_spec("coacd") is None:
         raise ResourceError("taking a body apart needs coacd: pip install 'yamsim[import]', or --collision hull or sdf")
-    fineness = fineness or Fineness()
-    vertices, faces = welded(*body)
-    if is_closed(faces) and (fewer := coarser((vertices, faces), _ENOUGH, _NEAR_MM, closed=True)) is not None:
+    vertices, faces = merge_vertices(*body)
+    if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _NEAR_MM, closed=True)) is not None:
         vertices, faces = fewer
-    how = {**asdict(fineness), "coacd": version("coacd"), "closed": is_closed(faces)}
+    how = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
     source = io.BytesIO()
     np.savez(source, vertices=vertices, faces=faces)
     text = json.dumps(how, sort_keys=True).encode()
-    file = kept / f"{sha256_bytes(vertices.tobytes() + faces.tobytes() + text)}.npz"
+    file = cache / f"{sha256_bytes(vertices.tobytes() + faces.tobytes() + text)}.npz"
     if (parts := _read(file)) is not None:
         return parts
     with scratch_directory("yamsim-parts-") as scratch:
@@ -94,7 +69,7 @@ def decompose(
         (scratch / "how.json").write_bytes(text)
         data = _in_child(scratch, share, limit_s)
     try:
-        kept.mkdir(parents=True, exist_ok=True)
+        cache.mkdir(parents=True, exist_ok=True)
         write_file(file, data)
     except OSError as error:
         raise ResourceError(f"{file} cannot be written: {error.strerror}") from error
@@ -106,20 +81,20 @@ def decompose(
 
 def _in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
     call = python_call("core.things.convex.in_child", str(scratch))
-
     furthest = 0.0
 
-    def watched() -> int:
+    def report_progress() -> int:
         nonlocal furthest
-        found = re.findall(r"Processing \[([\d.]+)%\]", (scratch / "stdout.txt").read_text(errors="replace"))
-        # It goes through the parts again and again, each time to the end.
-        rounds = len(re.findall(r"iter \d+", (scratch / "stdout.txt").read_text(errors="replace")))
-        furthest = max(furthest, rounds / (rounds + 3)) if found else furthest
+        log = (scratch / "stdout.txt").read_text(errors="replace")
+        # CoACD passes over all parts several times; the number of passes is not known in advance.
+        rounds = len(re.findall(r"iter \d+", log))
+        if re.search(r"Processing \[([\d.]+)%\]", log):
+            furthest = max(furthest, rounds / (rounds + 3))
         share(furthest)
         return 0
 
     try:
-        result = run_child(call, scratch, limit_s=limit_s, idle_s=limit_s, watch=watched)
+        result = run_child(call, scratch, limit_s=limit_s, idle_s=limit_s, watch=report_progress)
     except SourceError as error:
         raise ResourceError(
             f"taking it apart into convex parts is {error}: reduce the mesh first, or take --collision sdf or hull"
@@ -133,7 +108,7 @@ def _in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
 
 
 def in_child(folder: str) -> None:
-    """What runs in the child: take the body in a folder apart, and write its parts there."""
+    """Entry point of the child process: decompose the body in a folder, and write its parts there."""
     import resource
 
     import coacd
@@ -149,7 +124,7 @@ def in_child(folder: str) -> None:
         mesh,
         threshold=how["threshold"],
         max_convex_hull=how["parts"],
-        # What is closed is taken as it is: remeshing would make many more faces of it.
+        # Remeshing would make many more faces of a closed body.
         preprocess_mode="off" if how["closed"] else "on",
         preprocess_resolution=40,
         resolution=how["resolution"],
@@ -185,8 +160,6 @@ def hull(body: Body) -> Body:
 
 
 def convexity(body: Body) -> float:
-    """Volume of a closed body as a share of its hull's: 1 where it is convex."""
-    from ..geometry.closed import enclosed
-
-    around = enclosed(*hull(body)).volume
-    return abs(enclosed(*body).volume) / around if around > 0 else 1.0
+    """The volume of a closed body as a share of its hull's: 1 if the body is convex."""
+    around = filling(*hull(body)).volume
+    return abs(filling(*body).volume) / around if around > 0 else 1.0

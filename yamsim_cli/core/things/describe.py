@@ -1,4 +1,4 @@
-"""Writes an object's config from its scan."""
+"""The config of a YCB object from its scan."""
 
 from __future__ import annotations
 
@@ -10,30 +10,24 @@ import numpy as np
 from ..config.things.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..documents.document import dump_yaml
 from ..geometry.se3 import Array
-from .body import Body
+from .fit import Scan, SolidFit, fit_hollow, fit_solid
 from .grasps import grasp
-from .hollows import fit_hollow
-from .scan import Scan
-from .solids import SolidFit, fit_solid
+from .primitives import Body, primitive_data
 
-# Things are put in a vessel that is at least this deep, and on a flatter one, m.
-_IN = 0.03
-
-# Sliding and torsional friction (m) of all objects.
-_FRICTION = (0.8, 0.005)
-
-# Rolling friction of balls and capsules, as a share of the radius. They touch the table in points, and this keeps them
-# still on a slope of 3 degrees, as real fruit and felt balls stay where they are put.
-_ROLLING = 0.05
+IN_DEPTH = 0.03  # m, least depth of a vessel into which, and not onto which, things are placed
+# Rolling friction of balls and capsules, as a share of the radius: keeps them still on a slope of 3 degrees, as real
+# fruit and felt balls are.
+ROLLING_SHARE = 0.05
+_FRICTION = (0.8, 0.005)  # sliding; torsional, m
 
 
 @dataclass(frozen=True)
-class Thing:
-    """What a scan does not hold: the thing's name, its mass in grams, its colour and its file.
+class ScannedThing:
+    """What a scan does not contain.
 
     Attributes:
-        set, file: the asset set and the file in it.
-        source: where name and mass come from, for the comment on top of the config.
+        set, file: the asset set and the file in that set.
+        source: of name and mass, for the comment on top of the config.
     """
 
     name: str
@@ -46,18 +40,17 @@ class Thing:
 
 @dataclass(frozen=True)
 class Description:
-    """An object's config as YAML with a comment on top, its data, and how well its primitives fit the scan."""
+    """An object's config as YAML with a comment on top, its data, and the fit of its primitives to the scan."""
 
     yaml: str
     data: dict[str, Any]
     fit: SolidFit
 
 
-def describe(thing: Thing, scan: Scan) -> Description:
-    """The config of a thing, from a scan that stands as the thing is to stand.
+def describe(thing: ScannedThing, scan: Scan) -> Description:
+    """The config of a thing from an upright scan, by primitives fitted to the scan.
 
-    Primitives are fitted to the scan, and everything else follows from them. A vessel's origin is on its axis, level
-    with its foot. The origin of any other thing is its centre of mass.
+    A vessel's origin is on its axis, level with its foot. The origin of any other thing is its centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:
@@ -84,17 +77,17 @@ def describe(thing: Thing, scan: Scan) -> Description:
             "quat": [round(float(q), 5) for q in quat],
         },
         "contact": _contact(parts),
-        "collision": [_plain(part) for part in parts],
+        "collision": [primitive_data(part) for part in parts],
         "rest_height": 0.0 if hollow else round(-foot, 4),
     }
-    if hollow and np.ptp(points[:, 2]) >= _IN:
+    if hollow and np.ptp(points[:, 2]) >= IN_DEPTH:
         data["preposition"] = "in"
     if not hollow:
         data["grasp"] = grasp(body, thing.mass_g / 1000, foot, float(points[:, 2].max()))
     return Description(_comment(thing, parts, fit) + dump_yaml(data), data, fit)
 
 
-def _comment(thing: Thing, parts: tuple[Primitive, ...], fit: SolidFit) -> str:
+def _comment(thing: ScannedThing, parts: tuple[Primitive, ...], fit: SolidFit) -> str:
     kinds = [part.type for part in parts]
     made = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     return (
@@ -108,11 +101,11 @@ def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
     round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
     if len(round_) < len(parts):
         return {"friction": [*_FRICTION, 0.0005], "condim": 4}
-    return {"friction": [*_FRICTION, round(_ROLLING * min(round_), 4)], "condim": 6}
+    return {"friction": [*_FRICTION, round(ROLLING_SHARE * min(round_), 4)], "condim": 6}
 
 
 def _middle(part: Primitive) -> Array | None:
-    """A solid primitive's centre of mass (3,), m; None for a ring."""
+    """The centre of mass (3,) of a solid primitive, m; None for a ring."""
     match part:
         case Capsule():
             return np.add(part.start, part.end) / 2
@@ -151,14 +144,5 @@ def _foot(part: Primitive) -> float:
             return min(part.inner[1], part.outer[1]) - part.thickness
 
 
-def _plain(part: Primitive) -> dict[str, Any]:
-    data: dict[str, Any] = part.model_dump(exclude_none=True)
-    return {key: _rounded(value) if isinstance(value, tuple) else _figure(value) for key, value in data.items()}
-
-
 def _rounded(values: Any) -> list[float]:
     return [round(float(value), 5) for value in values]
-
-
-def _figure(value: Any) -> Any:
-    return round(value, 5) if isinstance(value, float) else value

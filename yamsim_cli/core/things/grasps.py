@@ -1,4 +1,4 @@
-"""Where a hand from above holds a fitted shape: across its narrowest side, near its middle."""
+"""Grasps from above: across the narrowest side of a body, near its middle."""
 
 from __future__ import annotations
 
@@ -7,43 +7,33 @@ from typing import Any
 
 import numpy as np
 
-from .body import Body
+from .primitives import Body
 
-# Smallest height of a grasp above the table, m. Any lower, a leaning hand's lower pad would touch the table.
-_OVER_TABLE = 0.0235
-# Smallest depth of a grasp below the top, m. Any higher, a pad would hold only with its edge.
-_UNDER_TOP = 0.010
-# Largest depth of a grasp below the top, m. Any deeper, the palm would touch the top.
-_PALM = 0.045
-# Height of a grasp above the thing's middle, m, so that it hangs steadily.
-_OVER_MIDDLE = 0.004
-
-# Half the width and height of the patch that a pad presses on, m.
-_PAD = 0.008
+_OVER_TABLE = 0.0235  # m, least height over the table: lower, the lower pad of a leaning hand would touch the table
+_UNDER_TOP = 0.010  # m, least depth under the top: higher, a pad would hold only with its edge
+_PALM = 0.045  # m, greatest depth under the top: deeper, the palm would touch the top
+_OVER_MIDDLE = 0.004  # m, height over the thing's middle, so that the thing hangs steadily
+_PAD = 0.008  # m, half the width and height of a pad
 _AXES_DEG = range(180)
-# An outline that is as narrow as at its narrowest over more headings than this counts as round, degrees.
-_ROUND = 60
-# A grasp counts as equally narrow if it is wider than the narrowest one by no more than this, m.
-_LIKE = 0.002
-# How far along the object other places to hold it are, m.
-_ASIDE = (0.015, -0.015)
-
-# Force of each pad: as much as on the banana, N, and for heavier things so many times half the weight.
-_FORCE = 15.0
-_TIMES_WEIGHT = 8.0
+_ROUND = 60  # degrees, range of equally narrow directions above which an outline counts as round
+_LIKE = 0.002  # m, excess over the narrowest width up to which a grasp counts as equally narrow
+_DISPLACED = (0.015, -0.015)  # m, displacements of further grasps along the object
+_FORCE = 15.0  # N, force of each pad, as on the banana
+_TIMES_WEIGHT = 8.0  # least force of each pad, as a multiple of half the weight
 
 
 def grasp(body: Body, mass: float, foot: float, top: float) -> dict[str, Any]:
-    """The `grasp` of an object's config, for a body in the object's frame, whether or not a gripper opens so wide.
+    """The `grasp` of an object's config, whatever the opening of the gripper.
 
     Args:
-        mass: the body's mass, kg.
-        foot, top: heights of its lowest and highest point above the object's origin, m.
+        body: in the object's frame.
+        mass: kg.
+        foot, top: heights of the lowest and the highest point over the object's origin, m.
     """
     height = max((foot + top) / 2 + _OVER_MIDDLE, foot + _OVER_TABLE)
     height = max(min(height, top - _UNDER_TOP), top - _PALM)
     centre = (float(body.centre[0]), float(body.centre[1]))
-    # What pads of that height can touch at all: most of a body is elsewhere.
+    # Only the slice between the pads matters.
     body = Body(body.points[np.abs(body.points[:, 2] - height) <= _PAD], body.step)
     widths = {axis: found for axis in _AXES_DEG if (found := body.width(height, axis, centre, _PAD))}
     least = min(width for width, _ in widths.values())
@@ -56,8 +46,8 @@ def grasp(body: Body, mass: float, foot: float, top: float) -> dict[str, Any]:
     ]
     along = np.array([-math.sin(math.radians(best)), math.cos(math.radians(best))])
     if len(points) == 1:
-        for aside in _ASIDE:
-            at = (centre[0] + float(aside * along[0]), centre[1] + float(aside * along[1]))
+        for offset in _DISPLACED:
+            at = (centre[0] + float(offset * along[0]), centre[1] + float(offset * along[1]))
             found = body.width(height, best, at, _PAD)
             if found and found[0] <= least + _LIKE:
                 points.append(_point(body, height, best, at))
@@ -66,10 +56,10 @@ def grasp(body: Body, mass: float, foot: float, top: float) -> dict[str, Any]:
 
 
 def _middle(axes: list[int]) -> int:
-    """The middle of the first run of neighbouring directions, degrees; 0 for a round outline."""
+    """The middle of the first run of consecutive directions, degrees; 0 for a round outline."""
     if len(axes) > _ROUND:
         return 0
-    # A run may continue past 180 degrees.
+    # A run may wrap around at 180 degrees.
     start = next(axis for axis in axes if (axis - 1) % 180 not in axes)
     length = next(k for k in range(180) if (start + k) % 180 not in axes)
     return (start + (length - 1) // 2) % 180
@@ -77,7 +67,7 @@ def _middle(axes: list[int]) -> int:
 
 def _point(body: Body, height: float, axis: int, at: tuple[float, float]) -> dict[str, Any]:
     found = body.width(height, axis, at, _PAD)
-    assert found is not None  # the caller has found something there
+    assert found is not None  # checked by the caller
     width, middle = found
     angle = math.radians(axis)
     position = [at[0] + middle * math.cos(angle), at[1] + middle * math.sin(angle), height]

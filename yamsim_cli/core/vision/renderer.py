@@ -102,7 +102,7 @@ class SceneRenderer(Closing):
         description: name of the OpenGL implementation that renders.
 
     Args:
-        model: the scene, with a large enough offscreen buffer, see `scene.quality.apply_quality`.
+        model: the scene, with a large enough offscreen buffer, see `scene.surroundings.apply_quality`.
         size: width and height of images, px.
         fine: size in which colour images are rendered before they are averaged to `size`; `size` unless given.
 

@@ -1,4 +1,4 @@
-"""What is moulded, folded or sawn with flat sides: containers, trays, lids, cartons, blocks, folded cloth."""
+"""Things with flat sides: containers, trays, lids, cartons, blocks, folded cloth, dish racks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from ..loft import Surface, loft, moved, outline, ring, tube
 from ..se3 import Array
 from .form import Form, Hold, Piece, Plain, box, capsules
 
-# How far under the rim the middle of the pads is, m; what a hand spans, m.
-_UNDER_RIM = 0.008
-# Deeper the palm would come down on it, m.
-_PALM = 0.040
-_WIDEST = 0.091
+_UNDER_RIM = 0.008  # m, depth of the pads' middle under a rim
+_PALM = 0.040  # m, deepest grasp under the top: deeper, the palm would touch the top
+_WIDEST = 0.091  # m, widest body that a hand spans
 
 
 @dataclass(frozen=True)
@@ -23,11 +21,11 @@ class Container:
     """Sizes of an open box, m.
 
     Attributes:
-        size: outside, at its rim.
-        corner: radius of its upright edges, outside.
-        taper: how much narrower it is at its foot, on each side.
-        cells: how many compartments lie side by side along x.
-        lip: how far its rim stands out; the size holds with it.
+        size: outside, at the rim, with the lip.
+        corner: outer radius of the vertical edges.
+        taper: reduction of the half-width from rim to foot.
+        cells: number of compartments along x.
+        lip: overhang of the rim.
     """
 
     size: tuple[float, float, float]
@@ -55,7 +53,7 @@ def container(size: Container) -> Form:
         collision += _lip(size, x, y)
     z = round(height - _UNDER_RIM, 4)
     thick, flat = round(wall + size.lip, 4), not size.lip
-    # In the middle of what touches.
+    # The middle of the collision walls.
     x, y = (round(half - size.taper / 2 - wall / 2, 4) for half in (x, y))
     holds = [
         Hold("rim", (0.0, y, z), 90.0, thick, flat, tilt_deg=0.0),
@@ -93,7 +91,7 @@ def _open_box(size: Container, x: float, y: float) -> Surface:
 
 
 def walls(half: tuple[float, float], heights: tuple[float, float], wall: float, corner: float) -> list[Plain]:
-    """Boxes for the walls of a box with these outer half-sizes, and one aslant in each round corner, m."""
+    """Boxes for the walls of a box of outer half-sizes `half`, and a slanted one in each round corner, m."""
     x, y = half
     low, high = heights
     middle, tall = (low + high) / 2, high - low
@@ -103,7 +101,7 @@ def walls(half: tuple[float, float], heights: tuple[float, float], wall: float, 
         parts.append(box((sign * (x - wall / 2), 0, middle), (wall, 2 * (y - cut), tall)))
         parts.append(box((0, sign * (y - wall / 2), middle), (2 * (x - cut), wall, tall)))
     if cut:
-        # The box touches the round corner in its middle, outside.
+        # The middle of the box's outside touches the round corner.
         out = corner - wall / 2
         long = 2 * corner * math.tan(math.pi / 8)
         for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
@@ -125,13 +123,13 @@ def _lip(size: Container, x: float, y: float) -> list[Plain]:
 
 
 def lid(size: tuple[float, float, float], corner: float, plate: float, plug: float, knob: tuple[float, float]) -> Form:
-    """A lid as it closes a container: a plate, a rim below it that goes inside, and a bar on top to hold it by.
+    """A lid of a container: a plate, a rim below the plate that goes inside, and a bar on top as a handle.
 
     Args:
         size: of the plate, and the whole height, m.
-        corner: radius of its corners, m.
-        plate: how thick that is, m.
-        plug: how far the rim inside stands in from the plate's edge, m.
+        corner: radius of the plate's corners, m.
+        plate: thickness of the plate, m.
+        plug: distance of the rim from the plate's edge, m.
         knob: length and width of the bar, m.
     """
     x, y, height = size[0] / 2, size[1] / 2, size[2]
@@ -167,7 +165,7 @@ def lid(size: tuple[float, float, float], corner: float, plate: float, plug: flo
 
 
 def block_surface(size: tuple[float, float, float], corner: float, edge: float) -> Surface:
-    """A closed block on the ground with round upright edges of radius `corner` and all others of radius `edge`, m."""
+    """A closed block on the ground: vertical edges of radius `corner`, and all others of radius `edge`, m."""
     x, y, height = size[0] / 2, size[1] / 2, size[2]
     edge = min(edge, height / 2.001, x, y)
     corner = max(corner, edge)
@@ -186,13 +184,13 @@ def block(size: tuple[float, float, float], corner: float, edge: float, band: tu
 
     Args:
         size: m.
-        corner, edge: radius of its upright edges, and of those above and below, m.
-        band: from and to which share of its height goes a band of another colour; None for none.
+        corner, edge: radius of the vertical and of the horizontal edges, m.
+        band: lower and upper end of a printed band, as shares of the height; None for no band.
     """
     pieces = [Piece("body", block_surface(size, corner, edge))]
     if band:
         low, high = (share * size[2] for share in band)
-        # Just outside, so that it is seen; paper and print weigh next to nothing.
+        # The print is 0.2 mm outside the body, so that it is visible.
         shell = loft([outline(size[0] / 2 + 2e-4, size[1] / 2 + 2e-4, corner, z) for z in (low, high)])
         pieces.append(Piece("print", shell))
     collision = [box((0, 0, size[2] / 2), size)]
@@ -203,11 +201,11 @@ def block(size: tuple[float, float, float], corner: float, edge: float, band: tu
 
 
 def textile(size: tuple[float, float, float], folds: int) -> Form:
-    """Folded cloth that lies flat, and is stiff: its layers show at the edges, and it is held at a corner's edge.
+    """Stiff folded cloth that lies flat, with visible layers.
 
     Args:
-        size: folded, m.
-        folds: how many layers lie on each other.
+        size: of the folded cloth, m.
+        folds: number of layers.
     """
     layer = size[2] / folds
     pieces = []
@@ -227,11 +225,11 @@ class Rack:
     """Sizes of a dish rack, m.
 
     Attributes:
-        size: outside, up to the top of the bows at both ends.
-        wire: diameter of its wires.
-        slots: how many there are side by side along x.
-        slot: how wide each is.
-        tine: how high the tines between slots, and before the first and after the last, stand over the ground.
+        size: outside, with the bows at both ends.
+        wire: diameter of the wires.
+        slots: number of slots along x.
+        slot: width of a slot.
+        tine: height of the tines between slots over the ground.
     """
 
     size: tuple[float, float, float]
@@ -241,25 +239,22 @@ class Rack:
     tine: float
 
 
-# Of a rack: height of the middle of its floor's wires, m; radius of its corners, m; the height of its rail as a share
-# of the tines'; how far from the middle its rows of tines are, as a share of its half depth, and the wires along the
-# floor between them; and the radius of the bows' corners, m.
-_RACK_FLOOR, _RACK_CORNER, _RAIL, _ROWS, _BETWEEN, _BOW = 0.012, 0.03, 0.7, 0.37, 0.12, 0.03
+_RACK_FLOOR, _RACK_CORNER = 0.012, 0.03  # m, height of the floor's wires; radius of the corners
+_RAIL = 0.7  # height of the rail, as a share of the tines'
+_ROWS, _BETWEEN = 0.37, 0.12  # y of the rows of tines and of the floor's inner wires, as shares of the half depth
+_BOW = 0.03  # m, radius of the bows' corners
 
 
 def rack(size: Rack) -> Form:
-    """A low rack of bent wire: a floor with a rail round it, two rows of tines, and a bow at each end to lift it by."""
+    """A low rack of bent wire: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
     r = size.wire / 2
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
     pieces, collision = [], list[Plain]()
 
     def wire(path: Array) -> None:
-        way = np.asarray(path, float)
-        side = (
-            (0.31, 0.17, 0.93) if abs(way[-1, 2] - way[0, 2]) < 0.5 * np.ptp(way[:, :2], axis=0).max() else (1, 0.1, 0)
-        )
-        pieces.append(Piece("body", tube(way, r, r, side, 8)))
-        collision.extend(capsules(way, r))
+        flat = abs(path[-1, 2] - path[0, 2]) < 0.5 * np.ptp(path[:, :2], axis=0).max()
+        pieces.append(Piece("body", tube(path, r, r, (0.31, 0.17, 0.93) if flat else (1, 0.1, 0), 8)))
+        collision.extend(capsules(path, r))
 
     for z in (_RACK_FLOOR, _RAIL * size.tine):
         frame = outline(x, y, _RACK_CORNER, z, 5)
@@ -280,7 +275,7 @@ def rack(size: Rack) -> Form:
 
 
 def _bow(x: float, half: float, foot: float, top: float) -> Array:
-    """The way (n, 3) of an upright bow at one end: a foot at each side, and a bar above."""
+    """The path (n, 3) of an upright bow at one end: a foot at each side, and a bar above."""
     turn = np.linspace(0, np.pi / 2, 4)
     across, up = half - _BOW + _BOW * np.cos(turn), top - _BOW + _BOW * np.sin(turn)
     side = np.concatenate([[[half, foot]], np.column_stack([across, up])])

@@ -1,4 +1,4 @@
-"""What is stamped and bent from a strip: spoons, forks, knives, turners. All lie flat, their handles along y."""
+"""Cutlery that lies flat, handles along y: spoons, forks, knives, turners."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from .form import Form, Hold, Piece, Plain, capsule, capsules, simplified
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
-# Pads whose middle is so high clear the table when the hand leans; so much higher than a handle's middle they may lie,
-# m.
-_ROOM, _OVER = 0.018, 0.004
+_ROOM = 0.018  # m, height of the pads' middle at which the pads of a leaning hand clear the table
+_OVER = 0.004  # m, most height of the pads' middle over the handle's
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class Cutlery:
 
     Attributes:
         size: width, length and height of the whole.
-        grip: width of the handle where it is widest.
-        thickness: of the metal; a handle of another material is thicker.
+        grip: greatest width of the handle.
+        thickness: of the head.
         handle: thickness of the handle.
     """
 
@@ -46,12 +45,11 @@ def cutlery(size: Cutlery) -> Form:
     surface = tube(path, widths, thick, (1, 0, 0), 16)
     rails = simplified(np.column_stack([path, widths]), 0.0007)
     for sign in (-1, 0, 1):
-        way = rails[:, :3] + np.outer(sign * np.maximum(rails[:, 3] - thick, 0), [1, 0, 0])
-        collision += capsules(way, thick)
+        rail = rails[:, :3] + np.outer(sign * np.maximum(rails[:, 3] - thick, 0), [1, 0, 0])
+        collision += capsules(rail, thick)
     pieces = (Piece("body", head), Piece("handle", surface))
-    places = (0.88, 0.78, 0.68, 0.58, 0.48)
     holds = []
-    for share in places:
+    for share in (0.88, 0.78, 0.68, 0.58, 0.48):
         k = int(share * (len(path) - 1))
         x, y, z = (float(v) for v in path[k])
         place = (round(x, 4), round(y, 4), round(max(z, min(z + _OVER, _ROOM)), 4))
@@ -60,23 +58,23 @@ def cutlery(size: Cutlery) -> Form:
 
 
 def _head(size: Cutlery) -> float:
-    """How long the head is, m."""
+    """The length of the head, m."""
     return {"spoon": 0.32, "fork": 0.33, "knife": 0.54, "turner": 0.32}[size.kind] * size.size[1]
 
 
 def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
-    """The handle's middle line (n, 3) from its end to the head, and half its width there (n,), m."""
+    """The handle's centre line (n, 3) from its end to the head, and half its width (n,), m."""
     t = np.linspace(0, 1, 25)
     end = -size.size[1] / 2 + size.handle / 2
     y = end + (start + 0.006 - end) * t
     low, high = size.handle / 2, size.size[2] - size.handle / 2
-    # Up from the end that touches the table to the highest place, and down to the head: pads find room under it.
+    # The handle rises from its end on the table and falls to the head, which leaves room for the pads.
     neck = _neck_height(size)
     z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
     z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")
     z = low + (z - z[0]) * (high - low) / (z.max() - z[0])
     z[-1] = neck
-    # Straight where it is held: pads lie on it with their faces.
+    # The sides are straight where the pads hold.
     narrow = 0.85 if size.kind == "knife" else 0.55
     half = size.grip / 2 * np.interp(t, [0, 0.1, 0.84, 1], [0.7, 1.0, 0.96, narrow])
     return np.column_stack([np.zeros_like(t), y, z]), half
@@ -94,10 +92,10 @@ def _sheet(
     steps: int = 21,
     across: int = 15,
 ) -> Surface:
-    """A sheet: at each place along y from left to right edge, at a height of its own, so thick."""
+    """A sheet of a thickness: `outline_` gives its left and right edge, and `height` its underside, along y."""
     loops = []
     u = np.linspace(-1, 1, across)
-    # Closer together at both ends, where outlines turn.
+    # The steps are shorter at both ends, where outlines turn.
     for t in (1 - np.cos(np.linspace(0, np.pi, steps))) / 2:
         left, right = outline_(float(t))
         x = (left + right) / 2 + (right - left) / 2 * u
@@ -115,7 +113,7 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[Plain]]:
     deep, neck = 0.40 * size.size[2], _neck_height(size)
 
     def along(t: float) -> float:
-        # From -1 to 1, rather faster at the beginning: an egg, its blunt end at the tip.
+        # From -1 to 1, faster at the start: an egg with its blunt end at the tip.
         return float(2 * t**0.9 - 1)
 
     def half(t: float) -> float:
@@ -138,20 +136,13 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[Plain]]:
         for t in turn[::s]
     ]
     parts: list[Plain] = capsules(np.array(edge), radius, closed=True)
-    # The bottom: bars lengthwise, as deep as the bowl is there, and close enough that nothing falls through.
+    # The bottom: lengthwise bars at the bowl's depth, close enough that nothing falls through.
     for share in (-0.66, -0.33, 0.0, 0.33, 0.66):
-        t = np.linspace(0.1, 0.92, 7)
-        way = np.array(
-            [
-                (
-                    share * half(float(s)),
-                    y0 + long * s,
-                    float(height(np.array([share * half(float(s))]), float(s))[0]) + radius,
-                )
-                for s in t
-            ]
-        )
-        parts += capsules(simplified(way, 0.0006), radius)
+        bar = []
+        for s in np.linspace(0.1, 0.92, 7):
+            x = share * half(float(s))
+            bar.append((x, y0 + long * s, float(height(np.array([x]), float(s))[0]) + radius))
+        parts += capsules(simplified(np.array(bar), 0.0006), radius)
     return surface, parts
 
 
@@ -162,10 +153,9 @@ def _fork(size: Cutlery) -> tuple[Surface, list[Plain]]:
     root = 0.42
 
     def height(t: float) -> float:
-        # Down to the table in the middle, up again at the tips.
-        return float(
-            np.interp(t, [0, 0.25, 0.5, 0.75, 1], [neck - thick / 2, 0.42 * neck, 0.08 * neck, 0.0, 0.22 * neck])
-        )
+        # The head touches the table in its middle; its tips are higher.
+        levels = [neck - thick / 2, 0.42 * neck, 0.08 * neck, 0.0, 0.22 * neck]
+        return float(np.interp(t, [0, 0.25, 0.5, 0.75, 1], levels))
 
     def half(t: float) -> float:
         return float(wide / 2 * np.interp(t / root, [0, 0.3, 0.7, 1], [0.18, 0.45, 0.9, 1.0]))
@@ -187,8 +177,8 @@ def _fork(size: Cutlery) -> tuple[Surface, list[Plain]]:
         parts += capsules(simplified(path - [0, radius, 0], 0.0005), radius)
     t = np.linspace(0, root, 5)
     for sign in (-1.0, -0.35, 0.35, 1.0):
-        way = np.array([(sign * (half(float(s)) - radius), y0 + long * s, height(float(s)) + radius) for s in t])
-        parts += capsules(way, radius)
+        rail = np.array([(sign * (half(float(s)) - radius), y0 + long * s, height(float(s)) + radius) for s in t])
+        parts += capsules(rail, radius)
     lift = max(0.0, radius - thick / 2)
     return moved(joined(surfaces), (0, 0, lift)), parts
 
@@ -204,7 +194,7 @@ def _knife(size: Cutlery) -> tuple[Surface, list[Plain]]:
         return blade, back
 
     def level(t: float) -> float:
-        # Down to the table behind the bolster: it lies on its blade and on the handle's end.
+        # The knife lies on its blade and on the handle's end.
         return float((neck - thick / 2) * max(0.0, 1 - t / 0.3) ** 1.6)
 
     surface = _sheet(edges, lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
@@ -212,17 +202,12 @@ def _knife(size: Cutlery) -> tuple[Surface, list[Plain]]:
     t = np.concatenate([np.linspace(0.0, 0.3, 4), np.linspace(0.3, 0.99, 5)[1:]])
     parts: list[Plain] = []
     for share in (0.0, 0.33, 0.67, 1.0):
-        way = []
+        rail = []
         for s in t:
             low, high = edges(float(s))
-            way.append(
-                (
-                    low + radius + share * max(high - low - 2 * radius, 0),
-                    y0 + (long - radius) * s,
-                    level(float(s)) + radius,
-                )
-            )
-        parts += capsules(simplified(np.array(way), 0.0008), radius)
+            x = low + radius + share * max(high - low - 2 * radius, 0)
+            rail.append((x, y0 + (long - radius) * s, level(float(s)) + radius))
+        parts += capsules(simplified(np.array(rail), 0.0008), radius)
     return surface, parts
 
 
@@ -242,10 +227,8 @@ def _turner(size: Cutlery) -> tuple[Surface, list[Plain]]:
     t = np.linspace(0, 1, 9)
     parts: list[Plain] = []
     for share in (-1.0, -0.6, -0.2, 0.2, 0.6, 1.0):
-        way = np.array(
-            [(share * (half(float(s)) - radius), y0 + (long - radius) * s, level(float(s)) + radius) for s in t]
-        )
-        parts += capsules(simplified(way, 0.0006), radius)
+        rail = [(share * (half(float(s)) - radius), y0 + (long - radius) * s, level(float(s)) + radius) for s in t]
+        parts += capsules(simplified(np.array(rail), 0.0006), radius)
     parts.append(capsule((-half(1.0) + radius, y1 - radius, radius), (half(1.0) - radius, y1 - radius, radius), radius))
     return surface, parts
 

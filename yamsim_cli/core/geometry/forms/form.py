@@ -1,4 +1,4 @@
-"""What every way of making a thing gives: surfaces to see, primitives to collide, places to hold it."""
+"""A generated thing: visual surfaces, collision primitives and grasps."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from numpy.typing import ArrayLike
 from ..loft import Surface
 from ..se3 import Array
 
-# A primitive as a config spells it.
+# A collision primitive as configs write it.
 Plain = Mapping[str, Any]
 
-# Thinner walls would let things through, m.
-LEAST_WALL = 0.002
+_LEAST_WALL = 0.002  # m, things could pass through thinner walls
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A closed surface of one material: its role, such as "body" or "handle", names which."""
+    """A closed surface of one material; `role`, such as "body" or "handle", selects the material."""
 
     role: str
     surface: Surface
@@ -30,17 +29,17 @@ class Piece:
 
 @dataclass(frozen=True)
 class Hold:
-    """A place that two fingers from above can close on.
+    """A grasp from above with two fingers.
 
     Attributes:
         where: "body", "rim", "edge" or "handle".
         position: middle between the pads (3,), m.
-        axis_deg: direction in which the fingers close, degrees from +x.
-        width: of what is between them, m.
-        flat: whether both pads lie on it with their faces; what they only touch with a line pivots between them.
-        tilt_deg: of the hand from straight down, fingers towards `axis_deg`, so that they lie on a wall, degrees; None
-            where it is no wall that they lie on.
-        depth: how much of it is between the fingers, along them, m: on that they keep it from turning.
+        axis_deg: closing direction of the fingers, degrees from +x.
+        width: thickness of the thing between the pads, m.
+        flat: whether both pads touch with their faces; on a line contact the thing pivots between the pads.
+        tilt_deg: tilt of the hand from vertical towards `axis_deg`, so that the pads lie on a wall, degrees; None where
+            the pads hold no wall.
+        depth: length of the thing between the fingers, along them, m; the lever that keeps the thing from turning.
     """
 
     where: str
@@ -54,14 +53,14 @@ class Hold:
 
 @dataclass(frozen=True)
 class Form:
-    """A thing as it stands, z up, its origin on the ground under its middle.
+    """A thing as it stands, z up, with the origin on the ground under its middle.
 
     Attributes:
-        holds: the best first; none where no hand from above can hold it.
-        carries: the preposition of what is put there, "in" or "on".
-        support: height of what something put into its middle comes to lie on, m; None where nothing would stay.
-        rolls: the least radius of what it touches the ground with, m; 0 where that is flat.
-        turned: whether it is the same from all around, so that holds of one kind are as good as each other.
+        holds: the best first; empty where no grasp from above is possible.
+        carries: the preposition of things placed on it, "in" or "on".
+        support: height of the surface in the middle on which things are placed, m; None where nothing would stay.
+        rolls: the least radius of its round contacts with the ground, m; 0 for a flat foot.
+        turned: whether the thing is rotationally symmetric, so that all holds of one kind are equal.
     """
 
     pieces: tuple[Piece, ...]
@@ -90,29 +89,29 @@ def cylinder(low: float, high: float, radius: float) -> Plain:
 
 
 def sphere(centre: Sequence[float], radius: float) -> Plain:
-    """A ball."""
+    """A ball, m."""
     return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
 
 
 def capsule(start: ArrayLike, end: ArrayLike, radius: float) -> Plain:
-    """A capsule between two points."""
+    """A capsule between two points (3,), m."""
     return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
 
 
 def capsules(path: ArrayLike, radius: float, *, closed: bool = False) -> list[Plain]:
-    """Capsules along a path (n, 3), and back to its beginning where it is closed."""
-    way = list(np.asarray(path, float))
-    return [capsule(a, b, radius) for a, b in itertools.pairwise([*way, way[0]] if closed else way)]
+    """Capsules along a path (n, 3), and back to its start if `closed`."""
+    points = list(np.asarray(path, float))
+    return [capsule(a, b, radius) for a, b in itertools.pairwise([*points, points[0]] if closed else points)]
 
 
 def rings(corners: Array, wall: float, segments: int) -> list[Plain]:
-    """Rings of boxes under each straight piece of a profile (n, 2) of an inner surface, m."""
+    """A ring of boxes under each segment of a profile (n, 2) of an inner surface, m."""
     return [
         {
             "type": "ring",
             "inner": _plain(a),
             "outer": _plain(b),
-            "thickness": _short(max(wall, LEAST_WALL)),
+            "thickness": _short(max(wall, _LEAST_WALL)),
             "segments": segments,
         }
         for a, b in itertools.pairwise(corners)
@@ -120,7 +119,7 @@ def rings(corners: Array, wall: float, segments: int) -> list[Plain]:
 
 
 def simplified(profile: Array, tolerance: float) -> Array:
-    """The corners (k, n) of straight pieces that stay within a tolerance of a line (m, n)."""
+    """The corners (k, n) of a polyline within a tolerance of a line (m, n) (Ramer-Douglas-Peucker)."""
     start, end = profile[0], profile[-1]
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
     rest = profile - start
@@ -136,5 +135,4 @@ def _plain(values: ArrayLike) -> list[float]:
 
 
 def _short(value: float) -> float:
-    # Adding zero turns a negative one into a plain one.
-    return round(float(value), 5) + 0.0
+    return round(float(value), 5) + 0.0  # -0.0 becomes 0.0

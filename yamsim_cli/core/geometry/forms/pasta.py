@@ -1,4 +1,4 @@
-"""Dry pasta: tubes cut straight or aslant, ridged or plain, and rods. All lie along y."""
+"""Dry pasta along y: tubes with straight or slanted ends, ridged or plain, and rods."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _AROUND = 48
 
 
 def pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges: int) -> Form:
-    """One piece.
+    """One piece of pasta.
 
     Args:
         diameter, length: outside, m.
-        wall: how thick a tube's is, m; 0 for a rod.
-        slant_deg: how far its ends are from being cut straight across.
-        ridges: how many go along it.
+        wall: thickness of a tube's wall, m; 0 for a rod.
+        slant_deg: angle of the ends from a straight cut.
+        ridges: number of ridges along it.
     """
     radius = diameter / 2
     surface = _pipe(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
@@ -31,9 +31,7 @@ def pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges:
 def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:
     angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
     outer = radius * (1 - (0.03 + 0.03 * np.cos(ridges * angle) if ridges else 0.0 * angle))
-    # The longest outside is the whole length.
-    cut = slant * radius
-    straight = length / 2 - cut
+    straight = length / 2 - slant * radius
 
     def loop(r: Array, end: float, inset: float) -> Array:
         x, z = r * np.cos(angle), r * np.sin(angle)

@@ -1,4 +1,4 @@
-"""What is turned on a wheel or blown: plates, bowls, cups, pots, jars, bottles, caps, and fruit."""
+"""Round things: plates, bowls, cups, pots, jars, bottles, caps, and fruit."""
 
 from __future__ import annotations
 
@@ -14,19 +14,15 @@ from .form import Form, Hold, Piece, Plain, capsules, cylinder, rings, simplifie
 
 Handles = Literal["none", "loop", "ears"]
 
-# Faces and boxes around the axis, and how far straight pieces may stray from a profile, m.
-_SEEN = 48
-_BOXES, _FEW_BOXES = 24, 16
-_NARROW = 0.05
-_TOLERANCE = 0.0010
-
-# A body wider than this is held by its rim: linear_4310 opens 95 mm.
-_WIDEST = 0.091
-# How far under the rim the middle of the pads is, so that the rim lies between the fingers above them, half a pad's
-# height, and how far under the top the pads are at most: deeper the palm comes down on it, m.
-_UNDER_RIM, _PAD, _PALM = 0.014, 0.008, 0.040
-# A neck is held by its middle, so far under its rim, m.
-_NECK = 0.014
+_SEEN = 48  # visual faces around the axis
+_BOXES, _FEW_BOXES = 24, 16  # collision boxes around the axis of a wide and of a narrow vessel
+_NARROW = 0.05  # m, greatest radius of a narrow vessel
+_TOLERANCE = 0.0010  # m, distance of collision segments from the profile
+_WIDEST = 0.091  # m, widest body that is not held by its rim: linear_4310 opens 95 mm
+_UNDER_RIM = 0.014  # m, depth of the pads' middle under the rim, which then lies between the fingers above the pads
+_PAD = 0.008  # m, half a pad's height
+_PALM = 0.040  # m, deepest grasp under the top: deeper, the palm would touch the top
+_NECK = 0.014  # m, depth under the rim at which a neck is held
 
 
 @dataclass(frozen=True)
@@ -34,14 +30,14 @@ class Vessel:
     """Sizes of an open vessel, m.
 
     Attributes:
-        diameter: where it is widest, outside.
-        foot: outer diameter of its bottom.
-        flare: how its wall widens from foot to rim: as the height to this power. Below 1 it is round like a bowl, 1 is
-            a cone, above 1 like a trumpet.
-        fillet: radius of the edge between floor and wall, inside.
-        neck, shoulder, slope: outer diameter of a neck; the height where the body ends; how high it narrows over.
+        diameter: greatest outer diameter.
+        foot: outer diameter of the bottom.
+        flare: exponent of the wall's widening from foot to rim over the height: below 1 a bowl, 1 a cone, above 1 a
+            trumpet.
+        fillet: inner radius of the edge between floor and wall.
+        neck, shoulder, slope: outer diameter of a neck; height of the body's end; height over which the body narrows.
         handles: one upright loop, or two ears.
-        reach: how far handles stand out from the body.
+        reach: distance by which handles stand out.
     """
 
     diameter: float
@@ -78,7 +74,7 @@ class Vessel:
 
 
 def vessel(size: Vessel) -> Form:
-    """An open vessel that stands on its foot."""
+    """An open vessel on its foot."""
     inside = size.inside()
     pieces = [Piece("body", turned(thickened(inside, size.wall), _SEEN))]
     segments = _segments(size)
@@ -89,18 +85,12 @@ def vessel(size: Vessel) -> Form:
         pieces.append(Piece("handle", surface))
         collision += capsules(simplified(path, _TOLERANCE), radius)
     deep = size.height > 0.03
-    return Form(
-        tuple(pieces),
-        tuple(collision),
-        tuple(_holds(size, inside)),
-        "in" if deep else "on",
-        size.wall,
-        turned=size.handles == "none",
-    )
+    holds, carries = tuple(_holds(size, inside)), "in" if deep else "on"
+    return Form(tuple(pieces), tuple(collision), holds, carries, size.wall, turned=size.handles == "none")
 
 
 def _segments(size: Vessel) -> int:
-    """How many boxes go round it."""
+    """The number of collision boxes around the axis."""
     return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
@@ -111,30 +101,28 @@ def _outer(size: Vessel, inside: Array, height: float) -> float:
 
 
 def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
-    """Each handle's surface, its middle line (n, 3), and its radius, m."""
+    """Each handle's surface, centre line (n, 3), m, and radius, m."""
     inside, top = size.inside(), size.height
     if size.handles == "loop":
         low, high = 0.22 * top, 0.85 * top
         thick = min(0.0065, size.reach / 4)
         start, end = (_outer(size, inside, height) + 0.75 * thick - size.wall for height in (high, low))
         turn = np.linspace(0, np.pi, 15)
-        # A D on its side: from the wall, out, down and back.
+        # The loop has the shape of a D.
         x = np.interp(turn, [0, np.pi], [start, end]) + (size.reach - 1.75 * thick) * np.sin(turn) ** 0.6
         rise = (high + low) / 2 + (high - low) / 2 * np.cos(turn)
         path = np.column_stack([x, np.zeros_like(x), rise])
         return [(tube(path, thick, thick * 0.75, (0, 1, 0)), path, thick * 0.85)]
     if size.handles == "ears":
         thick, z = 0.0055, top - 0.022
-        # The round ends stay within the wall.
+        # The round ends stay inside the wall.
         radius = _outer(size, inside, z) + thick - size.wall
         half = np.radians(17)
         turn = np.linspace(-1, 1, 15)
         ears = []
         for side in (0.0, np.pi):
-            out = (
-                radius * np.cos(half * turn)
-                + (size.reach - 2 * thick) * np.clip(np.cos(np.pi / 2 * turn), 0, 1) ** 0.45
-            )
+            bulge = (size.reach - 2 * thick) * np.clip(np.cos(np.pi / 2 * turn), 0, 1) ** 0.45
+            out = radius * np.cos(half * turn) + bulge
             along = radius * np.sin(half * turn)
             path = np.column_stack([np.cos(side) * out, np.cos(side) * along, z + 0.006 * np.cos(np.pi / 2 * turn)])
             ears.append((tube(path, thick, thick, (0, 0, 1)), path, thick))
@@ -143,13 +131,13 @@ def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
 
 
 def _holds(size: Vessel, inside: Array) -> list[Hold]:
-    """Across the body where a hand spans it, at the rim in any case, then at an upright handle."""
+    """Grasps across the body where a hand spans the body, then at the rim."""
     found: list[Hold] = []
     neck = size.neck is not None
     height = max(0.55 * size.height, size.height - _PALM)
     if size.neck and size.neck < 0.06:
         height = size.height - _NECK
-    # At every other box, where pads lie on its face.
+    # The pads lie on the face of every other box.
     around = np.arange(0.0, 360.0, 720.0 / _segments(size))
     width = 2 * _outer(size, inside, height)
     if width <= _WIDEST:
@@ -167,23 +155,21 @@ def _holds(size: Vessel, inside: Array) -> list[Hold]:
 
 
 def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
-    """Where pads lie on the wall: radius and height of its middle (m), how it leans outwards (rad), how far it bulges
-    (m).
-    """
+    """The wall between the pads: radius and height of its middle, m, its tilt outwards, rad, and its bulge, m."""
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
-    # Along the wall, not upright: a plate's rim is flat.
+    # The depth is measured along the wall: a plate's rim is flat.
     under = np.linalg.norm(wall - wall[0], axis=1)
     middle = min(_UNDER_RIM, under[-1] / 2)
     places = middle + np.linspace(-1, 1, 9) * min(_PAD, middle)
     line = np.column_stack([np.interp(places, under, wall[:, k]) for k in (0, 1)])
-    way = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
-    out = np.array([way[1], -way[0]])
+    up = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
+    out = np.array([up[1], -up[0]])
     r, z = line[4] + out * size.wall / 2
-    return float(r), round(float(z), 4), math.atan2(float(way[0]), float(way[1])), float(np.ptp(line @ out))
+    return float(r), round(float(z), 4), math.atan2(float(up[0]), float(up[1])), float(np.ptp(line @ out))
 
 
 def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
-    """A screw cap or lid that lies as it closes a vessel, its hollow side down; `grips` ridges go round it."""
+    """A screw cap or lid, hollow side down, with `grips` ridges around it."""
     radius = diameter / 2
     top = np.concatenate([[[0.0, height]], arc((radius - 0.0015, height - 0.0015), 0.0015, 90, 0, 4), [[radius, 0.0]]])
     under = np.array([[radius - wall, 0.0], [radius - wall, height - wall], [0.0, height - wall]])
@@ -199,7 +185,7 @@ def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
 
 
 def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> Form:
-    """A round fruit with `lobes` swellings of a share `depth`, a dent on top and a stalk in it."""
+    """A round fruit with `lobes` swellings of a share `depth` of its radius, a dent on top, and a stalk in the dent."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 33)
     radius = diameter / 2 / (1 + depth) * np.cos(turn) ** 0.85
     z = height / 2 * (1 + np.sin(turn))
@@ -220,10 +206,10 @@ def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float
             angle = 2 * np.pi * k / 5
             out = 0.26 * diameter * leaf
             drop = np.interp(out, radius[::-1][:14], profile[::-1, 1][:14])
-            way = np.column_stack([out * np.cos(angle), out * np.sin(angle), drop + 0.0012])
+            line = np.column_stack([out * np.cos(angle), out * np.sin(angle), drop + 0.0012])
             side = (-np.sin(angle), np.cos(angle), 0)
             width = 0.0038 * np.sin(np.pi * np.clip(leaf * 0.9 + 0.08, 0, 1)) + 0.0004
-            pieces.append(Piece("stalk", tube(way, width, 0.0007, side, 8)))
+            pieces.append(Piece("stalk", tube(line, width, 0.0007, side, 8)))
     middle = float((profile[:, 1].max()) / 2)
     ball = min(diameter / 2, middle)
     waist = max(diameter / 2 - ball, 0.0)

@@ -1,4 +1,4 @@
-"""Joints of a thing's parts in MuJoCo's terms: hinges, slides, screws, the ridges they pass, and handles."""
+"""Joints of articulated objects: hinges, slides, screws, detents, and sites of handles."""
 
 from __future__ import annotations
 
@@ -11,22 +11,17 @@ import numpy as np
 
 from ...config.things.articulation import Detent, Handle, Link, LinkJoint
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from .looks import HIDDEN_GROUP
+from .geoms import HIDDEN_GROUP
 
-# A hinge's ridge is felt so far from its axis, m; any radius gives the same torque.
-_RADIUS = 0.05
-# Longer than any ridge's spring becomes: it pulls nowhere, m.
-_SLACK = 10.0
-_STEPS = 400
-
-# Of a thread, s and share of critical damping: as stiff as a step of 2 ms allows.
-_STIFF = (0.004, 1.0)
-# With MuJoCo's default, what friction holds creeps by millimetres a second.
-_DRY = (0.99, 0.999, 0.001, 0.5, 2.0)
+_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
+_SLACK = 10.0  # m, longer than any detent's spring becomes, so that the spring never pulls
+_STEPS = 400  # positions at which a detent's force is measured
+_STIFF = (0.004, 1.0)  # solref of a thread: as stiff as a step of 2 ms allows
+_DRY = (0.99, 0.999, 0.001, 0.5, 2.0)  # solimp of friction; with MuJoCo's default, joints creep by millimetres a second
 
 
 def motion(joint: LinkJoint, value: float) -> Array:
-    """The move (4, 4) of a part, in its own frame, from where the joint is at 0; `value` in m or rad."""
+    """The motion (4, 4) of a part in its frame at joint position 0; `value` in m or rad."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if not joint.turns:
         return pose(value * axis)
@@ -37,13 +32,13 @@ def motion(joint: LinkJoint, value: float) -> Array:
 
 
 def start_pose(link: Link) -> Array:
-    """Pose (4, 4) of a part in its parent where its joint starts."""
+    """The pose (4, 4) of a part in its parent at the joint's start."""
     T: Array = link.T_in_parent @ motion(link.joint, link.joint.si(link.joint.start))
     return T
 
 
 def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link) -> None:
-    """Let a body move on its parent as `link.joint` says, as joint `name`."""
+    """Add the joint `name` of a link, with its thread and detents."""
     joint = link.joint
     start = joint.si(joint.start)
     rubs = {"damping": [joint.damping, 0, 0], "frictionloss": joint.friction, "armature": joint.armature}
@@ -58,8 +53,8 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
             name=f"{name}_thread",
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            # Told in turns, not in lifts: MuJoCo takes an equality's softness from the sum of what its joints weigh,
-            # and a cap's turning weighs so little that its lift would sag by centimetres.
+            # The rotation follows the lift: an equality's softness depends on its joints' inertias, and in the opposite
+            # direction a cap, whose rotational inertia is small, would sag by centimetres.
             name1=name,
             name2=f"{name}_thread",
             data=[0, 1 / lead, *[0] * 10],
@@ -70,7 +65,7 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
         type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
         axis=joint.axis,
         pos=joint.position,
-        # MuJoCo's specs hold degrees where their compiler is told so, and composed ones are.
+        # Specs with compiler angle in degrees have ranges in degrees.
         range=[_angle(spec, joint, end) for end in joint.range],
         limited=True,
         ref=_angle(spec, joint, joint.start),
@@ -86,26 +81,25 @@ def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
 
 
 def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link, detent: Detent) -> None:
-    """A spring that the part presses together on its way over the ridge, and that is slack elsewhere.
+    """Add a spring that the part compresses on its way over the detent, and that is slack elsewhere.
 
-    One end is on the part, the other on the parent, beside where the first passes: the force along the way grows to
-    both sides of the ridge and is none beyond its feet.
+    One end is on the part, the other on the parent, beside the path of the first.
     """
     joint = link.joint
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    aside /= np.linalg.norm(aside)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
     at, half = joint.si(detent.at), joint.si(detent.width) / 2
-    on_part = np.array(joint.position) + (_RADIUS * aside if joint.turns else 0.0)
+    on_part = np.array(joint.position) + (_RADIUS * across if joint.turns else 0.0)
     foot = 2 * _RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
-    beside = foot * (axis if joint.turns else aside)
+    offset = foot * (axis if joint.turns else across)
     T = link.T_in_parent @ motion(joint, at)
     body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
-    parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + beside), 1.0])[:3], group=HIDDEN_GROUP)
-    way = np.linspace(0, half, _STEPS)
-    chord = 2 * _RADIUS * np.sin(way / 2) if joint.turns else way
+    parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + offset), 1.0])[:3], group=HIDDEN_GROUP)
+    path = np.linspace(0, half, _STEPS)
+    chord = 2 * _RADIUS * np.sin(path / 2) if joint.turns else path
     length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
-    push = (rest - length) * np.gradient(length, way)
+    push = (rest - length) * np.gradient(length, path)
     tendon = spec.add_tendon(name=name, springlength=[rest, _SLACK], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])
     tendon.stiffness = [detent.effort / float(push.max()), 0, 0]
     tendon.wrap_site(f"{name}_part")
@@ -113,7 +107,7 @@ def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Li
 
 
 def add_handles(body: Any, name: str, handles: Sequence[Handle]) -> None:
-    """Mark where hands take hold as sites `<name>_<handle>`, in the pinch's frame."""
+    """Add handles as sites `<name>_<handle>` in the pinch frame."""
     for handle in handles:
         T = handle.T_pinch_in_part
         body.add_site(

@@ -1,4 +1,4 @@
-"""Objects in a scene: primitives or convex parts carry the contacts, meshes are only seen, and links move."""
+"""Objects in a scene: bodies with collision geoms, visual meshes, links and handles."""
 
 from __future__ import annotations
 
@@ -14,26 +14,23 @@ from ...config.things.primitives import CollisionPart, Primitive, Ring
 from ...config.things.thing import ObjectConfig
 from ...geometry.se3 import quat_from_rotation
 from ..cloth import add_cloth
+from .geoms import MeshFiles, add_collision, add_look, add_material, add_primitive, add_seen_ring
 from .joints import add_handles, add_link_joint, start_pose
-from .looks import MeshFiles, add_look, add_material
-from .shapes import add_collision, add_primitive, add_seen_ring
 
-# A fixed base is held by so much inertia and damping of its free joint that no hand moves it by 0.1 mm in a minute; so
-# it can be put anywhere in each attempt, as everything else can. kg and N s/m, and the same where it turns.
-_HELD_INERTIA = 1e4
-_HELD_DAMPING = 1e7
+# A fixed base has a free joint, so that each attempt can place the base. Armature (kg, kg m2) and damping (N s/m,
+# N m s) let no hand move the base by 0.1 mm in a minute.
+_HELD_INERTIA, _HELD_DAMPING = 1e4, 1e7
 
 
 def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fixed: bool = False) -> None:
-    """Add a free body named after the object, with its links on it; or a cloth.
+    """Add an object as a free body of its name, with its links; or a cloth.
 
     Args:
-        meshes: asset set -> folder; without the sets of its looks the collision primitives are shown instead, with the
-            same physics.
-        fixed: rather one that stands where it is put, as mocap bodies do.
+        meshes: asset set -> folder; without a set of visual meshes, the collision primitives are visible instead.
+        fixed: whether to add a mocap body in place of a free one.
 
     Raises:
-        ResourceError: a mesh that it collides by is not here.
+        ResourceError: a collision mesh is not here.
     """
     if item.cloth is not None:
         assert not fixed, "distractors are stiff"
@@ -60,10 +57,9 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
         T = start_pose(link)
         body = parent.add_body(name=name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
         add_link_joint(spec, parent, body, name, link)
-        looks = link.meshes or ()
         _fill(
-            spec, body, name, link.inertia, item.contact, looks, link.collision, link.look, (item.mesh.set, meshes),
-            plain=item.mesh,
+            spec, body, name, link.inertia, item.contact, link.meshes or (), link.collision, link.look,
+            (item.mesh.set, meshes), plain=item.mesh,
         )  # fmt: skip
         add_handles(body, name, link.handles)
         bodies[link.name] = body
@@ -81,11 +77,7 @@ def _fill(
     files: tuple[str, MeshFiles],
     plain: ObjectMesh | None = None,
 ) -> None:
-    """Give a body its weight, its looks and what touches.
-
-    Args:
-        plain: whose colour a part without a mesh has.
-    """
+    """Add inertia, visual meshes and collision geoms to a body. A part without a mesh has the colour of `plain`."""
     body.mass, body.ipos = inertia.mass, inertia.centre
     body.inertia = inertia.diagonal
     body.iquat = np.asarray(inertia.quat) / np.linalg.norm(inertia.quat)

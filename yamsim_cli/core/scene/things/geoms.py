@@ -1,15 +1,18 @@
-"""What touches: primitives, rings of boxes, and meshes that collide by their hull or by their distance."""
+"""Geoms of objects: visual meshes with materials; primitives, rings of boxes, convex hulls, and distance fields."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.things.parts import Contact
+from ...assets.own_sets import is_own
+from ...config.things.parts import Contact, ObjectMesh
 from ...config.things.primitives import (
     Box,
     Capsule,
@@ -24,12 +27,57 @@ from ...config.things.primitives import (
 from ...errors import ResourceError
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ...geometry.stl import stl_bytes
-from .looks import HIDDEN_GROUP, SEEN_GROUP, MeshFiles, set_file
+from ..robot import mesh_bytes
 
-# How finely the distance to a mesh is tabled: each level halves the cells.
-_SDF_LEVELS = 6
-# What a geom with a time of its own counts in a contact, against 1 for one without.
-_OWN_SHARE = 20.0
+# Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not here.
+MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
+
+SEEN_GROUP = 2
+HIDDEN_GROUP = 3
+_SDF_LEVELS = 6  # octree depth of a signed distance field
+_OWN_SHARE = 20.0  # solmix of a geom with its own solref, against 1 of others
+
+
+def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
+    """The content of a file of a set. Raises as `mesh_bytes`."""
+    return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
+
+
+def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshFiles) -> str:
+    """Add the material of a mesh, with its texture if the mesh is shown, and return the name."""
+    material = spec.add_material(name=name, rgba=mesh.rgba, specular=mesh.specular, shininess=mesh.shininess)
+    folder = meshes.get(mesh.set)
+    if mesh.texture is not None and folder is not None:
+        file = f"meshes/{mesh.set}/{mesh.texture}"
+        if file not in spec.assets:
+            spec.assets = {**spec.assets, file: set_file(folder, mesh.texture)}
+            spec.add_texture(name=file, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = file
+    return name
+
+
+def add_look(spec: mujoco.MjSpec, body: Any, name: str, mesh: ObjectMesh, material: str, meshes: MeshFiles) -> None:
+    """Add a visual mesh as geom `<name>_look`, if its set is here."""
+    folder = meshes.get(mesh.set)
+    if folder is None:
+        return
+    file = f"meshes/{mesh.set}/{mesh.file}"
+    spec.assets = {**spec.assets, file: set_file(folder, mesh.file)}
+    added = spec.add_mesh(name=name, file=file, refpos=mesh.origin)
+    if is_own(mesh.set):
+        # Imported surfaces need not be closed, and their mass is not used.
+        added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    body.add_geom(
+        name=f"{name}_look",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=added.name,
+        material=material,
+        group=SEEN_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+        castshadow=mesh.castshadow,
+    )
 
 
 def add_collision(
@@ -43,41 +91,18 @@ def add_collision(
     *,
     hidden: bool,
 ) -> None:
-    """Add a geom that touches.
+    """Add a collision geom.
 
     Args:
-        files: the set that a mesh's file lies in, and where sets are.
-        hidden: whether something else is seen in its place.
+        files: the set of a mesh's file, and the folders of the sets.
+        hidden: whether a visual mesh is shown instead.
 
     Raises:
-        ResourceError: the mesh that it collides by is not here: nothing else has the same physics.
+        ResourceError: a collision mesh is not here, and nothing else has the same physics.
     """
-    if isinstance(part, HullPart | SdfPart):
-        _add_mesh_part(spec, body, name, part, contact, material, files, hidden=hidden)
-    else:
+    if not isinstance(part, HullPart | SdfPart):
         add_primitive(body, name, part, contact, material, hidden=hidden)
-
-
-def contact_numbers(contact: Contact) -> dict[str, Any]:
-    """A geom's numbers for its surface."""
-    numbers: dict[str, Any] = {"friction": contact.friction, "condim": contact.condim}
-    if contact.push_out_s != Contact().push_out_s:
-        # Rather its own time than the mean of both.
-        numbers |= {"solref": (contact.push_out_s, 1.0), "solmix": _OWN_SHARE}
-    return numbers
-
-
-def _add_mesh_part(
-    spec: mujoco.MjSpec,
-    body: Any,
-    name: str,
-    part: HullPart | SdfPart,
-    contact: Contact,
-    material: str,
-    files: tuple[str, MeshFiles],
-    *,
-    hidden: bool,
-) -> None:
+        return
     set_name, meshes = files
     folder = meshes.get(set_name)
     if folder is None:
@@ -102,10 +127,19 @@ def _add_mesh_part(
     )
 
 
+def contact_numbers(contact: Contact) -> dict[str, Any]:
+    """The contact attributes of a geom."""
+    numbers: dict[str, Any] = {"friction": contact.friction, "condim": contact.condim}
+    if contact.push_out_s != Contact().push_out_s:
+        # The geom's own solref dominates the mean of both geoms.
+        numbers |= {"solref": (contact.push_out_s, 1.0), "solmix": _OWN_SHARE}
+    return numbers
+
+
 def add_primitive(
     body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
 ) -> None:
-    """Add a primitive; without `contact` it is only seen."""
+    """Add a primitive; without `contact` the primitive is only visual."""
     common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
     common |= {"rgba": part.rgba} if part.rgba else {"material": material}
     if contact is None:
@@ -114,42 +148,24 @@ def add_primitive(
         common |= contact_numbers(contact)
     match part:
         case Capsule():
-            body.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=[*part.start, *part.end],
-                size=[part.radius, 0, 0],
-                **common,
-            )
+            kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [part.radius, 0, 0]
+            body.add_geom(name=name, type=kind, fromto=[*part.start, *part.end], size=size, **common)
         case Cylinder():
-            body.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                pos=part.centre,
-                size=[part.radius, part.half_height, 0],
-                **common,
-            )
+            kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [part.radius, part.half_height, 0]
+            body.add_geom(name=name, type=kind, pos=part.centre, size=size, **common)
         case Sphere():
-            body.add_geom(
-                name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=part.centre, size=[part.radius, 0, 0], **common
-            )
+            kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [part.radius, 0, 0]
+            body.add_geom(name=name, type=kind, pos=part.centre, size=size, **common)
         case Box():
-            turn = rotation_z(math.radians(part.yaw_deg))
-            body.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=part.centre,
-                quat=quat_from_rotation(turn),
-                size=part.half_size,
-                **common,
-            )
+            kind, quat = mujoco.mjtGeom.mjGEOM_BOX, quat_from_rotation(rotation_z(math.radians(part.yaw_deg)))
+            body.add_geom(name=name, type=kind, pos=part.centre, quat=quat, size=part.half_size, **common)
         case Ring():
             for k in range(part.segments):
                 body.add_geom(name=f"{name}_{k}", type=mujoco.mjtGeom.mjGEOM_BOX, **_ring_box(part, k), **common)
 
 
 def add_seen_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
-    """A ring that is only seen, as one mesh: dozens of boxes would be as many things to draw."""
+    """Add a visual ring as one mesh, which is drawn faster than dozens of boxes."""
     file = f"meshes/objects/{name}.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
     spec.add_mesh(name=name, file=file)
@@ -167,7 +183,7 @@ def add_seen_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, materia
 
 
 def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
-    """A closed surface around the z axis: vertices (4 n, 3) in m, and triangles (8 n, 3)."""
+    """The closed surface of a ring: vertices (4 n, 3), m, and triangles (8 n, 3)."""
     inner, outer = np.array(ring.inner), np.array(ring.outer)
     along = (outer - inner) / np.linalg.norm(outer - inner)
     down = ring.thickness * np.array([along[1], -along[0]])

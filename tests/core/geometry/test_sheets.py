@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.pinching import between, nearest_of_layers
+from yamsim_cli.core.geometry.sheets import between, nearest_of_layers
 
 _DEEP = (-0.008, 0.015)
 
