@@ -25,7 +25,7 @@ from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.raiden_real import export_real_raiden
 from yamsim_cli.core.export.real_source import open_real_source
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.columns import header
+from yamsim_cli.core.recordings.csv_file import header
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 

@@ -14,11 +14,10 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.identify import fit as fitting
-from yamsim_cli.core.identify.estimates import NAMES, Estimate, estimates
+from yamsim_cli.core.identify.estimates import NAMES, Estimate, estimates, half_widths
 from yamsim_cli.core.identify.excitation import excite
 from yamsim_cli.core.identify.fit import Parameter, fit, parameters
 from yamsim_cli.core.identify.identify import identify, revised
-from yamsim_cli.core.identify.intervals import half_widths
 from yamsim_cli.core.identify.plant import ArmPlant, Log, Run, Values
 from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.resources import Locations

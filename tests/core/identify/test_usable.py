@@ -7,8 +7,8 @@ import pytest
 
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.identify.identify import check_usable
 from yamsim_cli.core.identify.plant import Log
-from yamsim_cli.core.identify.usable import check_usable
 
 NAMES = tuple(f"joint{k}" for k in range(1, 7))
 

@@ -19,8 +19,7 @@ from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.import_recording.corrections import Corrections
-from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
+from yamsim_cli.core.import_recording.importing import Corrections, ImportReport, ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions

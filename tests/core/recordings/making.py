@@ -8,8 +8,7 @@ import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.core.recordings.columns import header, sides
-from yamsim_cli.core.recordings.csv_file import csv_bytes
+from yamsim_cli.core.recordings.csv_file import csv_bytes, header, sides
 
 RATE = 100.0
 

@@ -19,7 +19,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.faults import find_faults
-from yamsim_cli.core.recordings.formats import format_of, reader_of
+from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.resources import Locations
 
 Writer = Callable[[Path, Motion, RigConfig], Path]
@@ -99,7 +99,7 @@ FAULTS: Mapping[str, tuple[Spoiler, str, bool]] = {
     "froze": (froze, "right_joint3 was measured at exactly", False),
     "swapped": (swapped, "are the arms swapped? If so, say --swap-arms", True),
     "degrees": (in_degrees, "are these degrees? If so, say --degrees", True),
-    "upside_down": (upside_down, "closes as it is told to open", True),
+    "upside_down": (upside_down, "closes while commanded to open", True),
 }
 
 

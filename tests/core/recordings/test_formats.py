@@ -35,8 +35,7 @@ from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.formats import format_of, reader_of
-from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.recordings.reading import format_of, read_motions, reader_of
 from yamsim_cli.core.recordings.recording import Recording
 from yamsim_cli.core.resources import Locations
 

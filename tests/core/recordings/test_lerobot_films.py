@@ -13,8 +13,8 @@ from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.recordings.formats import reader_of
-from yamsim_cli.core.recordings.lerobot_films import Films
+from yamsim_cli.core.recordings.lerobot_files import VideoPaths
+from yamsim_cli.core.recordings.reading import reader_of
 from yamsim_cli.core.resources import Locations
 
 _NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*(f"joint_{k}" for k in range(1, 7)), "gripper")]
@@ -37,7 +37,7 @@ def test_a_value_that_is_missing_or_wrong_is_a_dataset_error(key: str, value: An
     if (key, value) == ("video_path", "30"):
         return  # A file without fields is an odd path, but a path.
     with pytest.raises(DatasetError, match=rf"info.json: {key} .*valid: "):
-        Films(Path("set"), info, "meta/info.json").check()
+        VideoPaths(Path("set"), info).check()
 
 
 @pytest.mark.parametrize(
@@ -59,33 +59,33 @@ def test_a_value_that_is_missing_or_wrong_is_a_dataset_error(key: str, value: An
     ],
 )
 def test_a_foreign_pattern_is_refused_before_it_is_formatted(pattern: str) -> None:
-    films = Films(Path("set"), {"fps": 30, "video_path": pattern}, "meta/info.json")
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
     with pytest.raises(DatasetError, match=r"video_path is .*valid: "):
-        films.place("observation.images.top", 0, None)
+        films.locate("observation.images.top", 0, None)
 
 
 @pytest.mark.parametrize("value", [0, -1, "1000", 1.5])
 def test_a_wrong_chunk_size_is_a_dataset_error(value: Any) -> None:
-    films = Films(Path("set"), {"fps": 30, "video_path": _PATTERN, "chunks_size": value}, "meta/info.json")
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": _PATTERN, "chunks_size": value})
     with pytest.raises(DatasetError, match="chunks_size is "):
-        films.place("observation.images.top", 0, None)
+        films.locate("observation.images.top", 0, None)
 
 
 def test_a_row_of_version_3_without_a_place_is_a_dataset_error() -> None:
     pattern = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-    films = Films(Path("set"), {"fps": 30, "video_path": pattern}, "meta/info.json")
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
     row = {"videos/k/chunk_index": 0, "videos/k/file_index": 2, "videos/k/from_timestamp": 1.5}
-    assert films.place("k", 0, row) == (Path("set/videos/k/chunk-000/file-002.mp4").resolve(), 1.5)
+    assert films.locate("k", 0, row) == (Path("set/videos/k/chunk-000/file-002.mp4").resolve(), 1.5)
     for key in row:
         for wrong in (None, -1, "0"):
             with pytest.raises(DatasetError, match="episode 0: "):
-                films.place("k", 0, row | {key: wrong})
+                films.locate("k", 0, row | {key: wrong})
 
 
 def test_a_pattern_of_the_other_version_is_a_dataset_error() -> None:
-    films = Films(Path("set"), {"fps": 30, "video_path": "videos/{file_index:03d}.mp4"}, "meta/info.json")
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": "videos/{file_index:03d}.mp4"})
     with pytest.raises(DatasetError, match=r"video_path .*valid: for this version"):
-        films.place("k", 0, None)
+        films.locate("k", 0, None)
 
 
 @pytest.mark.parametrize("key", ["fps", "video_path"])

@@ -16,7 +16,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.formats import format_of, reader_of
+from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.resources import Locations
 
 pytest.importorskip("mcap", reason="the extra mcap is not installed")

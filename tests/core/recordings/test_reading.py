@@ -17,8 +17,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.columns import header
-from yamsim_cli.core.recordings.csv_file import csv_bytes, read_csv
+from yamsim_cli.core.recordings.csv_file import csv_bytes, header, read_csv
 from yamsim_cli.core.recordings.faults import find_faults
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
