@@ -21,9 +21,9 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded
 from yamsim_cli.core.dataset.recorded_images import recorded_images
 from yamsim_cli.core.export.lerobot import export_real_lerobot
-from yamsim_cli.core.export.raiden_options import RaidenOptions
-from yamsim_cli.core.export.raiden_real import export_real_raiden
-from yamsim_cli.core.export.real_source import open_real_source
+from yamsim_cli.core.export.raiden import export_real_raiden
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
+from yamsim_cli.core.export.source import open_real_source
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.csv_file import header
 from yamsim_cli.core.recordings.reading import read_motions

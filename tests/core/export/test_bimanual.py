@@ -22,7 +22,7 @@ from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.resources import Locations

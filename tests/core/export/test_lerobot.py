@@ -15,8 +15,7 @@ from tests.core.export.lerobot_files import check_numbers, jpegs, recorded, rows
 from tests.core.unrendered import frame_count
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.export import lerobot_schema
-from yamsim_cli.core.export.lerobot import export_lerobot
-from yamsim_cli.core.export.lerobot_options import LeRobotOptions
+from yamsim_cli.core.export.lerobot import LeRobotOptions, export_lerobot
 from yamsim_cli.core.export.lerobot_stats import PixelCounts, RunningStats, column_stats
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations

@@ -15,7 +15,7 @@ from yamsim_cli.core.dataset.reader import open_recorded
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.rrd import export_rerun
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.export.videos import export_mp4, export_sheet

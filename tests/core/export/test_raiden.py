@@ -19,7 +19,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations

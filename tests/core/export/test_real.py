@@ -20,12 +20,11 @@ from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.export.lerobot import export_real_lerobot
-from yamsim_cli.core.export.lerobot_options import RealOptions
-from yamsim_cli.core.export.raiden_options import RaidenOptions
-from yamsim_cli.core.export.raiden_real import export_real_raiden
-from yamsim_cli.core.export.real_source import ActionSource, nearest_to_even, open_real_source
-from yamsim_cli.core.export.source import Exported, open_source
+from yamsim_cli.core.export.lerobot import RealOptions, export_real_lerobot
+from yamsim_cli.core.export.raiden import export_real_raiden
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
+from yamsim_cli.core.export.source import ActionSource, nearest_to_even, open_real_source, open_source
+from yamsim_cli.core.export.target import Exported
 from yamsim_cli.core.export.videos import export_mp4, export_sheet
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.reading import read_motions

@@ -8,7 +8,8 @@ import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.core.recordings.csv_file import csv_bytes, header, sides
+from yamsim_cli.core.recordings.csv_file import csv_bytes, header
+from yamsim_cli.core.recordings.recording import sides
 
 RATE = 100.0
 

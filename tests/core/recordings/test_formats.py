@@ -31,7 +31,7 @@ from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import ConfigError, DatasetError
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.motion import Motion
