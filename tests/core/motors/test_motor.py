@@ -7,12 +7,11 @@ import struct
 
 import pytest
 
+from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.motors import frames
-from yamsim_cli.core.motors.bus import Bus
-from yamsim_cli.core.motors.faults import Fault
+from yamsim_cli.core.motors.bus import Bus, BusFault, parse_fault
 from yamsim_cli.core.motors.frames import Frame, Mit, Scale
-from yamsim_cli.core.motors.kinds import KINDS
-from yamsim_cli.core.motors.motor import Motor, Status
+from yamsim_cli.core.motors.motor import KINDS, Motor, Status
 
 ENABLE, DISABLE, ZERO, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFE, 0xFB))
 
@@ -178,7 +177,7 @@ def test_random_frames_do_no_harm() -> None:
 
 
 def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
-    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("lost", motor=1, at=1.0, seconds=1.0)])
+    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("lost", motor=1, at=1.0, seconds=1.0)])
     assert bus.send(Frame(1, ENABLE), 0.5)
     bus.passes(1.0)
     assert bus.send(Frame(1, ENABLE), 1.1) == []
@@ -188,7 +187,7 @@ def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
 
 
 def test_a_hot_motor_fails() -> None:
-    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [Fault("hot", channel="can_left", motor=1)])
+    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [BusFault("hot", channel="can_left", motor=1)])
     bus.send(Frame(1, ENABLE), 0.0)
     bus.passes(0.02)
     assert status(bus.send(Frame(1, ENABLE), 0.02)[0]) == Status.ROTOR_TOO_HOT
@@ -198,9 +197,33 @@ def test_as_many_frames_get_lost_as_the_fault_says() -> None:
     """In each direction; and from the same seed the same ones."""
 
     def answered(seed: int) -> list[bool]:
-        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("drop", share=0.2)], seed)
+        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)
         bus.passes(0.01)
         return [bool(bus.send(Frame(1, ENABLE), 0.01)) for _ in range(2000)]
 
     assert sum(answered(0)) / 2000 == pytest.approx(0.64, abs=0.03)
     assert answered(0) == answered(0) != answered(1)
+
+
+def test_a_fault_by_its_flag() -> None:
+    assert parse_fault("lost:motor=3,at=5,for=2,channel=can_left") == BusFault("lost", "can_left", 3, 5.0, 2.0)
+    assert parse_fault("stuck") == BusFault("stuck")
+    assert parse_fault("drop:share=0.5").share == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("broken", "unknown fault 'broken'; valid: lost, hot, drop, stuck"),
+        ("lost", "say which motor"),
+        ("lost:motor=x", "motor 'x' is not valid; it must lie in 1..15"),
+        ("lost:motor=1.5", "motor '1.5' is not valid"),
+        ("drop:motor=1", "a drop fault has no 'motor'; valid: share, channel, at, for"),
+        ("drop:share=2", "it must lie in 0..1"),
+        ("drop:share=0.1,share=0.2", "share is there twice"),
+    ],
+)
+def test_a_wrong_flag_says_what_would_be_valid(text: str, says: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_fault(text)
+    assert says in str(caught.value)
