@@ -1,4 +1,4 @@
-"""Episodes of ours: the simulation follows them exactly, as long as nothing is touched that the rig alone has not."""
+"""Simulated episodes: the rig alone follows them exactly until the gripper holds a thing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_an_episode_has_no_gap_until_something_is_held(
     # Frames hold joints as float32.
     assert before.error.max < 1e-6
     assert len(before.joints) == 6 * len(config.rig.arms)
-    # What the hand carries weighs, and the rig alone does not know of it.
+    # The rig alone lacks the weight of the held thing.
     assert after.error.max > 1e-3
     assert frames[before.worst.frame]["timestamp"] == pytest.approx(before.worst.time, abs=1e-6)
 
@@ -43,7 +43,7 @@ def test_an_episode_has_no_gap_until_something_is_held(
 def test_an_arm_that_acts_late_begins_as_its_episode_did(
     locations: Locations, config: RecordConfig, tmp_path: Path
 ) -> None:
-    """An episode's drives hold the start until its first command acts, which is some way off."""
+    """An episode's drives hold the start until the first command acts."""
     dynamics = Dynamics(revision="late", base="i2rt_yam", command_delay_ms=23.8, sensor_delay_ms=4.0)
     arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
     rig = config.rig.model_copy(update={"arms": (arm,)})

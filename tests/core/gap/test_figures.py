@@ -1,4 +1,4 @@
-"""A motion's gap: none of a perfect model's, and what was planted in one that is not."""
+"""The gap of a motion: zero for a perfect model, and the planted difference for any other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_perfect_model_has_no_gap(perfect: Gap) -> None:
     assert all(joint.error.max < PERFECT for joint in perfect.joints)
     assert all(joint.beyond.delay == pytest.approx(0, abs=1e-4) for joint in perfect.joints)
     (hand,) = perfect.hands
-    assert hand.position.max < 1e-4 and hand.turn.max < 1e-3 and hand.opening is not None
+    assert hand.position.max < 1e-4 and hand.rotation.max < 1e-3 and hand.opening is not None
     assert hand.opening.max < 1e-4
     assert [joint.name for joint in perfect.joints] == [f"joint{k}" for k in range(1, 7)]
 
@@ -72,7 +72,7 @@ def test_friction_makes_a_gap_that_grows_with_it() -> None:
 def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
     times = np.arange(0, 4.0, 0.004)
     still = swings(times, amplitude=0.0)
-    # Its simulation starts where it was measured, and comes to its own rest within a second.
+    # The simulation starts at the measured joints, and settles within a second.
     found = gap_of(rig_scene(), plant(rig_scene(), times, [still], gravity=0.8), begin=1.5)
     turning, lifting = found.joints[0], found.joints[1]
     assert turning.beyond.sag == pytest.approx(0, abs=1e-4)
@@ -80,7 +80,7 @@ def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
     assert lifting.beyond.sag == pytest.approx(lifting.measured.sag, abs=2e-3)
     assert lifting.simulated.sag == pytest.approx(0, abs=2e-3)
     assert set(found.phases) == {"still"}
-    # Of a still arm nothing can be said of delays, nor of stops.
+    # A still arm has no delays and no stops.
     assert {joint.beyond.delay for joint in found.joints} == {None}
     assert {joint.beyond.overshoot for joint in found.joints} == {None}
 
@@ -95,7 +95,7 @@ def test_an_overshoot_that_the_simulation_lacks_is_measured() -> None:
         found = gap_of(rig_scene(), measured(made, made.arms[0].joints + sign * bump))
         for joint in found.joints[2:]:
             assert joint.simulated.overshoot == pytest.approx(0, abs=2e-3)
-            # It had not wholly come to its end when it went beyond it.
+            # The bump comes before the joint has reached its end.
             assert joint.beyond.overshoot is not None and 0.01 < joint.beyond.overshoot < 0.02
             assert joint.measured.overshoot is not None
             assert joint.measured.overshoot - joint.beyond.overshoot == pytest.approx(joint.simulated.overshoot)
@@ -114,8 +114,8 @@ def test_a_hand_is_off_by_what_its_joints_are_off(made: Motion) -> None:
     joints = made.arms[0].joints.copy()
     joints[:, 0] += 0.01
     (hand,) = gap_of(rig_scene(), measured(made, joints)).hands
-    # Its simulation starts where it was measured, and is back at its command within some tenths of a second.
-    assert np.degrees(hand.turn.p95) == pytest.approx(np.degrees(0.01), rel=0.1)
+    # The simulation starts at the measured joints, and returns to the command within some tenths of a second.
+    assert np.degrees(hand.rotation.p95) == pytest.approx(np.degrees(0.01), rel=0.1)
     assert 0.001 < hand.position.p95 < 0.01
 
 

@@ -11,8 +11,8 @@ from . import frames
 from .frames import Frame, Mit, Scale
 
 AMBIENT = 25.0  # degrees Celsius, of the air around a motor
-# K above the air, at which a rotor settles at its rated torque. By the default limit of 100 degrees, a motor may give its
-# rated torque for ever, and 1.2 times that for some minutes. No figures are published; an assumption.
+# K above the air, at which a rotor settles at its rated torque. With the default limit of 100 degrees, a motor may give
+# its rated torque for ever, and 1.2 times that for minutes. No figures are published; an assumption.
 _RATED_RISE = 55.0
 _THERMAL_SECONDS = 300.0  # s, time constant of the rotor. No figure is published; an assumption
 _DRIVER_SHARE = 0.5  # of the rotor's rise, by which the driver warms up. An assumption
