@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.export.real_datasets import NAMES, bring_in, with_film
-from tests.core.recordings.foreign import PROMPT, START_NS, grey_of, shares
+from tests.core.export.real_datasets import bring_in, with_film
+from tests.core.recordings.foreign import NAMES, PROMPT, START_NS, grey_of, shares
 from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig

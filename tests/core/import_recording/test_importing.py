@@ -12,7 +12,6 @@ import pytest
 
 from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_lowdim, write_raiden_raw
 from tests.core.recordings.making import swinging, write_csv
-from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
 from yamsim_cli.core.dataset.summary import summarize
@@ -25,18 +24,6 @@ from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.summarize.surveying import survey_dataset
-
-NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")]
-
-
-@pytest.fixture(scope="module")
-def single(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "single", locations)
-
-
-@pytest.fixture(scope="module")
-def station(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "yam_station_linear_4310_d405", locations)
 
 
 def bring_in(request: ImportRequest, locations: Locations) -> ImportReport:
@@ -67,7 +54,7 @@ def test_nothing_of_it_can_be_simulated_again(single: RigConfig, locations: Loca
 
 
 def test_pictures_and_words_come_along(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.3), station, NAMES)
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.3), station)
     bring_in(ImportRequest([folder], station, out=tmp_path / "real"), locations)
     episode = open_recorded(tmp_path / "real/ep_000000")
     assert episode.record.cameras == {"top": (64, 48)}

@@ -1,7 +1,8 @@
-"""Motions as a well-behaved arm makes them, to be spoilt."""
+"""Motions of well-behaved arms, and CSVs of them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ RATE = 100.0
 
 
 def swinging(rig: RigConfig, seconds: float = 4.0, lag: int = 3) -> Motion:
-    """All joints swing about their starts, each at its own pace, and follow what they were told a few samples later."""
+    """Each joint swings about its start at its own pace, and follows its commands `lag` samples later."""
     times = np.arange(round(seconds * RATE)) / RATE
     arms = []
     for number, (side, k) in enumerate(zip(sides(rig), rig.recorded, strict=True)):
@@ -23,13 +24,13 @@ def swinging(rig: RigConfig, seconds: float = 4.0, lag: int = 3) -> Motion:
         paces = 0.2 + 0.07 * np.arange(robot.dof) + 0.05 * number
         commands = np.array(robot.start) + 0.19 * np.sin(2 * np.pi * times[:, None] * paces)
         widest = robot.fingers.range[1] if robot.fingers else 0.0
-        told = widest * (0.5 + 0.4 * np.sin(2 * np.pi * times * 0.3))
-        arms.append(ArmMotion(side, later(commands, lag), commands, later(told, lag), told))
+        openings = widest * (0.5 + 0.4 * np.sin(2 * np.pi * times * 0.3))
+        arms.append(ArmMotion(side, later(commands, lag), commands, later(openings, lag), openings))
     return Motion("swinging", times, tuple(arms))
 
 
 def write_csv(path: Path, motion: Motion, rig: RigConfig) -> Path:
-    """A motion as a CSV that users bring; without commands where it has none."""
+    """Write a motion as a CSV, without commands if it has none."""
     rows = [
         np.column_stack(columns)
         for columns in (
@@ -49,5 +50,15 @@ def write_csv(path: Path, motion: Motion, rig: RigConfig) -> Path:
 
 
 def later(values: np.ndarray, samples: int) -> np.ndarray:
-    """Values as they were some samples before, and the first one until then."""
+    """Values `samples` rows later; the first row repeats."""
     return np.concatenate([np.repeat(values[:1], samples, axis=0), values[: len(values) - samples]])
+
+
+def some(motion: Motion, kept: np.ndarray) -> Motion:
+    """Some samples of a motion, with times from 0."""
+    keys = ("joints", "commands", "openings", "commanded_openings", "velocities")
+    arms = []
+    for arm in motion.arms:
+        values = {key: getattr(arm, key) for key in keys}
+        arms.append(replace(arm, **{key: rows[kept] for key, rows in values.items() if rows is not None}))
+    return Motion(motion.name, motion.times[kept] - motion.times[kept][0], tuple(arms))

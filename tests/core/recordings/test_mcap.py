@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, grey_of
-from tests.core.recordings.foreign_mcap import FILM_EVERY, write_mcap
+from tests.core.recordings.foreign import FILM_EVERY, PROMPT, grey_of, write_mcap
 from tests.core.recordings.making import swinging
-from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.images.jpeg import decode_jpeg
@@ -20,13 +18,6 @@ from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.resources import Locations
 
 pytest.importorskip("mcap", reason="the extra mcap is not installed")
-
-STATION = "yam_station_linear_4310_d405"
-
-
-@pytest.fixture(scope="module")
-def station(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", STATION, locations)
 
 
 @pytest.fixture(scope="module")
@@ -59,19 +50,7 @@ def test_a_recording_comes_in_with_its_film(
         assert abs(float(image.mean()) - grey_of(k)) < 3
 
 
-def test_a_file_that_was_cut_off_is_refused(
-    file: Path, station: RigConfig, locations: Locations, tmp_path: Path
-) -> None:
-    data = file.read_bytes()
-    for share in (0.3, 0.9, 0.999):
-        cut = tmp_path / "cut.mcap"
-        cut.write_bytes(data[: int(len(data) * share)])
-        with pytest.raises(DatasetError, match=r"cut\.mcap"):
-            reader_of("mcap")(cut, station, None, locations)
-
-
-def test_another_rig_is_told_the_topics(file: Path, locations: Locations) -> None:
-    single = load_config(RigConfig, "rigs", "single", locations)
+def test_another_rig_is_told_the_topics(file: Path, single: RigConfig, locations: Locations) -> None:
     with pytest.raises(DatasetError, match="/left-arm-state"):
         reader_of("mcap")(file, single, None, locations)
 

@@ -28,11 +28,6 @@ def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", request.param, locations)
 
 
-@pytest.fixture(scope="module")
-def single(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "single", locations)
-
-
 def table(motion: Motion) -> np.ndarray:
     """A motion's columns in the order of the header."""
     told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms]  # type: ignore[list-item]
