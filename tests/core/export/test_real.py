@@ -15,7 +15,7 @@ import pytest
 from tests.core.export.lerobot_files import rows
 from tests.core.export.real_datasets import of_tables, with_film, without_commands
 from tests.core.recordings.foreign import PROMPT, grey_of, shares
-from tests.core.recordings.making import some, swinging
+from tests.core.recordings.making import same_motion, some, swinging
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.export.lerobot import RealOptions, export_real_lerobot
@@ -88,11 +88,7 @@ def test_lerobot_has_what_was_recorded_and_nothing_else(filmed: Real, locations:
 def test_an_export_to_lerobot_comes_back(filmed: Real, locations: Locations, tmp_path: Path) -> None:
     to_lerobot(filmed.dataset, tmp_path / "out", locations)
     (back,) = read_motions([tmp_path / "out"], filmed.rig, locations)
-    np.testing.assert_allclose(back.times, filmed.motion.times, atol=1e-9)
-    for arm, truth in zip(back.arms, filmed.motion.arms, strict=True):
-        np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-6)
-        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
-        np.testing.assert_allclose(arm.commands, truth.commands, atol=1e-6)  # type: ignore[arg-type]
+    same_motion(back, filmed.motion)
 
 
 def test_commands_that_nobody_recorded_are_not_made_up(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
@@ -264,10 +260,7 @@ def test_raidens_layout_comes_back(filmed: Real, locations: Locations, tmp_path:
     original = (filmed.dataset / "ep_000000/rgb/top/000007.jpg").read_bytes()
     assert (tmp_path / "out/0000/rgb/top/0000000007.jpg").read_bytes() == original
     (back,) = read_motions([tmp_path / "out"], filmed.rig, locations)
-    np.testing.assert_allclose(back.times, filmed.motion.times, atol=1e-6)
-    for arm, truth in zip(back.arms, filmed.motion.arms, strict=True):
-        np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-6)
-        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
+    same_motion(back, filmed.motion)
 
 
 def test_what_raidens_layout_has_no_place_for(

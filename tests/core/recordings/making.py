@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.recordings.csv_file import csv_bytes, header
 from yamsim_cli.core.recordings.recording import sides
@@ -62,3 +64,56 @@ def some(motion: Motion, kept: np.ndarray) -> Motion:
         values = {key: getattr(arm, key) for key in keys}
         arms.append(replace(arm, **{key: rows[kept] for key, rows in values.items() if rows is not None}))
     return Motion(motion.name, motion.times[kept] - motion.times[kept][0], tuple(arms))
+
+
+def same_motion(found: Motion, truth: Motion, atol: float = 1e-6) -> None:
+    """Times, joints, commands and openings are equal."""
+    np.testing.assert_allclose(found.times, truth.times, atol=atol)
+    for arm, other in zip(found.arms, truth.arms, strict=True):
+        assert arm.side == other.side
+        for key in ("joints", "commands", "openings", "commanded_openings"):
+            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=atol, err_msg=key)
+
+
+def frozen(first: int, joint: int) -> Callable[[Array], Array]:
+    def spoil(joints: Array) -> Array:
+        joints[first:, joint] = joints[first, joint]
+        return joints
+
+    return spoil
+
+
+def full_opening(rig: RigConfig) -> float:
+    fingers = rig.arms[rig.recorded[0]].robot.fingers
+    assert fingers is not None
+    return fingers.full_opening
+
+
+def with_gap(motion: Motion, full: float) -> Motion:
+    kept = np.r_[0:60, 130:200]
+    return replace(some(motion, kept), times=motion.times[kept])
+
+
+def swapped(motion: Motion, full: float) -> Motion:
+    arms = zip(motion.arms, reversed(motion.arms), strict=True)
+    return replace(
+        motion, arms=tuple(replace(arm, joints=other.joints, openings=other.openings) for arm, other in arms)
+    )
+
+
+def in_degrees(motion: Motion, full: float) -> Motion:
+    arms = [
+        replace(arm, joints=np.rad2deg(arm.joints), commands=np.rad2deg(arm.commands))  # type: ignore[arg-type]
+        for arm in motion.arms
+    ]
+    return replace(motion, arms=tuple(arms))
+
+
+def upside_down(motion: Motion, full: float) -> Motion:
+    arms = [replace(arm, openings=full - arm.openings) for arm in motion.arms]  # type: ignore[operator]
+    return replace(motion, arms=tuple(arms))
+
+
+def froze(motion: Motion, full: float) -> Motion:
+    left, right = motion.arms
+    return replace(motion, arms=(left, replace(right, joints=frozen(50, 2)(right.joints.copy()))))

@@ -10,9 +10,21 @@ import numpy as np
 import pytest
 
 from tests.core.recordings.foreign import write_lerobot_v2, write_lerobot_v3, write_lowdim, write_mcap, write_raiden_raw
-from tests.core.recordings.making import some, swinging, write_csv
+from tests.core.recordings.making import (
+    froze,
+    frozen,
+    full_opening,
+    in_degrees,
+    some,
+    swapped,
+    swinging,
+    upside_down,
+    with_gap,
+    write_csv,
+)
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.reader import open_recorded
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
@@ -67,21 +79,13 @@ def _moved(first: int, joint: int, by: float) -> Callable[[Array], Array]:
     return spoil
 
 
-def _frozen(first: int, joint: int) -> Callable[[Array], Array]:
-    def spoil(joints: Array) -> Array:
-        joints[first:, joint] = joints[first, joint]
-        return joints
-
-    return spoil
-
-
 @pytest.mark.parametrize(
     ("spoil", "fault", "text", "time"),
     [
         (np.rad2deg, MotionFault.DEGREES, "degrees", None),
         (_moved(0, 1, -2.0), MotionFault.BEYOND_STOPS, "joint2 is at", ...),
         (_moved(200, 3, 0.4), MotionFault.TOO_FAST, "joint4 jumps", 1.99),
-        (_frozen(150, 4), MotionFault.FROZEN, "joint5 was measured", 1.5),
+        (frozen(150, 4), MotionFault.FROZEN, "joint5 was measured", 1.5),
     ],
 )
 def test_a_fault_of_joints_is_reported_with_its_joint_and_time(
@@ -125,42 +129,6 @@ def test_a_gripper_that_stalls_only_while_opening_is_mirrored(
     assert all("--mirror-gripper both" in problem.text for problem in found)
 
 
-def full_opening(rig: RigConfig) -> float:
-    fingers = rig.arms[rig.recorded[0]].robot.fingers
-    assert fingers is not None
-    return fingers.full_opening
-
-
-def with_gap(motion: Motion, full: float) -> Motion:
-    kept = np.r_[0:60, 130:200]
-    return replace(some(motion, kept), times=motion.times[kept])
-
-
-def swapped(motion: Motion, full: float) -> Motion:
-    arms = zip(motion.arms, reversed(motion.arms), strict=True)
-    return replace(
-        motion, arms=tuple(replace(arm, joints=other.joints, openings=other.openings) for arm, other in arms)
-    )
-
-
-def in_degrees(motion: Motion, full: float) -> Motion:
-    arms = [
-        replace(arm, joints=np.rad2deg(arm.joints), commands=np.rad2deg(arm.commands))  # type: ignore[arg-type]
-        for arm in motion.arms
-    ]
-    return replace(motion, arms=tuple(arms))
-
-
-def upside_down(motion: Motion, full: float) -> Motion:
-    arms = [replace(arm, openings=full - arm.openings) for arm in motion.arms]  # type: ignore[operator]
-    return replace(motion, arms=tuple(arms))
-
-
-def froze(motion: Motion, full: float) -> Motion:
-    left, right = motion.arms
-    return replace(motion, arms=(left, replace(right, joints=_frozen(50, 2)(right.joints.copy()))))
-
-
 # Fault -> its spoiler, a part of its line, and whether the recording is refused.
 FAULTS: Mapping[str, tuple[Callable[[Motion, float], Motion], str, bool]] = {
     "gap": (with_gap, "nothing was recorded for 0.71 s from 0.59 s on", False),
@@ -200,6 +168,7 @@ def test_a_fault_is_reported_or_refused(
     else:
         ((problem,),) = bring_in(path, station, locations).problems.values()
         assert line in problem
+        assert open_recorded(tmp_path / "real/ep_000000").record.problems == (problem,)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("form", list(WRITERS))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from tests.core.recordings.foreign import (
     write_lowdim,
     write_raiden_raw,
 )
-from tests.core.recordings.making import swinging
+from tests.core.recordings.making import same_motion, swinging
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -33,7 +32,6 @@ from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.images.jpeg import decode_jpeg
-from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.lerobot_files import VideoPaths
 from yamsim_cli.core.recordings.reading import format_of, read_motions, reader_of
 from yamsim_cli.core.recordings.recording import Recording
@@ -57,14 +55,6 @@ def only(path: Path, rig: RigConfig, locations: Locations, mapping: str | None =
     return recording
 
 
-def same(found: Motion, truth: Motion, atol: float = 1e-6) -> None:
-    np.testing.assert_allclose(found.times, truth.times, atol=1e-6)
-    for arm, other in zip(found.arms, truth.arms, strict=True):
-        assert arm.side == other.side
-        for key in ("joints", "commands", "openings", "commanded_openings"):
-            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=atol)
-
-
 @pytest.mark.parametrize("name", ["single", "station"])
 def test_raidens_raw_recordings(
     name: str, locations: Locations, tmp_path: Path, request: pytest.FixtureRequest
@@ -75,7 +65,7 @@ def test_raidens_raw_recordings(
     assert format_of(folder) == format_of(folder / "robot_data.npz") == "raiden_raw"
     recording = only(folder, rig, locations)
     assert (recording.gripper, recording.prompt) == ("share", PROMPT)
-    same(recording.in_metres(rig), motion)
+    same_motion(recording.in_metres(rig), motion)
 
 
 def test_a_raw_recording_of_other_arms_is_refused(
@@ -100,7 +90,7 @@ def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Location
     motion = swinging(station, 0.5)
     folder = write_lerobot_v2(tmp_path / "two", motion, station)
     recording = only(folder, station, locations)
-    same(recording.in_metres(station), motion)
+    same_motion(recording.in_metres(station), motion)
     assert recording.prompt == PROMPT
     pictures = [decode_jpeg(data) for data in recording.pictures["top"].read()]
     assert len(pictures) == len(motion.times)
@@ -139,7 +129,7 @@ def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: L
     }
     mapping = tmp_path / "mine.yaml"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
-    same(only(folder, station, locations, str(mapping)).in_metres(station), motion)
+    same_motion(only(folder, station, locations, str(mapping)).in_metres(station), motion)
     arms["left"]["joints"][2] = "elbow"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
     with pytest.raises(ConfigError, match="has no 'elbow'"):
@@ -244,7 +234,7 @@ def test_all_formats_give_motions_to_whoever_compares(station: RigConfig, locati
     motion = swinging(station, 0.5)
     raw = write_raiden_raw(tmp_path / "raw", motion, station)
     (found,) = read_motions([raw], station, locations)
-    same(found, replace(motion, name=found.name))
+    same_motion(found, motion)
 
 
 @pytest.mark.parametrize("value", [_MISSING, 0, -30, "30", True, float("nan"), None])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.core.recordings.foreign import FILM_EVERY, PROMPT, grey_of, write_mcap
-from tests.core.recordings.making import swinging
+from tests.core.recordings.making import same_motion, swinging
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.images.jpeg import decode_jpeg
@@ -35,11 +35,7 @@ def test_a_recording_comes_in_with_its_film(
 ) -> None:
     assert format_of(file) == "mcap"
     (recording,) = reader_of("mcap")(file, station, None, locations)
-    found = recording.in_metres(station)
-    np.testing.assert_allclose(found.times, motion.times, atol=1e-9)
-    for arm, other in zip(found.arms, motion.arms, strict=True):
-        for key in ("joints", "commands", "openings", "commanded_openings"):
-            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=1e-12)
+    same_motion(recording.in_metres(station), motion, atol=1e-9)
     assert recording.prompt == PROMPT
     pictures = recording.pictures["top_camera"]
     np.testing.assert_array_equal(pictures.samples, np.arange(0, len(motion.times), FILM_EVERY))
