@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.core.export.conftest import ignore
 from tests.core.export.lerobot_files import rows
 from tests.core.export.real_datasets import of_tables, with_film, without_commands
 from tests.core.recordings.foreign import PROMPT, grey_of, shares
@@ -45,10 +46,6 @@ def filmed(tmp_path_factory: pytest.TempPathFactory, station: RigConfig, locatio
     """0.5 s of two arms at 100 Hz, with a film."""
     motion = swinging(station, 0.5)
     return Real(with_film(tmp_path_factory.mktemp("filmed"), motion, station, locations), motion, station)
-
-
-def ignore(done: int, total: int) -> None:
-    pass
 
 
 DEFAULT, RECORDED = RaidenOptions(), RealOptions()

@@ -119,11 +119,13 @@ class _Content(ABC):
 
     Attributes:
         pictures: whether the export has videos.
+        about: the dataset's entries in the provenance file, complete after the last episode.
         notes: lines for the user, complete after the last episode.
     """
 
-    def __init__(self, pictures: bool) -> None:
+    def __init__(self, pictures: bool, about: dict[str, Any]) -> None:
         self.pictures = pictures
+        self.about = about
         self.notes: list[str] = []
 
     @abstractmethod
@@ -142,20 +144,15 @@ class _Content(ABC):
     def origin(self, episode: Any) -> dict[str, Any]:
         """An episode's entry in the provenance file."""
 
-    @abstractmethod
-    def about(self) -> dict[str, Any]:
-        """The dataset's entries in the provenance file."""
-
 
 class _SimulatedContent(_Content):
     """Joints, commands of drives and welds, and poses of things."""
 
     def __init__(self, source: Source, options: LeRobotOptions) -> None:
-        super().__init__(options.pictures)
+        super().__init__(options.pictures, {})
         self._source = source
         self._cameras = tuple(source.cameras) if options.pictures else ()
         self._things = tuple(things_told(source.config)) if options.environment_state else ()
-        self._bases: dict[str, Any] = {}
 
     def columns(self) -> dict[str, Feature]:
         source = self._source
@@ -176,7 +173,7 @@ class _SimulatedContent(_Content):
                 f"{first.record.joints}): export them apart, see --episodes, or without --environment-state"
             )
         if BETWEEN_BASES in frames[0]:
-            self._bases = {BETWEEN_BASES: frames[0][BETWEEN_BASES].tolist()}
+            self.about[BETWEEN_BASES] = frames[0][BETWEEN_BASES].tolist()
         states, actions = zip(*(_state_and_action(frame) for frame in frames), strict=True)
         values = {schema.STATE: np.array(states), schema.ACTION: np.array(actions)}
         if self._things:
@@ -191,9 +188,6 @@ class _SimulatedContent(_Content):
     def origin(self, episode: StoredEpisode) -> dict[str, Any]:
         return {"seed": episode.record.seed, "attempt": episode.record.attempt}
 
-    def about(self) -> dict[str, Any]:
-        return self._bases
-
 
 class _RealContent(_Content):
     """Measurements, commands, recorded times, and known matrices of cameras.
@@ -202,7 +196,7 @@ class _RealContent(_Content):
     """
 
     def __init__(self, source: RealSource, options: RealOptions) -> None:
-        super().__init__(options.pictures)
+        super().__init__(options.pictures, {"source": "real", "actions": options.actions, "gripper": "share"})
         self._source, self._actions = source, options.actions
         frame = source.first.frames()[0]
         self._velocities = "joint_velocities" in frame
@@ -241,9 +235,6 @@ class _RealContent(_Content):
     def origin(self, episode: RealEpisode) -> dict[str, Any]:
         return {"imported": episode.record.imported.model_dump()}
 
-    def about(self) -> dict[str, Any]:
-        return {"source": "real", "actions": self._actions, "gripper": "share"}
-
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
     """A frame's state and action: its `state` and `action` if it has them, else its joints, and drives and welds."""
@@ -275,22 +266,12 @@ def _of_all(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
     return [frame[key] for frame in frames]
 
 
-@dataclass(frozen=True)
-class _EpisodeVideo:
-    """An episode's video of one camera: its place, its length (s), and its images' statistics."""
-
-    place: FilePlace
-    end: float
-    stats: Stats
-
-
-def _write_video(root: Path, episode: RecordedEpisode, place: FilePlace, camera: str, period: float) -> _EpisodeVideo:
-    """Write an episode's images of one camera to a file of its own.
+def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: float) -> tuple[float, Stats]:
+    """Write an episode's images of one camera to a file of its own; returns its length (s) and the statistics.
 
     lerobot's tools delete and split such episodes by copying files. Where several episodes share a file, the tools
     encode the file anew at a whole number of frames per second (seen in 0.6.1), which shifts all frames in time.
     """
-    path = root / place.path(schema.VIDEO, video_key=schema.image_key(camera))
     path.parent.mkdir(parents=True, exist_ok=True)
     counts = PixelCounts()
     # lerobot's decoder, which uses a PyAV older than 17, ignores the tag for the colours' encoding and assumes BT.601.
@@ -298,7 +279,7 @@ def _write_video(root: Path, episode: RecordedEpisode, place: FilePlace, camera:
         for image in recorded_images(episode, (camera,)):
             video.write(image)
             counts.add(image)
-    return _EpisodeVideo(place, video.frames * period, counts.stats())
+    return video.frames * period, counts.stats()
 
 
 class _LeRobotWriter(Closing):
@@ -333,16 +314,16 @@ class _LeRobotWriter(Closing):
             DatasetError: the episode has other features than the first.
         """
         number, period = len(self._provenance), self._source.frame_period
-        encoding = {
-            camera: self._threads.submit(_write_video, self._root, episode, FilePlace(number), camera, period)
-            for camera in self._cameras
-        }
+        video_place, encoding = FilePlace(number), {}
+        for camera in self._cameras:
+            path = self._root / video_place.path(schema.VIDEO, video_key=schema.image_key(camera))
+            encoding[camera] = self._threads.submit(_write_video, path, episode, camera, period)
         frames = episode.frames()
         task = frames[0].get("language_prompt", "")
         values = self._content.values(episode, frames)
         values |= self._indices(len(frames), number, self._tasks.setdefault(task, len(self._tasks)))
-        videos = {camera: video.result() for camera, video in encoding.items()}
-        stats = {schema.image_key(camera): video.stats for camera, video in videos.items()}
+        videos = {schema.image_key(camera): video.result() for camera, video in encoding.items()}
+        stats = {key: found for key, (_, found) in videos.items()}
         stats |= {key: column_stats(value) for key, value in values.items()}
         place, rows_place = self._data.next_place(), self._episodes.next_place()
         row: dict[str, Any] = {
@@ -356,10 +337,9 @@ class _LeRobotWriter(Closing):
             "meta/episodes/chunk_index": rows_place.chunk,
             "meta/episodes/file_index": rows_place.file,
         }
-        for camera, video in videos.items():
-            prefix = f"videos/{schema.image_key(camera)}"
-            row |= {f"{prefix}/chunk_index": video.place.chunk, f"{prefix}/file_index": video.place.file}
-            row |= {f"{prefix}/from_timestamp": 0.0, f"{prefix}/to_timestamp": video.end}
+        for key, (end, _) in videos.items():
+            row |= {f"videos/{key}/chunk_index": video_place.chunk, f"videos/{key}/file_index": video_place.file}
+            row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": end}
         row |= {
             f"stats/{key}/{name}": value for key, found in stats.items() for name, value in _plain_stats(found).items()
         }
@@ -396,7 +376,7 @@ class _LeRobotWriter(Closing):
             },
             schema.PROVENANCE: {
                 "dataset": source.path.absolute().name,
-                **self._content.about(),
+                **self._content.about,
                 "episodes": self._provenance,
             },
         }

@@ -275,7 +275,6 @@ def _write_episode(folder: Path, times: Sequence[float], data: Frames, metadata:
 
 
 def _write_split(root: Path, frames: Mapping[str, int]) -> None:
-    """Write the file with the number of frames of each episode."""
     size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": sum(frames.values())}
     _write_json(root / schema.SPLIT, {"filters": {}, "size": size, "files": dict(sorted(frames.items()))})
 

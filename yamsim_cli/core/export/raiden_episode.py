@@ -131,7 +131,6 @@ class EpisodeMaker(Closing):
                 _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
 
     def _require_same_appearance(self, episode: StoredEpisode, camera: str, image: Image) -> None:
-        """Raise DatasetError if the first picture differs from the recorded one."""
         recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
         rendered = decode_jpeg(encode_jpeg(image, self._quality))
         assert rendered is not None

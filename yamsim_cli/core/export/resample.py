@@ -122,7 +122,6 @@ def _between(times: Array, nodes: Array, values: Array) -> Array:
 
 
 def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
-    """Raise DatasetError unless physics led to the recorded positions (frames, nq)."""
     deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
     if np.nanmax(deviation, initial=0.0) > _MOST_DEVIATION or np.isnan(deviation).any():
         k = int(np.argmax(~(deviation <= _MOST_DEVIATION)))

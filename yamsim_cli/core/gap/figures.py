@@ -154,24 +154,19 @@ def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float 
             f"{motion.name}: {found} measured samples from {max(begin, 0):g} s to {min(end, motion.duration):g} s; "
             f"a gap needs {_LEAST_SAMPLES}: give a longer recording, or another --from and --to"
         )
-    both = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
-    curves = [_curves(motion.times, counted, real, made) for _, real, made in both]
-    errors = [(real.joints - made.joints)[counted] for _, real, made in both]
-    labels = [phases(seen.measured, motion.times[counted]) for seen in curves]
-    joints = tuple(
-        _joint_gap(scene, arm, real.side, k, off[:, k], seen, label[:, k])
-        for (arm, real, _), seen, off, label in zip(both, curves, errors, labels, strict=True)
-        for k in range(arm.dof)
-    )
-    hands = tuple(_hand_gap(scene, k, real, made, motion.times, counted) for k, (_, real, made) in enumerate(both))
+    pairs = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
+    joints = [_joint_gaps(scene, arm, real, made, motion.times, counted) for arm, real, made in pairs]
+    hands = tuple(_hand_gap(scene, k, real, made, motion.times, counted) for k, (_, real, made) in enumerate(pairs))
+    errors = [(real.joints - made.joints)[counted] for _, real, made in pairs]
+    together = np.concatenate([rows.ravel() for rows in errors])
     times = motion.times[counted]
     return Gap(
         name=motion.name,
         seconds=float(times[-1] - times[0]),
-        error=ErrorSize.of(np.concatenate([off.ravel() for off in errors])),
-        joints=joints,
+        error=ErrorSize.of(together),
+        joints=tuple(gap for gaps, _ in joints for gap in gaps),
         hands=hands,
-        phases=_by_phase(np.concatenate([off.ravel() for off in errors]), np.concatenate([x.ravel() for x in labels])),
+        phases=_by_phase(together, np.concatenate([labels.ravel() for _, labels in joints])),
         worst=_worst(scene, motion, errors, counted),
         motion=motion,
         simulated=simulated,
@@ -179,64 +174,46 @@ def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float 
     )
 
 
-@dataclass(frozen=True)
-class _Curves:
-    """Measured, simulated and commanded joints of an arm over the compared time, on one even grid."""
-
-    measured: SmoothCurves
-    simulated: SmoothCurves
-    commanded: SmoothCurves
-
-
-def _curves(times: Array, counted: NDArray[np.bool_], real: ArmMotion, made: ArmMotion) -> _Curves:
+def _joint_gaps(
+    scene: CompiledScene, arm: SceneArm, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
+) -> tuple[list[JointGap], NDArray[np.int8]]:
+    """The gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
     assert real.commands is not None, "the simulation followed them"
-    at = times[counted]
-    inside = (times >= at[0]) & (times <= at[-1])
+    at, errors = times[counted], (real.joints - made.joints)[counted]
     # Commands between measured samples count too.
-    commands = held(real.commands, real.joints)[inside]
-    return _Curves(
-        smooth(at, real.joints[counted]),
-        smooth(at, made.joints[counted]),
-        smooth(times[inside], commands, steps=True, like=at),
-    )
+    inside = (times >= at[0]) & (times <= at[-1])
+    commanded = smooth(times[inside], held(real.commands, real.joints)[inside], steps=True, like=at)
+    measured, simulated = smooth(at, real.joints[counted]), smooth(at, made.joints[counted])
+    resting, labels = at_rest(measured, commanded), phases(measured, at)
 
-
-def _joint_gap(
-    scene: CompiledScene,
-    arm: SceneArm,
-    side: str,
-    k: int,
-    errors: Array,
-    curves: _Curves,
-    labels: NDArray[np.int8],
-) -> JointGap:
-    resting = at_rest(curves.measured, curves.commanded)[:, k]
-    stopped = list(stops(curves.commanded, k))
-
-    def following(first: SmoothCurves, second: SmoothCurves) -> Following:
-        apart = (second.values - first.values)[resting, k]
+    def following(first: SmoothCurves, second: SmoothCurves, k: int) -> Following:
+        apart = (second.values - first.values)[resting[:, k], k]
+        stopped = list(stops(commanded, k))
         beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
         # A command has no overshoot of its own.
-        already = [0.0 if first is curves.commanded else overshoot(first.values[:, k], stop) for stop in stopped]
+        already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return Following(
             delay(first, second, k),
             float(np.mean(apart)) if len(apart) else None,
             float(np.mean(np.subtract(beyond, already))) if stopped else None,
         )
 
-    return JointGap(
-        arm=side,
-        name=_joint_name(scene, arm, k),
-        error=ErrorSize.of(errors),
-        beyond=following(curves.simulated, curves.measured),
-        measured=following(curves.commanded, curves.measured),
-        simulated=following(curves.commanded, curves.simulated),
-        phases=_by_phase(errors, labels),
-    )
+    gaps = [
+        JointGap(
+            arm=real.side,
+            name=_joint_name(scene, arm, k),
+            error=ErrorSize.of(errors[:, k]),
+            beyond=following(simulated, measured, k),
+            measured=following(commanded, measured, k),
+            simulated=following(commanded, simulated, k),
+            phases=_by_phase(errors[:, k], labels[:, k]),
+        )
+        for k in range(arm.dof)
+    ]
+    return gaps, labels
 
 
 def _joint_name(scene: CompiledScene, arm: SceneArm, k: int) -> str:
-    """The name of an arm's k-th joint in its model."""
     number = int(scene.model.dof_jntid[arm.joint_dof[k]])
     return str(scene.model.joint(number).name.removeprefix(arm.prefix))
 

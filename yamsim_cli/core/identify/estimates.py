@@ -110,7 +110,6 @@ def _student(freedom: int) -> float:
 
 
 def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
-    """The least half width of an interval."""
     size, k = value(fitted.values, parameter), 0 if parameter.joint is None else parameter.joint
     damped = float(plant.kv[k] + fitted.values.damping[k])
     match parameter.name:
