@@ -152,15 +152,6 @@ def test_without_pictures_there_are_no_videos_and_no_cameras(of_numbers: Path) -
     assert not [key for key in rows(of_numbers, "meta/episodes/*/*.parquet") if "camera" in key or "video" in key]
 
 
-def test_a_policy_takes_the_joints_alone_as_its_state(export: Path) -> None:
-    """lerobot makes a state of every feature whose name begins with `observation`, and drops other names."""
-    features = json.loads((export / "meta" / "info.json").read_text())["features"]
-    states = {key for key in features if key.startswith("observation") and features[key]["dtype"] != "video"}
-    assert states == {"observation.state"}
-    # Its tools for editing datasets fail on arrays of two dimensions.
-    assert all(len(feature["shape"]) == 1 for feature in features.values() if feature["dtype"] != "video")
-
-
 def test_elements_of_matrices_are_named_by_row_and_column(export: Path, dataset: Path) -> None:
     features = json.loads((export / "meta" / "info.json").read_text())["features"]
     found, frame = rows(export, "data/*/*.parquet"), recorded(dataset)[0][0]

@@ -33,7 +33,7 @@ from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.recordings.lerobot_files import VideoPaths
-from yamsim_cli.core.recordings.reading import format_of, read_motions, reader_of
+from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.recordings.recording import Recording
 from yamsim_cli.core.resources import Locations
 
@@ -228,13 +228,6 @@ def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Lo
     np.testing.assert_allclose(arm.joints, [frame["joints"][:6] for frame in frames], atol=1e-6)
     first = next(recording.pictures["scene_camera"].read())
     assert first == (recorded / "ep_000001" / "rgb/scene_camera/000000.jpg").read_bytes()
-
-
-def test_all_formats_give_motions_to_whoever_compares(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    motion = swinging(station, 0.5)
-    raw = write_raiden_raw(tmp_path / "raw", motion, station)
-    (found,) = read_motions([raw], station, locations)
-    same_motion(found, motion)
 
 
 @pytest.mark.parametrize("value", [_MISSING, 0, -30, "30", True, float("nan"), None])

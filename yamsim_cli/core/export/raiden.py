@@ -187,7 +187,7 @@ def _converted(
     """An episode's frames in raiden's layout, without unknown matrices of cameras."""
     if source.first.record.drives != source.rig.drives:
         raise DatasetError(
-            f"{source.path} has no grippers, since nobody recorded them, and raiden's layout has one of each arm: "
+            f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
             "export it as lerobot"
         )
     joints = source.shares([frame["joints"] for frame in recorded])

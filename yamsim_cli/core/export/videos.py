@@ -124,7 +124,7 @@ def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, i
 
 def _cameras(source: AnySource, wanted: Sequence[str]) -> tuple[str, ...]:
     if not source.cameras:
-        raise DatasetError(f"{source.path} has no pictures: nobody recorded any, so there is no film of it")
+        raise DatasetError(f"{source.path} has no pictures, so there is nothing to show")
     for name in wanted:
         if name not in source.cameras:
             raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")

@@ -21,9 +21,9 @@ _LEAST_SPEED = 0.02  # RMS, rad/s or m/s, below which there is no delay
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
 _CRUISING_RATE = 1.0  # 1/s; the speed of a cruising joint changes by less than this share of itself per s
 _SETTLING = 0.3  # s, after which a still joint is at rest
-# A stop is a command that moved by so many rad in its last so many s, and then stays for so many s.
+# A stop is a command that moved at least by _LEAST_MOVE (rad) within _LAST (s), and then stays for _LEAST_HOLD (s).
 _LEAST_MOVE, _LAST, _LEAST_HOLD = 0.02, 0.3, 0.3
-_WATCHED, _END = 1.0, 0.1  # s after a stop that are watched for overshoot, and their end, whose mean is where it rests
+_WATCHED, _END = 1.0, 0.1  # s after a stop that are watched for overshoot, and s at their end that give the rest
 
 
 @dataclass(frozen=True)

@@ -135,14 +135,14 @@ def identify(
             logs = [log.between(0.0, cut * log.seconds) for log in logs]
             check_usable(logs, plant.robot.joint_names, called)
         fitted = fit(arm, logs, _counter(called or arm.name, _RUNS_PER_PARAMETER * len(parameters(plant)), step))
-        told = estimates(plant, fitted)
-        require_determined(plant, told, ", ".join(log.name for log in logs))
+        estimated = estimates(plant, fitted)
+        require_determined(plant, estimated, ", ".join(log.name for log in logs))
         was = arm.dynamics or Dynamics(revision=revision, base=arm.model.name)
-        dynamics = revised(plant, was.model_copy(update={"revision": revision, "source": source}), told)
+        dynamics = revised(plant, was.model_copy(update={"revision": revision, "source": source}), estimated)
         gap = _gap(plant, fitted.values, others)
         gripper = not plant.fingers or all(log.openings is not None for log in logs)
-        unknown = cannot_tell(told, gripper)
-        found.append(Identified(arm.name, called, dynamics, told, unknown, _rms(fitted.errors), gap))
+        unknown = cannot_tell(estimated, gripper)
+        found.append(Identified(arm.name, called, dynamics, estimated, unknown, _rms(fitted.errors), gap))
     return found
 
 
@@ -183,9 +183,9 @@ def _gap(plant: ArmPlant, values: Values, logs: Sequence[Log]) -> HeldOutGap:
     return HeldOutGap(", ".join(log.name for log in logs), seconds, _rms(before), _rms(after), joints)
 
 
-def revised(plant: ArmPlant, was: Dynamics, told: Sequence[Estimate]) -> Dynamics:
+def revised(plant: ArmPlant, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
     """The revision `was` with the estimates; parameters that the logs do not determine keep their value."""
-    known = {(each.joint, each.name): each.value if each.told else each.before for each in told}
+    known = {(each.joint, each.name): each.value if each.told else each.before for each in found}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
         damping = known[name, "damping_nms"]
