@@ -167,19 +167,21 @@ def lerobot(
     """
     source = _source(dataset, episodes, fps)
 
-    from yamsim_cli.core.export.lerobot import LeRobotOptions, RealOptions, export_lerobot, export_real_lerobot
+    from yamsim_cli.core.export.lerobot import export_lerobot, export_real_lerobot
     from yamsim_cli.core.export.source import RealSource
 
     with progress_bar("exporting", "episodes") as advance:
         if isinstance(source, RealSource):
             if environment_state:
                 raise UsageError(f"--environment-state: {dataset} is real, and nobody recorded where things were")
-            wanted = RealOptions(pictures, actions or "recorded")
-            done = export_real_lerobot(source, out, advance, wanted, overwrite=overwrite)
+            done = export_real_lerobot(
+                source, out, advance, pictures=pictures, actions=actions or "recorded", overwrite=overwrite
+            )
         else:
             _require_real("--actions", actions, dataset)
-            options = LeRobotOptions(pictures, environment_state)
-            done = export_lerobot(source, out, advance, options, overwrite=overwrite)
+            done = export_lerobot(
+                source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
+            )
     _show(done, json)
 
 

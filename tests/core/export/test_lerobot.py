@@ -14,7 +14,7 @@ from tests.core.export.conftest import CAMERAS, EPISODES, frames_of, ignore
 from tests.core.export.lerobot_files import check_numbers, jpegs, recorded, rows
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.export import lerobot_schema
-from yamsim_cli.core.export.lerobot import LeRobotOptions, export_lerobot
+from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.lerobot_stats import PixelCounts, RunningStats, column_stats
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
@@ -38,7 +38,7 @@ def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPat
 def of_numbers(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Without pictures, and with where things are."""
     out = tmp_path_factory.mktemp("lerobot") / "numbers"
-    export_lerobot(open_source(dataset, None, locations), out, ignore, LeRobotOptions(False, True))
+    export_lerobot(open_source(dataset, None, locations), out, ignore, pictures=False, environment_state=True)
     return out
 
 
@@ -140,7 +140,7 @@ def test_things_with_other_joints_are_not_exported_together(
     record = source.first.record.model_copy(update={"joints": {"cabinet": ("slide",)}})
     other = replace(source, first=replace(source.first, record=record))
     with pytest.raises(DatasetError, match=r"ep_000000 has things with other joints than ep_000000"):
-        export_lerobot(other, tmp_path / "out", ignore, LeRobotOptions(False, True))
+        export_lerobot(other, tmp_path / "out", ignore, pictures=False, environment_state=True)
     assert not (tmp_path / "out").exists()
 
 

@@ -19,7 +19,7 @@ from tests.core.recordings.foreign import PROMPT, grey_of, shares
 from tests.core.recordings.making import same_motion, some, swinging
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.export.lerobot import RealOptions, export_real_lerobot
+from yamsim_cli.core.export.lerobot import export_real_lerobot
 from yamsim_cli.core.export.raiden import export_real_raiden
 from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import ActionSource, nearest_to_even, open_real_source, open_source
@@ -48,13 +48,13 @@ def filmed(tmp_path_factory: pytest.TempPathFactory, station: RigConfig, locatio
     return Real(with_film(tmp_path_factory.mktemp("filmed"), motion, station, locations), motion, station)
 
 
-DEFAULT, RECORDED = RaidenOptions(), RealOptions()
+DEFAULT = RaidenOptions()
 
 
 def to_lerobot(
-    dataset: Path, out: Path, locations: Locations, options: RealOptions = RECORDED, fps: float | None = None
+    dataset: Path, out: Path, locations: Locations, actions: ActionSource = "recorded", fps: float | None = None
 ) -> Exported:
-    return export_real_lerobot(open_real_source(dataset, None, locations, fps), out, ignore, options)
+    return export_real_lerobot(open_real_source(dataset, None, locations, fps), out, ignore, actions=actions)
 
 
 def test_lerobot_has_what_was_recorded_and_nothing_else(filmed: Real, locations: Locations, tmp_path: Path) -> None:
@@ -94,12 +94,12 @@ def test_commands_that_nobody_recorded_are_not_made_up(single: RigConfig, locati
     with pytest.raises(DatasetError, match=r"has no commands.*--actions measured"):
         to_lerobot(dataset, tmp_path / "refused", locations)
     assert not (tmp_path / "refused").exists()
-    to_lerobot(dataset, tmp_path / "later", locations, RealOptions(actions="measured"))
+    to_lerobot(dataset, tmp_path / "later", locations, "measured")
     found = rows(tmp_path / "later", "data/*/*.parquet")
     states, actions = np.array(found["observation.state"]), np.array(found["action"])
     np.testing.assert_array_equal(actions[:-1], states[1:])
     np.testing.assert_array_equal(actions[-1], states[-1])
-    to_lerobot(dataset, tmp_path / "none", locations, RealOptions(actions="none"))
+    to_lerobot(dataset, tmp_path / "none", locations, "none")
     assert "action" not in rows(tmp_path / "none", "data/*/*.parquet")
     assert "action" not in json.loads((tmp_path / "none/meta/info.json").read_text())["features"]
 

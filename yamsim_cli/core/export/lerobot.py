@@ -7,7 +7,6 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,62 +34,42 @@ Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of an episod
 _APART = "unlike the first one: export them apart, see --episodes"
 
 
-@dataclass(frozen=True)
-class LeRobotOptions:
-    """What an export of simulated episodes holds beside joints and commands.
-
-    Attributes:
-        pictures: videos of all cameras, and the cameras' matrices.
-        environment_state: poses of things, see `core.policies.environment_state`.
-    """
-
-    pictures: bool = True
-    environment_state: bool = False
-
-
-@dataclass(frozen=True)
-class RealOptions:
-    """What an export of real recordings holds.
-
-    Attributes:
-        pictures: videos of all cameras, and the known matrices of cameras.
-        actions: their source.
-    """
-
-    pictures: bool = True
-    actions: ActionSource = "recorded"
-
-
-_WHOLE, _RECORDED = LeRobotOptions(), RealOptions()
-
-
 def export_lerobot(
     source: Source,
     out: Path,
     progress: Progress,
-    options: LeRobotOptions = _WHOLE,
     *,
+    pictures: bool = True,
+    environment_state: bool = False,
     overwrite: bool = False,
 ) -> Exported:
     """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
+
+    Args:
+        pictures: write videos of all cameras, and the cameras' matrices.
+        environment_state: write poses of things, see `core.policies.environment_state`.
 
     Raises:
         DatasetError: a file is missing, altered or damaged, or episodes have things with other joints.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    return _export(source, out, progress, _SimulatedContent(source, options), overwrite)
+    return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
 
 def export_real_lerobot(
     source: RealSource,
     out: Path,
     progress: Progress,
-    options: RealOptions = _RECORDED,
     *,
+    pictures: bool = True,
+    actions: ActionSource = "recorded",
     overwrite: bool = False,
 ) -> Exported:
     """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
+
+    Args:
+        pictures: write videos of all cameras, and the known matrices of cameras.
 
     Raises:
         DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or an episode has
@@ -98,7 +77,7 @@ def export_real_lerobot(
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    return _export(source, out, progress, _RealContent(source, options), overwrite)
+    return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
 
 def _export(source: AnySource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> Exported:
@@ -148,11 +127,11 @@ class _Content(ABC):
 class _SimulatedContent(_Content):
     """Joints, commands of drives and welds, and poses of things."""
 
-    def __init__(self, source: Source, options: LeRobotOptions) -> None:
-        super().__init__(options.pictures, {})
+    def __init__(self, source: Source, pictures: bool, environment_state: bool) -> None:
+        super().__init__(pictures, {})
         self._source = source
-        self._cameras = tuple(source.cameras) if options.pictures else ()
-        self._things = tuple(things_told(source.config)) if options.environment_state else ()
+        self._cameras = tuple(source.cameras) if pictures else ()
+        self._things = tuple(things_told(source.config)) if environment_state else ()
 
     def columns(self) -> dict[str, Feature]:
         source = self._source
@@ -195,13 +174,13 @@ class _RealContent(_Content):
     Grippers are shares of their opening, as in public datasets of real stations.
     """
 
-    def __init__(self, source: RealSource, options: RealOptions) -> None:
-        super().__init__(options.pictures, {"source": "real", "actions": options.actions, "gripper": "share"})
-        self._source, self._actions = source, options.actions
+    def __init__(self, source: RealSource, pictures: bool, actions: ActionSource) -> None:
+        super().__init__(pictures, {"source": "real", "actions": actions, "gripper": "share"})
+        self._source, self._actions = source, actions
         frame = source.first.frames()[0]
         self._velocities = "joint_velocities" in frame
-        self._intrinsics = tuple(frame.get("intrinsics", ())) if self.pictures else ()
-        self._extrinsics = tuple(frame.get("extrinsics", ())) if self.pictures else ()
+        self._intrinsics = tuple(frame.get("intrinsics", ())) if pictures else ()
+        self._extrinsics = tuple(frame.get("extrinsics", ())) if pictures else ()
 
     def columns(self) -> dict[str, Feature]:
         source = self._source

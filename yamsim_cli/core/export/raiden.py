@@ -14,9 +14,7 @@ import numpy as np
 from ..config.recording import RecordConfig
 from ..dataset.lowdim import dump_frame
 from ..dataset.reader import RecordedEpisode
-from ..dataset.recorded_images import RecordedImages
 from ..errors import DatasetError, UsageError
-from ..images.png import encode_png
 from ..progress import Progress
 from ..resources import Locations
 from ..session import Session
@@ -24,7 +22,7 @@ from ..workers.executor import Executor, Factory
 from ..workers.inline import InlineExecutor
 from ..workers.processes import WorkerPool
 from . import raiden_schema as schema
-from .raiden_episode import EpisodeMaker, MadeEpisode
+from .raiden_episode import EpisodeMaker, MadeEpisode, copy_images
 from .raiden_frames import FrameConverter, calibration, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 from .source import ActionSource, Frames, RealEpisode, RealSource, Source, depth_cameras
@@ -162,7 +160,7 @@ def export_real_raiden(
             folder = stage.path / schema.episode_name(number)
             recorded = episode.frames()
             data = _converted(source, converter, episode, recorded, actions)
-            _copy_images(episode, folder, options)
+            copy_images(RecordedEpisode(episode.directory, episode.record), folder, names, episode.chosen, options)
             times = [k * source.period if source.even else frame["timestamp"] for k, frame in enumerate(recorded)]
             pictures: dict[str, Any] = {"source": "recorded"}
             if source.even:
@@ -198,21 +196,6 @@ def _converted(
         converter.converted(common | dict(frame), list(measured), list(command))
         for frame, measured, command in zip(recorded, joints, commands, strict=True)
     ]
-
-
-def _copy_images(episode: RealEpisode, folder: Path, options: RaidenOptions) -> None:
-    """Copy the pictures: JPEGs byte for byte, or PNGs of their pixels."""
-    images = RecordedImages(episode)
-    for camera in images.cameras:
-        place = folder / "rgb" / camera
-        place.mkdir(parents=True)
-        before, data = -1, b""
-        for k, recorded in enumerate(episode.chosen):
-            if recorded != before:
-                jpeg = options.images == "jpg"
-                data = episode.image(camera, k) if jpeg else encode_png(images.read(camera, k))
-                before = recorded
-            (place / schema.frame_name(k, options.images)).write_bytes(data)
 
 
 def _metadata(

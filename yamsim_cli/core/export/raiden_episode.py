@@ -17,7 +17,7 @@ from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..dataset.disk_faults import explain
 from ..dataset.layout import depth_name
-from ..dataset.reader import StoredEpisode, open_episode
+from ..dataset.reader import RecordedEpisode, StoredEpisode, open_episode
 from ..dataset.truth_files import dump_depth
 from ..errors import DatasetError, PartialJobError
 from ..images.image import Image
@@ -98,20 +98,11 @@ class EpisodeMaker(Closing):
         return MadeEpisode(made.times.tolist(), made.frames, pictures)
 
     def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
-        """Copy recorded pictures: JPEGs byte for byte, or PNGs of their pixels."""
-        depths = depth_cameras(episode)
-        for camera, name in self._names.items():
-            before, data, depth = -1, b"", b""
+        copy_images(episode, folder, self._names, frames, self._options)
+        for camera in depth_cameras(episode):
             for k, frame in enumerate(frames):
-                if frame != before:
-                    data = episode.image(camera, frame)
-                    if self._options.images == "png":
-                        data = encode_png(_decoded(episode, camera, frame, data))
-                    depth = _depth(episode, camera, frame) if camera in depths else b""
-                    before = frame
-                _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
-                if depth:
-                    _write(folder / "depth" / name / schema.frame_name(k, "npz"), depth)
+                place = folder / "depth" / self._names[camera] / schema.frame_name(k, "npz")
+                _write(place, _depth(episode, camera, frame))
 
     def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
         depths = depth_cameras(episode)
@@ -150,12 +141,35 @@ class EpisodeMaker(Closing):
             self._simulators.close()
 
 
+def copy_images(
+    episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
+) -> None:
+    """Copy recorded pictures: JPEGs byte for byte, or PNGs of their pixels.
+
+    Args:
+        names: camera -> its name in raiden's layout.
+        frames: numbers of the recorded frames, which may repeat.
+
+    Raises:
+        DatasetError: a picture is missing, altered or damaged.
+    """
+    for camera, name in names.items():
+        before, data = -1, b""
+        for k, frame in enumerate(frames):
+            if frame != before:
+                data = episode.image(camera, frame)
+                if options.images == "png":
+                    data = encode_png(_decoded(episode, camera, frame, data))
+                before = frame
+            _write(folder / "rgb" / name / schema.frame_name(k, options.images), data)
+
+
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
 
 
-def _decoded(episode: StoredEpisode, camera: str, frame: int, data: bytes) -> Image:
+def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
     image = decode_jpeg(data)
     if image is None:
         raise DatasetError(f"{episode.directory}: frame {frame} of {camera} is no whole JPEG; --images jpg copies it")

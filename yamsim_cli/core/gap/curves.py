@@ -82,11 +82,6 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
     return through(slope), 2 * through(bend)
 
 
-def _at_times(curves: SmoothCurves, rows: Array, times: Array) -> Array:
-    """Rows (n, k) of the curves' grid, interpolated at other times (m,), (m, k)."""
-    return np.column_stack([np.interp(times, curves.times, column) for column in rows.T])
-
-
 def delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
     """How much later the second motion is than the first one, s, by the cross-correlation of their speeds.
 
@@ -136,7 +131,10 @@ PHASES = tuple(Phase)
 
 def phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
     """The number in `PHASES` of each joint's phase, (n, dof) at times (n,)."""
-    speeds, bends = (_at_times(measured, rows, times) for rows in (measured.speeds, measured.accelerations))
+    speeds, bends = (
+        np.column_stack([np.interp(times, measured.times, column) for column in rows.T])
+        for rows in (measured.speeds, measured.accelerations)
+    )
     fast = np.abs(speeds)
     rates = bends * np.sign(speeds) / np.maximum(fast, _STILL_SPEED)
     found = np.full(speeds.shape, PHASES.index(Phase.CRUISING), np.int8)

@@ -104,21 +104,17 @@ def _means(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | No
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
+    never_negative = {key for key in known if {"rms", "p95"} & set(key.split("_"))}
     means = {
         key: float(np.max(values) if key in largest else np.mean(values)) if values else None
         for key, values in known.items()
     }
     intervals = {
-        key: [max(0.0, bounds[0]) if _is_size(key) else bounds[0], bounds[1]]
+        key: [max(0.0, bounds[0]) if key in never_negative else bounds[0], bounds[1]]
         for key, values in known.items()
         if key not in largest and (bounds := student95(values))
     }
     return {**means, **({"intervals": intervals} if intervals else {})}
-
-
-def _is_size(key: str) -> bool:
-    """Whether a figure is a size of errors, which is never negative."""
-    return not {"rms", "p95"}.isdisjoint(key.split("_"))
 
 
 def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -171,8 +171,8 @@ def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -
             replace(
                 arm,
                 joints=np.deg2rad(arm.joints),
-                commands=_changed(arm.commands, np.deg2rad),
-                velocities=_changed(arm.velocities, np.deg2rad),
+                commands=None if arm.commands is None else np.deg2rad(arm.commands),
+                velocities=None if arm.velocities is None else np.deg2rad(arm.velocities),
             )
             for arm in arms
         )
@@ -183,10 +183,6 @@ def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -
     return replace(recording, motion=replace(recording.motion, arms=arms), gripper=unit)
 
 
-def _changed(values: Array | None, change: Callable[[Array], Array]) -> Array | None:
-    return None if values is None else change(values)
-
-
 def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
     fingers = rig.arms[arm].robot.fingers
     return fingers.full_opening if fingers and unit == "metres" else 1.0
@@ -194,16 +190,12 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
 
 def _mirrored(arm: ArmMotion, full: float, which: str) -> ArmMotion:
     """An arm's motion with its openings counted from the other end."""
-
-    def mirror(values: Array) -> Array:
-        return full - values
-
     measured, commanded = arm.openings, arm.commanded_openings
-    return replace(
-        arm,
-        openings=measured if which == "commanded" else _changed(measured, mirror),
-        commanded_openings=commanded if which == "measured" else _changed(commanded, mirror),
-    )
+    if measured is not None and which != "commanded":
+        measured = full - measured
+    if commanded is not None and which != "measured":
+        commanded = full - commanded
+    return replace(arm, openings=measured, commanded_openings=commanded)
 
 
 def _config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> RealConfig:

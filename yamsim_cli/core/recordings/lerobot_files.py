@@ -209,11 +209,6 @@ class _Dataset:
         ]
 
 
-def is_lerobot(path: Path) -> bool:
-    """Whether a folder is a LeRobot dataset."""
-    return (path / INFO).is_file()
-
-
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
     """The episodes of a LeRobot dataset.
 

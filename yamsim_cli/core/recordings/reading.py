@@ -17,7 +17,7 @@ from ..geometry.se3 import Array
 from ..motion import Motion
 from ..resources import Locations
 from .csv_file import read_csv
-from .lerobot_files import is_lerobot, read_lerobot
+from .lerobot_files import INFO, read_lerobot
 from .mcap_file import read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
@@ -48,7 +48,7 @@ def format_of(path: Path) -> str:
             return _BY_ENDING[path.suffix.lower()]
     elif (path / ROBOT_DATA).is_file():
         return "raiden_raw"
-    elif is_lerobot(path):
+    elif (path / INFO).is_file():
         return "lerobot"
     elif is_ours(path):
         raise DatasetError(f"{path}: is an episode or a dataset of yamsim's already, which needs no import")
