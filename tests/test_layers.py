@@ -124,7 +124,6 @@ CONFINED = {
         "core.teleop",
         "core.serve.plant",
         "core.identify.plant",
-        "core.identify.room",
         "core.identify.excitation",
         "kitchenbench.motion",
     },

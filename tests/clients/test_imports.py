@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.export.real_datasets import NAMES, bring_in, with_film
-from tests.core.recordings.foreign import PROMPT, START_NS, grey_of, shares
+from tests.core.export.real_datasets import bring_in, with_film
+from tests.core.recordings.foreign import NAMES, PROMPT, START_NS, grey_of, shares
 from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_images
 from yamsim_cli.core.export.lerobot import export_real_lerobot
-from yamsim_cli.core.export.raiden_options import RaidenOptions
-from yamsim_cli.core.export.raiden_real import export_real_raiden
-from yamsim_cli.core.export.real_source import open_real_source
+from yamsim_cli.core.export.raiden import export_real_raiden
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
+from yamsim_cli.core.export.source import open_real_source
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.columns import header
+from yamsim_cli.core.recordings.csv_file import header
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 

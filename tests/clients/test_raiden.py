@@ -16,7 +16,7 @@ from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel

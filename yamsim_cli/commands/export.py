@@ -12,9 +12,9 @@ from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.export.raiden_options import RaidenOptions
-    from yamsim_cli.core.export.real_source import ActionSource, RealSource
-    from yamsim_cli.core.export.source import Exported, Source
+    from yamsim_cli.core.export.raiden_schema import RaidenOptions
+    from yamsim_cli.core.export.source import ActionSource, RealSource, Source
+    from yamsim_cli.core.export.target import Exported
     from yamsim_cli.core.resources import Locations
 
 # Physics takes so many steps a second: no more states can be told apart.
@@ -88,7 +88,7 @@ def raiden(
     Example: yamsim export raiden dataset/ real_layout/
     """
     from yamsim_cli.core.dataset.real import is_real
-    from yamsim_cli.core.export.raiden_options import RaidenOptions
+    from yamsim_cli.core.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
@@ -135,8 +135,8 @@ def _real_raiden(
     """Export real recordings, of which nothing is rendered."""
     opener.skip_gl()
 
-    from yamsim_cli.core.export.raiden_real import export_real_raiden
-    from yamsim_cli.core.export.real_source import open_real_source
+    from yamsim_cli.core.export.raiden import export_real_raiden
+    from yamsim_cli.core.export.source import open_real_source
 
     where = opener.locations()
     source = open_real_source(dataset, episodes, where, options.fps)
@@ -168,19 +168,20 @@ def lerobot(
     source = _source(dataset, episodes, fps)
 
     from yamsim_cli.core.export.lerobot import export_lerobot, export_real_lerobot
-    from yamsim_cli.core.export.lerobot_options import LeRobotOptions, RealOptions
-    from yamsim_cli.core.export.real_source import RealSource
+    from yamsim_cli.core.export.source import RealSource
 
     with progress_bar("exporting", "episodes") as advance:
         if isinstance(source, RealSource):
             if environment_state:
                 raise UsageError(f"--environment-state: {dataset} is real, and nobody recorded where things were")
-            wanted = RealOptions(pictures, actions or "recorded")
-            done = export_real_lerobot(source, out, advance, wanted, overwrite=overwrite)
+            done = export_real_lerobot(
+                source, out, advance, pictures=pictures, actions=actions or "recorded", overwrite=overwrite
+            )
         else:
             _require_real("--actions", actions, dataset)
-            options = LeRobotOptions(pictures, environment_state)
-            done = export_lerobot(source, out, advance, options, overwrite=overwrite)
+            done = export_lerobot(
+                source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
+            )
     _show(done, json)
 
 
@@ -259,8 +260,7 @@ def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> So
     opener.skip_gl()
 
     from yamsim_cli.core.dataset.real import is_real
-    from yamsim_cli.core.export.real_source import open_real_source
-    from yamsim_cli.core.export.source import open_source
+    from yamsim_cli.core.export.source import open_real_source, open_source
 
     where = opener.locations()
     if is_real(dataset):

@@ -94,7 +94,7 @@ def gap(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.gap.tally import report_of, require_small
+    from yamsim_cli.core.gap.report import report_of, require_small
     from yamsim_cli.core.recordings.faults import find_faults, require_units
     from yamsim_cli.core.recordings.reading import read_motions
 
@@ -181,7 +181,7 @@ def _tell(
 ) -> None:
     """Write and print the report."""
     if html:
-        from yamsim_cli.core.gap.page_file import write_gap_page
+        from yamsim_cli.core.gap.report import write_gap_page
 
         write_gap_page(report, gaps, shown, html)
         report["html"] = str(html)

@@ -59,8 +59,7 @@ def import_recording(
     settings = opener.rig(rig, where)
 
     from yamsim_cli.core.dataset.writing.opening import OpenMode
-    from yamsim_cli.core.import_recording.corrections import Corrections
-    from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
+    from yamsim_cli.core.import_recording.importing import Corrections, ImportRequest, import_recordings
 
     mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
     said = Corrections(degrees, swap_arms, gripper, mirror_gripper)

@@ -89,7 +89,7 @@ def serve_robot(
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
     from yamsim_cli.core.errors import UsageError
-    from yamsim_cli.core.motors.faults import parse_fault
+    from yamsim_cli.core.motors.bus import parse_fault
 
     faults = [parse_fault(text) for text in fault or ()]
     session = opener.open(

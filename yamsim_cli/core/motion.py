@@ -1,4 +1,4 @@
-"""What arms were told and what they did, over time: a recording without its pictures."""
+"""Commands and measurements of arms over time: a recording without its pictures."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class ArmMotion:
 
     Attributes:
         side: `left` or `right` of two arms, empty of a lone one.
-        joints: where the joints were measured (n, dof), rad; NaN in samples that have a command alone.
-        commands: where the drives were told to go (n, dof), rad; None where nobody recorded it.
-        openings: opening of one finger as measured (n,), m, NaN likewise; None where nobody recorded it.
-        commanded_openings: the opening that was told (n,), m; None likewise.
-        velocities: of the joints as measured (n, dof), rad/s, NaN likewise; None where nobody recorded them.
+        joints: measured (n, dof), rad; NaN in samples with a command alone.
+        commands: of the joints' drives (n, dof), rad; None if not recorded.
+        openings: measured, of one finger (n,), m; NaN as for `joints`, None if not recorded.
+        commanded_openings: (n,), m; None if not recorded.
+        velocities: measured (n, dof), rad/s; NaN as for `joints`, None if not recorded.
     """
 
     side: str
@@ -34,12 +34,15 @@ class ArmMotion:
 class Motion:
     """A recorded motion of one arm or two.
 
-    A command acts from its sample's time on, until the next sample's. What was not recorded is None, and not made up.
+    A command acts from its sample's time until the next sample's.
 
     Attributes:
-        name: where it was read from, for messages.
+        name: source of the motion, for messages.
         times: of the samples (n,), s, strictly increasing, the first one 0.
         arms: the left arm first.
+
+    Raises:
+        ValueError: times do not increase from 0, or an array has another number of rows.
     """
 
     name: str
@@ -47,11 +50,6 @@ class Motion:
     arms: tuple[ArmMotion, ...]
 
     def __post_init__(self) -> None:
-        """Holds it to its shapes.
-
-        Raises:
-            ValueError: times do not increase, or rows are not as many as they are: readers tell their users before.
-        """
         n = len(self.times)
         if n and (self.times[0] != 0 or np.any(np.diff(self.times) <= 0)):
             raise ValueError("times begin at 0 and increase")
@@ -65,5 +63,5 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last, s."""
+        """Time of the last sample, s."""
         return float(self.times[-1]) if len(self.times) else 0.0

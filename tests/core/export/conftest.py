@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.core.unrendered import SIZE, write_dataset
+from tests.core.unrendered import SIZE, frame_count, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 
@@ -20,11 +20,20 @@ CAMERAS = ("scene_camera", "right_wrist_camera")
 
 
 def picture(camera: str, episode: int, frame: int) -> NDArray[np.uint8]:
-    """Smooth, and quite another one for every frame: RGB (height, width, 3)."""
+    """A smooth RGB picture (height, width, 3) that differs from frame to frame."""
     x, y = np.meshgrid(np.linspace(0, 1, SIZE[0]), np.linspace(0, 1, SIZE[1]))
     base = 90 + 30 * x + 20 * (camera == "scene_camera") + 60 * (camera == "left_wrist_camera")
     channels = [base, 60 + 30 * y + 20 * episode, np.full_like(x, 20 + 37 * frame % 200)]
     return np.stack(channels, axis=-1).clip(0, 255).astype(np.uint8)
+
+
+def frames_of(dataset: Path) -> list[int]:
+    """Number of frames of each episode."""
+    return [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
+
+
+def ignore(done: int, total: int) -> None:
+    """Progress that nobody sees."""
 
 
 def jpeg(camera: str, episode: int, frame: int) -> bytes:

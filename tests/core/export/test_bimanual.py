@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import json
-import pickle
 import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from tests.core.export.lerobot_files import check_numbers, rows
-from tests.core.export.raiden_diff import differences
+from tests.core.export.lerobot_files import recorded as all_recorded
+from tests.core.export.raiden_diff import column, differences, frames_of
 from tests.core.unrendered import change_record
-from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.resources import Locations
@@ -35,11 +33,7 @@ DRIVES = [f"{side}_{name}" for side in SIDES for name in (*(f"joint{k}" for k in
 
 
 def recorded(dataset: Path) -> list[dict[str, Any]]:
-    return [load_frame(file.read_bytes()) for file in sorted((dataset / "ep_000000" / "lowdim").iterdir())]
-
-
-def column(frames: list[dict[str, Any]], key: str) -> np.ndarray:
-    return np.array([frame[key] for frame in frames])
+    return all_recorded(dataset)[0]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +54,7 @@ def lerobot(two_armed: Path, locations: Locations, tmp_path_factory: pytest.Temp
 
 
 def exported(root: Path) -> list[dict[str, Any]]:
-    return [pickle.loads(file.read_bytes()) for file in sorted((root / "0000" / "lowdim").iterdir())]
+    return frames_of(root / "0000")
 
 
 def hands(poses: np.ndarray, number: int) -> list[Array]:
@@ -71,7 +65,7 @@ def hands(poses: np.ndarray, number: int) -> list[Array]:
 
 def test_raidens_schema_holds_for_two_arms(raiden: Path) -> None:
     assert differences(raiden, arms=2) == []
-    assert any("bimanual_transform is too much" in text for text in differences(raiden, arms=1))
+    assert any("too much" in text for text in differences(raiden, arms=1))
 
 
 def test_raidens_joints_and_commands_are_the_left_arms_first(two_armed: Path, raiden: Path) -> None:
@@ -96,12 +90,14 @@ def test_raidens_hands_are_where_the_simulation_had_them_each_in_its_own_base(tw
         np.testing.assert_allclose(base @ actual, column(was, "ee_pose")[:, number], atol=1e-6)
         np.testing.assert_array_equal(column(found, "actual_poses")[:, 13 * number + 12], joints[:, 7 * number + 6])
         # A command is for the end of the first of a frame's two control ticks.
-        asked = np.array(hands(column(found, "action"), number))[:-1, :3, 3]
+        commanded = np.array(hands(column(found, "action"), number))[:-1, :3, 3]
         here = np.array(actual)[:, :3, 3]
         halfway = (here[:-1] + here[1:]) / 2
-        assert np.linalg.norm(asked - halfway, axis=1).max() < 0.02
+        assert np.linalg.norm(commanded - halfway, axis=1).max() < 0.02
         gripper = column(found, "action_joints")[:, 7 * number + 6]
         np.testing.assert_array_equal(column(found, "action")[:, 13 * number + 12], gripper)
+    # As raiden's visualizer uses it.
+    np.testing.assert_array_equal(column(found, "T_left_from_right"), column(was, "T_right_base_in_left_base"))
 
 
 def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(two_armed: Path, raiden: Path) -> None:
@@ -135,16 +131,6 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
     np.testing.assert_allclose(T, was[0]["extrinsics"]["scene_camera"], atol=1e-6)
 
 
-def test_raidens_frames_take_points_of_the_right_base_to_the_left_one(two_armed: Path, raiden: Path) -> None:
-    """As its visualizer uses it, on the hand of the right arm."""
-    was, found = recorded(two_armed), exported(raiden)
-    for k in (0, 60, len(found) - 1):
-        hand = np.append(found[k]["actual_poses"][13:16], 1.0)
-        in_left_base = (found[k]["T_left_from_right"] @ hand)[:3]
-        np.testing.assert_allclose(in_left_base, was[k]["ee_pose"][1, :3, 3], atol=1e-6)
-    np.testing.assert_allclose(found[0]["T_left_from_right"][:3, 3], (0, -0.591, 0), atol=1e-6)
-
-
 def test_two_arms_do_not_go_into_the_arrays_of_one(two_armed: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(two_armed, None, locations)
     with pytest.raises(UsageError, match=r"--single is for recordings of one arm, and .* has 2"):
@@ -163,17 +149,11 @@ def test_two_arms_at_30_hz(two_armed: Path, raiden: Path, locations: Locations, 
             np.testing.assert_array_equal(found[k][key], was[frame][key])
 
 
-def test_raidens_pictures_keep_their_cameras(two_armed: Path, raiden: Path) -> None:
-    for camera in CAMERAS:
-        was = cv2.imread(str(two_armed / "ep_000000" / "rgb" / camera / "000050.jpg"))
-        np.testing.assert_array_equal(cv2.imread(str(raiden / "0000" / "rgb" / camera / "0000000050.png")), was)
-
-
 def test_lerobots_numbers_are_the_recorded_ones(two_armed: Path, lerobot: Path) -> None:
     check_numbers(rows(lerobot, "data/*/*.parquet"), [recorded(two_armed)], CAMERAS)
 
 
-def test_lerobots_parts_are_named_after_their_arms(lerobot: Path) -> None:
+def test_lerobots_parts_are_named_after_their_arms(two_armed: Path, lerobot: Path) -> None:
     info = json.loads((lerobot / "meta" / "info.json").read_text())
     assert info["robot_type"] == "bi_i2rt_yam"
     assert info["features"]["observation.state"] == {"dtype": "float32", "shape": [14], "names": DRIVES}
@@ -182,18 +162,9 @@ def test_lerobots_parts_are_named_after_their_arms(lerobot: Path) -> None:
     assert {key for key in info["features"] if "images" in key} == {f"observation.images.{name}" for name in CAMERAS}
     stats = json.loads((lerobot / "meta" / "stats.json").read_text())
     assert (len(stats["observation.state"]["mean"]), len(stats["action"]["q99"])) == (14, 16)
-
-
-def test_lerobots_actions_lead_the_joints_of_the_same_name(lerobot: Path) -> None:
-    found = rows(lerobot, "data/*/*.parquet")
-    action, state = np.array(found["action"]), np.array(found["observation.state"])
-    moved = np.abs(action[:-1, :14] - state[1:]).mean(0)
-    swapped = np.abs(action[:-1, [*range(7, 14), *range(7)]] - state[1:]).mean(0)
-    # Without the grippers.
-    arms = [k for k in range(14) if k % 7 != 6]
-    assert moved[arms].mean() < swapped[arms].mean() / 4
-    left_holds, right_holds = (int(action[:, k].argmax()) for k in (14, 15))
-    assert 0 < right_holds < left_holds
+    provenance = json.loads((lerobot / "meta" / "yamsim.json").read_text())
+    wanted = recorded(two_armed)[0]["T_right_base_in_left_base"]
+    np.testing.assert_array_equal(np.array(provenance["T_right_base_in_left_base"], np.float32), wanted)
 
 
 PLAYER = """
@@ -225,12 +196,6 @@ def test_lerobots_actions_are_those_that_a_policy_answers_with(
     with TrialRunner(Session(config, locations), PolicyChoice("player.py:Player", tmp_path)) as runner:
         outcome = runner.run(EpisodeJob(config.seed, 0)).outcome
     assert outcome.success, outcome.detail
-
-
-def test_lerobots_provenance_says_where_the_right_arm_stands(two_armed: Path, lerobot: Path) -> None:
-    provenance = json.loads((lerobot / "meta" / "yamsim.json").read_text())
-    wanted = recorded(two_armed)[0]["T_right_base_in_left_base"]
-    np.testing.assert_array_equal(np.array(provenance["T_right_base_in_left_base"], np.float32), wanted)
 
 
 def test_rerun_shows_both_arms_in_the_left_base(two_armed: Path, locations: Locations, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.export.conftest import CAMERAS, EPISODES, picture
+from tests.core.export.conftest import CAMERAS, EPISODES, frames_of, ignore, picture
 from tests.core.unrendered import SIZE, frame_count
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.export.source import open_source
@@ -20,15 +20,6 @@ from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.resources import Locations
 
 CLOSE = 6.0
-
-
-def frames_of(dataset: Path) -> list[int]:
-    """How many frames each episode has."""
-    return [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
-
-
-def ignore(done: int, total: int) -> None:
-    pass
 
 
 def test_each_episode_becomes_a_video_of_its_cameras_side_by_side(

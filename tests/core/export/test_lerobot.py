@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.export.conftest import CAMERAS, EPISODES
+from tests.core.export.conftest import CAMERAS, EPISODES, frames_of, ignore
 from tests.core.export.lerobot_files import check_numbers, jpegs, recorded, rows
-from tests.core.unrendered import frame_count
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.export import lerobot_schema
 from yamsim_cli.core.export.lerobot import export_lerobot
-from yamsim_cli.core.export.lerobot_options import LeRobotOptions
 from yamsim_cli.core.export.lerobot_stats import PixelCounts, RunningStats, column_stats
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
@@ -28,15 +26,10 @@ parquet = pytest.importorskip("pyarrow.parquet", reason="yamsim[lerobot] is not 
 CLOSE = 5.0
 
 
-def frames_of(dataset: Path) -> list[int]:
-    """How many frames each episode has."""
-    return [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
-
-
 @pytest.fixture(scope="module")
 def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("lerobot") / "out"
-    done = export_lerobot(open_source(dataset, None, locations), out, lambda *_: None)
+    done = export_lerobot(open_source(dataset, None, locations), out, ignore)
     assert (done.episodes, done.frames) == (EPISODES, sum(frames_of(dataset)))
     return out
 
@@ -45,7 +38,7 @@ def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPat
 def of_numbers(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Without pictures, and with where things are."""
     out = tmp_path_factory.mktemp("lerobot") / "numbers"
-    export_lerobot(open_source(dataset, None, locations), out, lambda *_: None, LeRobotOptions(False, True))
+    export_lerobot(open_source(dataset, None, locations), out, ignore, pictures=False, environment_state=True)
     return out
 
 
@@ -56,7 +49,7 @@ def split(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPath
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lerobot_schema, "DATA_FILE_MB", 0.001)
         patch.setattr(lerobot_schema, "CHUNK_FILES", 2)
-        export_lerobot(open_source(dataset, None, locations), out, lambda *_: None)
+        export_lerobot(open_source(dataset, None, locations), out, ignore)
     return out
 
 
@@ -147,7 +140,7 @@ def test_things_with_other_joints_are_not_exported_together(
     record = source.first.record.model_copy(update={"joints": {"cabinet": ("slide",)}})
     other = replace(source, first=replace(source.first, record=record))
     with pytest.raises(DatasetError, match=r"ep_000000 has things with other joints than ep_000000"):
-        export_lerobot(other, tmp_path / "out", lambda *_: None, LeRobotOptions(False, True))
+        export_lerobot(other, tmp_path / "out", ignore, pictures=False, environment_state=True)
     assert not (tmp_path / "out").exists()
 
 
@@ -157,15 +150,6 @@ def test_without_pictures_there_are_no_videos_and_no_cameras(of_numbers: Path) -
     assert info["video_path"] is None
     assert not [key for key in info["features"] if "camera" in key or "images" in key]
     assert not [key for key in rows(of_numbers, "meta/episodes/*/*.parquet") if "camera" in key or "video" in key]
-
-
-def test_a_policy_takes_the_joints_alone_as_its_state(export: Path) -> None:
-    """lerobot makes a state of every feature whose name begins with `observation`, and drops other names."""
-    features = json.loads((export / "meta" / "info.json").read_text())["features"]
-    states = {key for key in features if key.startswith("observation") and features[key]["dtype"] != "video"}
-    assert states == {"observation.state"}
-    # Its tools for editing datasets fail on arrays of two dimensions.
-    assert all(len(feature["shape"]) == 1 for feature in features.values() if feature["dtype"] != "video")
 
 
 def test_elements_of_matrices_are_named_by_row_and_column(export: Path, dataset: Path) -> None:
@@ -233,7 +217,7 @@ def test_running_statistics_are_those_of_all_at_once() -> None:
 def test_the_same_dataset_gives_the_same_bytes(
     export: Path, dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:
-    export_lerobot(open_source(dataset, None, locations), tmp_path / "again", lambda *_: None)
+    export_lerobot(open_source(dataset, None, locations), tmp_path / "again", ignore)
     files = [file for file in export.rglob("*") if file.is_file()]
     assert len(files) == 6 + len(CAMERAS) * EPISODES
     for file in files:
@@ -244,7 +228,7 @@ def test_what_breaks_off_leaves_nothing(dataset: Path, locations: Locations, tmp
     copy = shutil.copytree(dataset, tmp_path / "copy")
     (copy / "ep_000001" / "rgb" / "scene_camera" / "000030.jpg").write_bytes(b"\xff\xd8\xff\xd9")
     with pytest.raises(DatasetError, match=r"000030\.jpg is not what was recorded"):
-        export_lerobot(open_source(copy, None, locations), tmp_path / "out", lambda *_: None)
+        export_lerobot(open_source(copy, None, locations), tmp_path / "out", ignore)
 
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt

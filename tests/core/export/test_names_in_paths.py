@@ -9,36 +9,29 @@ from pathlib import Path
 
 import pytest
 
+from tests.core.export.conftest import ignore
 from tests.core.unrendered import change_record
 from yamsim_cli.core.dataset.layout import EPISODE
 from yamsim_cli.core.dataset.reader import open_recorded
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.rrd import export_rerun
-from yamsim_cli.core.export.source import open_source
+from yamsim_cli.core.export.source import Source, open_source
 from yamsim_cli.core.export.videos import export_mp4, export_sheet
 from yamsim_cli.core.resources import Locations
 
 _AWAY = "../../../escaped"
 _CAMERA = "scene_camera"
 
-_EXPORTS: dict[str, Callable[[Path, Path, Locations], object]] = {
-    "lerobot": lambda path, out, where: export_lerobot(open_source(path, None, where), out, _silent),
-    "raiden": lambda path, out, where: export_raiden(
-        open_source(path, None, where), out, where, _silent, RaidenOptions()
-    ),
-    "mp4": lambda path, out, where: export_mp4(open_source(path, None, where), out, (), _silent),
-    "sheet": lambda path, out, where: export_sheet(
-        open_source(path, None, where), out.with_suffix(".jpg"), (), _silent
-    ),
-    "rerun": lambda path, out, where: export_rerun(open_source(path, None, where), out, _silent),
+_EXPORTS: dict[str, Callable[[Source, Path, Locations], object]] = {
+    "lerobot": lambda source, out, where: export_lerobot(source, out, ignore),
+    "raiden": lambda source, out, where: export_raiden(source, out, where, ignore, RaidenOptions()),
+    "mp4": lambda source, out, where: export_mp4(source, out, (), ignore),
+    "sheet": lambda source, out, where: export_sheet(source, out.with_suffix(".jpg"), (), ignore),
+    "rerun": lambda source, out, where: export_rerun(source, out, ignore),
 }
-
-
-def _silent(done: int, total: int) -> None:
-    pass
 
 
 @pytest.fixture
@@ -62,7 +55,7 @@ def test_a_camera_with_a_path_as_its_name_is_refused(
     there = {path for path in tmp_path.rglob("*") if path.is_file()}
     (tmp_path / "out").mkdir()
     with pytest.raises(DatasetError, match=r"episode.json: cameras\."):
-        _EXPORTS[name](crafted, tmp_path / "out" / "exported", locations)
+        _EXPORTS[name](open_source(crafted, None, locations), tmp_path / "out" / "exported", locations)
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == there
 
 

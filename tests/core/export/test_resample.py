@@ -26,7 +26,7 @@ from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.resample import frame_times, nearest_frames, resample
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations

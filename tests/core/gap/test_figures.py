@@ -1,17 +1,26 @@
-"""A motion's gap: none of a perfect model's, and what was planted in one that is not."""
+"""The gap of a motion: zero for a perfect model, and the planted difference for any other."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.core.unrendered import write_dataset
 from tests.rig_scenes import later, new_scene, plant, rig_scene, swings
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.gap.figures import Gap, gap_of
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.scene.build import build_rig_scene
 
 TIMES = np.arange(0, 6.0, 0.004)
 PERFECT = 1e-4
@@ -36,7 +45,7 @@ def test_a_perfect_model_has_no_gap(perfect: Gap) -> None:
     assert all(joint.error.max < PERFECT for joint in perfect.joints)
     assert all(joint.beyond.delay == pytest.approx(0, abs=1e-4) for joint in perfect.joints)
     (hand,) = perfect.hands
-    assert hand.position.max < 1e-4 and hand.turn.max < 1e-3 and hand.opening is not None
+    assert hand.position.max < 1e-4 and hand.rotation.max < 1e-3 and hand.opening is not None
     assert hand.opening.max < 1e-4
     assert [joint.name for joint in perfect.joints] == [f"joint{k}" for k in range(1, 7)]
 
@@ -72,7 +81,7 @@ def test_friction_makes_a_gap_that_grows_with_it() -> None:
 def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
     times = np.arange(0, 4.0, 0.004)
     still = swings(times, amplitude=0.0)
-    # Its simulation starts where it was measured, and comes to its own rest within a second.
+    # The simulation starts at the measured joints, and settles within a second.
     found = gap_of(rig_scene(), plant(rig_scene(), times, [still], gravity=0.8), begin=1.5)
     turning, lifting = found.joints[0], found.joints[1]
     assert turning.beyond.sag == pytest.approx(0, abs=1e-4)
@@ -80,7 +89,7 @@ def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
     assert lifting.beyond.sag == pytest.approx(lifting.measured.sag, abs=2e-3)
     assert lifting.simulated.sag == pytest.approx(0, abs=2e-3)
     assert set(found.phases) == {"still"}
-    # Of a still arm nothing can be said of delays, nor of stops.
+    # A still arm has no delays and no stops.
     assert {joint.beyond.delay for joint in found.joints} == {None}
     assert {joint.beyond.overshoot for joint in found.joints} == {None}
 
@@ -95,7 +104,7 @@ def test_an_overshoot_that_the_simulation_lacks_is_measured() -> None:
         found = gap_of(rig_scene(), measured(made, made.arms[0].joints + sign * bump))
         for joint in found.joints[2:]:
             assert joint.simulated.overshoot == pytest.approx(0, abs=2e-3)
-            # It had not wholly come to its end when it went beyond it.
+            # The bump comes before the joint has reached its end.
             assert joint.beyond.overshoot is not None and 0.01 < joint.beyond.overshoot < 0.02
             assert joint.measured.overshoot is not None
             assert joint.measured.overshoot - joint.beyond.overshoot == pytest.approx(joint.simulated.overshoot)
@@ -114,8 +123,8 @@ def test_a_hand_is_off_by_what_its_joints_are_off(made: Motion) -> None:
     joints = made.arms[0].joints.copy()
     joints[:, 0] += 0.01
     (hand,) = gap_of(rig_scene(), measured(made, joints)).hands
-    # Its simulation starts where it was measured, and is back at its command within some tenths of a second.
-    assert np.degrees(hand.turn.p95) == pytest.approx(np.degrees(0.01), rel=0.1)
+    # The simulation starts at the measured joints, and returns to the command within some tenths of a second.
+    assert np.degrees(hand.rotation.p95) == pytest.approx(np.degrees(0.01), rel=0.1)
     assert 0.001 < hand.position.p95 < 0.01
 
 
@@ -139,3 +148,42 @@ def test_too_few_samples_say_so(made: Motion, begin: float, end: float) -> None:
 def test_every_phase_of_a_motion_has_its_errors(perfect: Gap) -> None:
     assert list(perfect.phases) == ["still", "accelerating", "cruising", "braking"]
     assert sum(size.samples for size in perfect.phases.values()) == 6 * len(TIMES)
+
+
+@pytest.mark.parametrize(
+    ("rig", "task"), [("single", "pickplace"), pytest.param("russet", "handover", marks=pytest.mark.slow)]
+)
+def test_an_episode_has_no_gap_until_something_is_held(
+    rig: str, task: str, locations: Locations, make_config: Callable[..., RecordConfig], tmp_path: Path
+) -> None:
+    config = make_config({("rig",): rig, ("task",): task})
+    write_dataset(tmp_path / "dataset", config, locations, 1)
+    (motion,) = read_motions([tmp_path / "dataset"], config.rig, locations)
+    frames = open_episode(Path(motion.name)).frames()
+    held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
+    scene = rig_scene(rig)
+    before, after = (gap_of(scene, motion, *part) for part in ((0.0, held), (held, np.inf)))
+    # Frames hold joints as float32.
+    assert before.error.max < 1e-6
+    assert len(before.joints) == 6 * len(config.rig.arms)
+    # The rig alone lacks the weight of the held thing.
+    assert after.error.max > 1e-3
+    assert frames[before.worst.frame]["timestamp"] == pytest.approx(before.worst.time, abs=1e-6)
+
+
+def test_an_arm_that_acts_late_begins_as_its_episode_did(
+    locations: Locations, config: RecordConfig, tmp_path: Path
+) -> None:
+    """An episode's drives hold the start until the first command acts."""
+    dynamics = Dynamics(revision="late", base="i2rt_yam", command_delay_ms=23.8, sensor_delay_ms=4.0)
+    arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
+    rig = config.rig.model_copy(update={"arms": (arm,)})
+    write_dataset(tmp_path / "dataset", config.model_copy(update={"rig": rig}), locations, 1)
+    (motion,) = read_motions([tmp_path / "dataset"], rig, locations)
+
+    frames = open_episode(Path(motion.name)).frames()
+    held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
+    gap = gap_of(build_rig_scene(rig, config.scene, locations), motion, 0.0, held)
+
+    # Of frames' float32.
+    assert gap.error.max < 1e-5

@@ -12,11 +12,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.gap.figures import gap_of
-from yamsim_cli.core.identify.excitation import Excitation, excite
-from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
+from yamsim_cli.core.identify.excitation import Excitation, Room, commands_csv, excite, log_csv
+from yamsim_cli.core.identify.identify import check_usable
 from yamsim_cli.core.identify.plant import ArmPlant, Log
-from yamsim_cli.core.identify.room import Room
-from yamsim_cli.core.identify.usable import check_usable
 from yamsim_cli.core.recordings.csv_file import read_csv
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics

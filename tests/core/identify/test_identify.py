@@ -14,16 +14,16 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.identify import fit as fitting
-from yamsim_cli.core.identify.estimates import NAMES, Estimate, estimates
+from yamsim_cli.core.identify.estimates import NAMES, Estimate, estimates, half_widths
 from yamsim_cli.core.identify.excitation import excite
 from yamsim_cli.core.identify.fit import Parameter, fit, parameters
-from yamsim_cli.core.identify.identify import identify, revised
-from yamsim_cli.core.identify.intervals import half_widths
+from yamsim_cli.core.identify.identify import check_usable, identify, revised
 from yamsim_cli.core.identify.plant import ArmPlant, Log, Run, Values
 from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 
+JOINTS = tuple(f"joint{k}" for k in range(1, 7))
 WHERE = Locations.find({})
 RIG = load_config(RigConfig, "rigs", "single", WHERE)
 ARM = RIG.arms[0]
@@ -44,11 +44,14 @@ def _planted(**changes: object) -> Planted:
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
+def _waves(times: Array, rng: np.random.Generator, fastest: float) -> Array:
+    pace, phase = rng.uniform(0.2, fastest, (3, 6)), rng.uniform(0, 6.3, (3, 6))
+    return np.sin(2 * np.pi * pace[None] * times[:, None, None] + phase[None]).mean(axis=1)
+
+
 def _commands(seconds: float) -> tuple[Array, Array]:
     times = np.arange(0, seconds, 0.01)
-    rng = np.random.default_rng(1)
-    pace, phase = rng.uniform(0.2, 1.2, (3, 6)), rng.uniform(0, 6.3, (3, 6))
-    waves = np.sin(2 * np.pi * pace[None] * times[:, None, None] + phase[None]).mean(axis=1)
+    waves = _waves(times, np.random.default_rng(1), 1.2)
     ramp = np.clip(times, 0, 1)[:, None]
     return times, np.array([0.0, 1.3, 1.4, -0.3, 0.0, 0.0]) + 0.6 * ramp * waves
 
@@ -243,3 +246,78 @@ def test_an_arm_that_differs_is_identified_and_what_was_held_out_says_so() -> No
     assert found.gap.fallen > 0.8
     assert found.dynamics == Dynamics.model_validate(found.dynamics.model_dump())
     assert isinstance(plant.values, Values)
+
+
+def _swinging(seconds: float, seed: int = 0) -> tuple[Array, Array]:
+    times = np.arange(0, seconds, 0.01)
+    return times, 0.6 * _waves(times, np.random.default_rng(seed), 0.8)
+
+
+def _log(times: Array, joints: Array) -> Log:
+    return Log("log.csv", times, joints, joints, None)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_joint_that_is_badly_excited_is_named_with_what_to_record(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    times, joints = _swinging(30.0, seed)
+    joint, kind = int(rng.integers(6)), seed % 4
+    noise = rng.normal(0, 2e-4, len(times))
+    share = times / times[-1]
+    joints[:, joint], fault, remedy = (
+        (noise, "hardly moves", "swinging to and fro by 0.5 rad"),
+        (0.8 * share + noise, "never turns back", "swinging to and fro at least 4 times"),
+        (0.4 * np.sin(np.pi * share) + noise, "turns back only once", "at least 4 times"),
+        (0.12 * np.sin(8 * np.pi * share) + noise, "is always slow", "quicker swings"),
+    )[kind]
+
+    with pytest.raises(DatasetError) as caught:
+        check_usable([_log(times, joints)], JOINTS)
+
+    assert f"joint{joint + 1} {fault}" in str(caught.value)
+    assert remedy in str(caught.value)
+    assert "yamsim excite" in str(caught.value)
+
+
+def test_a_joint_that_only_others_shake_is_named() -> None:
+    times, commands = _swinging(30.0)
+    joints = commands.copy()
+    commands[:, 3] = 0.3 * times / times[-1]
+    joints[:, 3] = commands[:, 3] + 0.06 * np.sin(20 * times)
+
+    with pytest.raises(DatasetError, match="joint4 never turns back"):
+        check_usable([Log("log.csv", times, commands, joints, None)], JOINTS)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_log_in_which_all_joints_swing_is_taken(seed: int) -> None:
+    check_usable([_log(*_swinging(30.0, seed))], JOINTS)
+
+
+def test_what_one_log_lacks_another_may_show() -> None:
+    times, joints = _swinging(30.0)
+    still = joints.copy()
+    still[:, 2] = 0.0
+
+    check_usable([_log(times, still), _log(times, joints)], JOINTS)
+
+
+def test_samples_without_joints_do_not_count() -> None:
+    times, joints = _swinging(30.0)
+    measured = joints.copy()
+    measured[1::2] = np.nan
+
+    check_usable([Log("log.csv", times, joints, measured, None)], JOINTS)
+
+
+def test_a_short_log_is_refused() -> None:
+    with pytest.raises(DatasetError, match=r"6\.0 s tell too little of the arm; record at least 10 s"):
+        check_usable([_log(*_swinging(6.0))], JOINTS)
+
+
+def test_of_two_arms_the_side_is_told() -> None:
+    times, joints = _swinging(30.0)
+    joints[:, 3] = 0.1
+
+    with pytest.raises(DatasetError, match=r"left joint4 hardly moves"):
+        check_usable([_log(times, joints)], JOINTS, "left")

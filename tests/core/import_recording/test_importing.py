@@ -1,9 +1,10 @@
-"""Recordings of real arms become episodes: marked so, whole, and with nothing in them that nobody recorded."""
+"""Recordings of real arms are imported as whole episodes that hold exactly what was recorded."""
 
 from __future__ import annotations
 
 import json
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,33 +12,27 @@ import numpy as np
 import pytest
 
 from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_lowdim, write_raiden_raw
-from tests.core.recordings.making import swinging, write_csv
-from yamsim_cli.core.config.loader import load_config
+from tests.core.recordings.making import (
+    full_opening,
+    in_degrees,
+    same_motion,
+    swapped,
+    swinging,
+    upside_down,
+    write_csv,
+)
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
 from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.import_recording.corrections import Corrections
-from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
+from yamsim_cli.core.import_recording.importing import Corrections, ImportReport, ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.summarize import survey_dataset
-
-NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")]
-
-
-@pytest.fixture(scope="module")
-def single(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "single", locations)
-
-
-@pytest.fixture(scope="module")
-def station(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "yam_station_linear_4310_d405", locations)
 
 
 def bring_in(request: ImportRequest, locations: Locations) -> ImportReport:
@@ -52,9 +47,7 @@ def test_a_csv_becomes_an_episode_and_comes_back(single: RigConfig, locations: L
     record = json.loads((tmp_path / "real/ep_000000/episode.json").read_text())
     assert (record["source"], record["format_version"], record["imported"]["format"]) == ("real", 3, "csv")
     (back,) = read_motions([tmp_path / "real"], single, locations)
-    np.testing.assert_allclose(back.times, motion.times, atol=1e-9)
-    np.testing.assert_allclose(back.arms[0].joints, motion.arms[0].joints, atol=1e-6)
-    np.testing.assert_allclose(back.arms[0].commands, motion.arms[0].commands, atol=1e-6)  # type: ignore[arg-type]
+    same_motion(back, motion)
     assert set(open_recorded(tmp_path / "real/ep_000000").frames()[0]) == {"joints", "timestamp", "ctrl"}
 
 
@@ -68,13 +61,13 @@ def test_nothing_of_it_can_be_simulated_again(single: RigConfig, locations: Loca
 
 
 def test_pictures_and_words_come_along(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.3), station, NAMES)
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.3), station)
     bring_in(ImportRequest([folder], station, out=tmp_path / "real"), locations)
     episode = open_recorded(tmp_path / "real/ep_000000")
     assert episode.record.cameras == {"top": (64, 48)}
     frame = episode.frames()[0]
     assert frame["language_prompt"] == PROMPT
-    # The camera's place and lens were not recorded, nor what lay on the table.
+    # The camera's matrices and the things were not recorded.
     assert set(frame) == {"joints", "timestamp", "ctrl", "language_prompt"}
     assert all(episode.image("top", k)[:2] == b"\xff\xd8" for k in range(episode.record.frames))
 
@@ -119,83 +112,46 @@ def codes(dataset: Path, locations: Locations) -> set[str]:
     return {problem.code for problem in survey_dataset(dataset, locations, 1, lambda done, total: None).problems}
 
 
-@pytest.mark.parametrize("what", ["degrees", "swapped", "share", "upside_down", "told_upside_down"])
-def test_what_a_recording_does_not_say_is_asked_for(
-    what: str, station: RigConfig, locations: Locations, tmp_path: Path
+def _shares(motion: Motion, full: float) -> Motion:
+    arms = [
+        replace(arm, openings=arm.openings / full, commanded_openings=arm.commanded_openings / full)  # type: ignore[operator]
+        for arm in motion.arms
+    ]
+    return replace(motion, arms=tuple(arms))
+
+
+def _commands_upside_down(motion: Motion, full: float) -> Motion:
+    arms = [replace(arm, commanded_openings=full - arm.commanded_openings) for arm in motion.arms]  # type: ignore[operator]
+    return replace(motion, arms=tuple(arms))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "flag", "corrections"),
+    [
+        (in_degrees, "--degrees", Corrections(degrees=True)),
+        (swapped, "--swap-arms", Corrections(swap_arms=True)),
+        (_shares, "--gripper share", Corrections(gripper="share")),
+        (upside_down, "--mirror-gripper measured", Corrections(mirrored="measured")),
+        (_commands_upside_down, "or commanded", Corrections(mirrored="commanded")),
+    ],
+)
+def test_a_refused_recording_is_imported_with_its_correction(
+    spoil: Callable[[Motion, float], Motion],
+    flag: str,
+    corrections: Corrections,
+    station: RigConfig,
+    locations: Locations,
+    tmp_path: Path,
 ) -> None:
     motion = swinging(station, 2.0)
-    left, right = motion.arms
-    assert left.openings is not None
-    assert left.commands is not None
-    # Of the station's gripper, m.
-    full = 0.0475
-    spoilt, flag, said = {
-        "degrees": (
-            [replace(arm, joints=np.rad2deg(arm.joints), commands=np.rad2deg(arm.commands)) for arm in motion.arms],  # type: ignore[arg-type]
-            "--degrees",
-            Corrections(degrees=True),
-        ),
-        "swapped": (
-            [
-                replace(left, joints=right.joints, openings=right.openings),
-                replace(right, joints=left.joints, openings=left.openings),
-            ],
-            "--swap-arms",
-            Corrections(swap_arms=True),
-        ),
-        "share": (
-            [
-                replace(arm, openings=arm.openings / full, commanded_openings=arm.commanded_openings / full)  # type: ignore[operator]
-                for arm in motion.arms
-            ],
-            "--gripper share",
-            Corrections(gripper="share"),
-        ),
-        "upside_down": (
-            [replace(arm, openings=full - arm.openings) for arm in motion.arms],  # type: ignore[operator]
-            "--mirror-gripper measured",
-            Corrections(mirrored="measured"),
-        ),
-        "told_upside_down": (
-            [replace(arm, commanded_openings=full - arm.commanded_openings) for arm in motion.arms],  # type: ignore[operator]
-            "or commanded",
-            Corrections(mirrored="commanded"),
-        ),
-    }[what]
-    source = write_csv(tmp_path / "log.csv", replace(motion, arms=tuple(spoilt)), station)
+    source = write_csv(tmp_path / "log.csv", spoil(motion, full_opening(station)), station)
     request = ImportRequest([source], station, out=tmp_path / "real")
     with pytest.raises(DatasetError, match=flag):
         bring_in(request, locations)
     assert not (tmp_path / "real").exists()
-    bring_in(replace(request, corrections=said), locations)
+    bring_in(replace(request, corrections=corrections), locations)
     (back,) = read_motions([tmp_path / "real"], station, locations)
-    for arm, truth in zip(back.arms, motion.arms, strict=True):
-        np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-5)
-        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
-        np.testing.assert_allclose(arm.commanded_openings, truth.commanded_openings, atol=1e-6)  # type: ignore[arg-type]
-
-
-def test_gaps_and_jumps_are_told_and_kept_in_the_record(
-    single: RigConfig, locations: Locations, tmp_path: Path
-) -> None:
-    motion = swinging(single, 2.0)
-    kept = np.r_[0:80, 140:200]
-    (arm,) = motion.arms
-    assert arm.commands is not None
-    assert arm.openings is not None
-    assert arm.commanded_openings is not None
-    cut = replace(
-        arm,
-        joints=arm.joints[kept],
-        commands=arm.commands[kept],
-        openings=arm.openings[kept],
-        commanded_openings=arm.commanded_openings[kept],
-    )
-    source = write_csv(tmp_path / "log.csv", Motion("cut", motion.times[kept], (cut,)), single)
-    report = bring_in(ImportRequest([source], single, out=tmp_path / "real"), locations)
-    (problems,) = report.problems.values()
-    assert any("nothing was recorded for 0.61 s" in problem for problem in problems)
-    assert tuple(problems) == open_recorded(tmp_path / "real/ep_000000").record.problems  # type: ignore[union-attr]
+    same_motion(back, motion, atol=1e-5)
 
 
 def test_resuming_keeps_what_is_there(single: RigConfig, locations: Locations, tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
-"""Recordings as other programs write them, of motions that are known."""
+"""Recordings of known motions as other programs write them."""
 
 from __future__ import annotations
 
 import json
 import pickle
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +20,20 @@ from yamsim_cli.core.motion import Motion
 
 START_NS = 1_760_000_000_123_456_789
 PROMPT = "put the banana on the plate"
+NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")]
+FILM_EVERY = 4  # samples of an MCAP file for each image
 
 
 def shares(motion: Motion, rig: RigConfig) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What was measured of each arm, and what it was told (n, 7), grippers as shares of their opening."""
-    measured, told = [], []
+    """Measurements and commands of each arm (n, 7), grippers as shares of their opening."""
+    measured, commanded = [], []
     for arm, k in zip(motion.arms, rig.recorded, strict=True):
         fingers = rig.arms[k].robot.fingers
-        assert fingers is not None
-        assert arm.commands is not None
-        assert arm.openings is not None
-        assert arm.commanded_openings is not None
+        assert fingers is not None and arm.commands is not None
+        assert arm.openings is not None and arm.commanded_openings is not None
         measured.append(np.column_stack([arm.joints, arm.openings / fingers.full_opening]))
-        told.append(np.column_stack([arm.commands, arm.commanded_openings / fingers.full_opening]))
-    return measured, told
+        commanded.append(np.column_stack([arm.commands, arm.commanded_openings / fingers.full_opening]))
+    return measured, commanded
 
 
 def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
@@ -51,8 +53,8 @@ def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     return folder
 
 
-def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: list[str]) -> Path:
-    """Version 2.1: one episode, one camera of 64 x 48 whose grey tells the frame."""
+def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
+    """Version 2.1: one episode, one camera of 64 x 48 whose grey shows the number of the frame."""
     measured, told = shares(motion, rig)
     rows, commands = np.hstack(measured), np.hstack(told)
     n = len(rows)
@@ -77,7 +79,7 @@ def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: list[s
             grey = np.full((48, 64, 3), grey_of(k), np.uint8)
             film.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
         film.mux(stream.encode())
-    feature = {"dtype": "float32", "shape": [len(names)], "names": names}
+    feature = {"dtype": "float32", "shape": [len(names)], "names": list(names)}
     features = {
         "observation.state": feature,
         "action": feature,
@@ -99,7 +101,7 @@ def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: list[s
 
 
 def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
-    """As the lab writes it: a pickle a frame, grippers in metres, and pictures whose grey tells the frame."""
+    """As the lab writes it: a pickle per frame, grippers in metres, pictures whose grey shows the frame's number."""
     rows = np.hstack([np.column_stack([arm.joints, arm.openings]) for arm in motion.arms if arm.openings is not None])
     told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms if arm.commands is not None]
     (folder / "lowdim").mkdir(parents=True)
@@ -114,8 +116,8 @@ def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     return folder
 
 
-def write_lerobot_v3(folder: Path, motion: Motion, rig: RigConfig, names: list[str]) -> Path:
-    """Version 3.0: what version 2.1 has, and in which files it lies."""
+def write_lerobot_v3(folder: Path, motion: Motion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
+    """Version 3.0: the same in other files, which `meta/episodes` lists."""
     write_lerobot_v2(folder, motion, rig, names)
     film = folder / "videos/observation.images.top/chunk-000"
     film.mkdir(parents=True)
@@ -142,5 +144,76 @@ def write_lerobot_v3(folder: Path, motion: Motion, rig: RigConfig, names: list[s
 
 
 def grey_of(frame: int) -> int:
-    """Which grey frame k of a film has."""
+    """Grey level of frame k of a film."""
     return 20 + 2 * (frame % 100)
+
+
+def _messages() -> dict[str, Any]:
+    """Name -> class of a message: `RobotState`, `GripperState`, `Instruction` and a film's `CompressedVideo`."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="recording.proto", package="test", syntax="proto3")
+    fields = {
+        "RobotState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
+        "GripperState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
+        "Instruction": [("text", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)],
+        "CompressedVideo": [
+            ("data", kinds.TYPE_BYTES, kinds.LABEL_OPTIONAL),
+            ("format", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL),
+        ],
+    }
+    for name, members in fields.items():
+        message = file.message_type.add(name=name)
+        for number, (field, kind, label) in enumerate(members, start=1):
+            message.field.add(name=field, number=number, type=kind, label=label)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"test.{name}")) for name in fields}
+
+
+def _film_packets(frames: int) -> list[bytes]:
+    """A film's packets, one a frame."""
+    encoder = av.CodecContext.create("libx264", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = 64, 48, "yuv420p"
+    encoder.time_base = Fraction(1, 25)
+    encoder.options = {"tune": "zerolatency"}
+    packets = []
+    for k in range(frames):
+        grey = np.full((48, 64, 3), grey_of(k), np.uint8)
+        packets += [bytes(packet) for packet in encoder.encode(av.VideoFrame.from_ndarray(grey, format="rgb24"))]
+    return [*packets, *(bytes(packet) for packet in encoder.encode(None))]
+
+
+def write_mcap(
+    path: Path, motion: Motion, rig: RigConfig, leave_out: Callable[[str, float], bool] = lambda topic, time: False
+) -> Path:
+    """A motion of two arms, with a film of one camera.
+
+    Args:
+        leave_out: whether a topic has no message at a time (s) of the motion.
+    """
+    from mcap_protobuf.writer import Writer
+
+    kinds = _messages()
+    measured, told = shares(motion, rig)
+    film = _film_packets(len(range(0, len(motion.times), FILM_EVERY)))
+    with path.open("wb") as file, Writer(file) as writer:
+
+        def say(topic: str, message: Any, k: int) -> None:
+            if leave_out(topic, float(motion.times[k])):
+                return
+            time = START_NS + round(motion.times[k] * 1e9)
+            writer.write_message(topic, message, log_time=time, publish_time=time)
+
+        say("/instruction", kinds["Instruction"](text=PROMPT), 0)
+        for k in range(len(motion.times)):
+            for side, rows, commands in zip(("left", "right"), measured, told, strict=True):
+                say(f"/{side}-arm-state", kinds["RobotState"](position=rows[k, :6]), k)
+                say(f"/{side}-arm-action", kinds["RobotState"](position=commands[k, :6]), k)
+                say(f"/{side}-ee-state", kinds["GripperState"](position=rows[k, 6:]), k)
+                say(f"/{side}-ee-action", kinds["GripperState"](position=commands[k, 6:]), k)
+            if k % FILM_EVERY == 0:
+                video = kinds["CompressedVideo"](data=film[k // FILM_EVERY], format="h264")
+                say("/top-camera", video, k)
+    return path

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pyarrow.parquet
 import pytest
 
-from tests.core.export.real_datasets import NAMES
 from tests.core.recordings.foreign import (
     PROMPT,
     grey_of,
@@ -22,30 +21,24 @@ from tests.core.recordings.foreign import (
     write_lowdim,
     write_raiden_raw,
 )
-from tests.core.recordings.making import swinging
+from tests.core.recordings.making import same_motion, swinging
 from tests.core.unrendered import write_dataset
-from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import ConfigError, DatasetError
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_schema import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.images.jpeg import decode_jpeg
-from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.formats import format_of, reader_of
-from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.recordings.lerobot_files import VideoPaths
+from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.recordings.recording import Recording
 from yamsim_cli.core.resources import Locations
 
-STATION = "yam_station_linear_4310_d405"
-
-
-@pytest.fixture(scope="module")
-def station(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", STATION, locations)
+_PATTERN = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+_MISSING = object()
 
 
 @pytest.fixture(scope="module")
@@ -62,39 +55,28 @@ def only(path: Path, rig: RigConfig, locations: Locations, mapping: str | None =
     return recording
 
 
-def same(found: Motion, truth: Motion, atol: float = 1e-6) -> None:
-    np.testing.assert_allclose(found.times, truth.times, atol=1e-6)
-    for arm, other in zip(found.arms, truth.arms, strict=True):
-        assert arm.side == other.side
-        for key in ("joints", "commands", "openings", "commanded_openings"):
-            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=atol)
-
-
-@pytest.mark.parametrize("rig_name", ["single", STATION])
-def test_raidens_raw_recordings(rig_name: str, locations: Locations, tmp_path: Path) -> None:
-    rig = load_config(RigConfig, "rigs", rig_name, locations)
+@pytest.mark.parametrize("name", ["single", "station"])
+def test_raidens_raw_recordings(
+    name: str, locations: Locations, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    rig: RigConfig = request.getfixturevalue(name)
     motion = swinging(rig, 1.0)
     folder = write_raiden_raw(tmp_path / "raw", motion, rig)
     assert format_of(folder) == format_of(folder / "robot_data.npz") == "raiden_raw"
     recording = only(folder, rig, locations)
     assert (recording.gripper, recording.prompt) == ("share", PROMPT)
-    same(recording.in_metres(rig), motion)
+    same_motion(recording.in_metres(rig), motion)
 
 
-def test_a_raw_recording_that_was_cut_off_or_lacks_an_arm(
-    station: RigConfig, locations: Locations, tmp_path: Path
+def test_a_raw_recording_of_other_arms_is_refused(
+    single: RigConfig, station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
-    single = load_config(RigConfig, "rigs", "single", locations)
     lone = write_raiden_raw(tmp_path / "lone", swinging(single, 0.5), single)
     with pytest.raises(DatasetError, match="has no follower_r_joint_pos_7d"):
         only(lone, station, locations)
     both = write_raiden_raw(tmp_path / "both", swinging(station, 0.5), station)
     with pytest.raises(DatasetError, match="holds 2 followers"):
         only(both, single, locations)
-    data = (lone / "robot_data.npz").read_bytes()
-    (lone / "robot_data.npz").write_bytes(data[: len(data) // 2])
-    with pytest.raises(DatasetError, match="was it copied whole"):
-        only(lone, single, locations)
 
 
 def test_pickles_in_a_raw_recording_are_refused(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
@@ -106,12 +88,9 @@ def test_pickles_in_a_raw_recording_are_refused(station: RigConfig, locations: L
 
 def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(station, 0.5)
-    names = [
-        f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")
-    ]
-    folder = write_lerobot_v2(tmp_path / "two", motion, station, names)
+    folder = write_lerobot_v2(tmp_path / "two", motion, station)
     recording = only(folder, station, locations)
-    same(recording.in_metres(station), motion)
+    same_motion(recording.in_metres(station), motion)
     assert recording.prompt == PROMPT
     pictures = [decode_jpeg(data) for data in recording.pictures["top"].read()]
     assert len(pictures) == len(motion.times)
@@ -121,7 +100,7 @@ def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Location
 
 
 def test_lerobot_with_a_picture_in_each_row(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station, NAMES)
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station)
     info = json.loads((folder / "meta/info.json").read_text())
     info["features"]["observation.images.top"]["dtype"] = "image"
     (folder / "meta/info.json").write_text(json.dumps(info))
@@ -150,7 +129,7 @@ def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: L
     }
     mapping = tmp_path / "mine.yaml"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
-    same(only(folder, station, locations, str(mapping)).in_metres(station), motion)
+    same_motion(only(folder, station, locations, str(mapping)).in_metres(station), motion)
     arms["left"]["joints"][2] = "elbow"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
     with pytest.raises(ConfigError, match="has no 'elbow'"):
@@ -230,7 +209,7 @@ def test_episodes_with_fewer_rows_than_they_say(
     version: str, station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
     write = {"v2": write_lerobot_v2, "v3": write_lerobot_v3}[version]
-    folder = write(tmp_path / "one", swinging(station, 0.3), station, NAMES)
+    folder = write(tmp_path / "one", swinging(station, 0.3), station)
     (file,) = (folder / "data").glob("**/*.parquet")
     pyarrow.parquet.write_table(pyarrow.parquet.read_table(file).slice(0, 20), file)
     with pytest.raises(DatasetError, match=r"episode 0: has 20 rows, and meta/ says 30: was it cut off"):
@@ -251,8 +230,61 @@ def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Lo
     assert first == (recorded / "ep_000001" / "rgb/scene_camera/000000.jpg").read_bytes()
 
 
-def test_all_formats_give_motions_to_whoever_compares(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    motion = swinging(station, 0.5)
-    raw = write_raiden_raw(tmp_path / "raw", motion, station)
-    (found,) = read_motions([raw], station, locations)
-    same(found, replace(motion, name=found.name))
+@pytest.mark.parametrize("value", [_MISSING, 0, -30, "30", True, float("nan"), None])
+@pytest.mark.parametrize("key", ["fps", "video_path", "chunks_size"])
+def test_a_missing_or_wrong_value_is_a_dataset_error(key: str, value: Any) -> None:
+    info = {"fps": 30, "video_path": _PATTERN} | {key: value}
+    if value is _MISSING:
+        del info[key]
+    if (key, value) in (("video_path", "30"), ("chunks_size", _MISSING)):
+        return  # A pattern without fields and the default size are valid.
+    with pytest.raises(DatasetError, match=rf"info.json: {key} .*valid: "):
+        VideoPaths(Path("set"), info).check()
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "videos/{episode_index:999999999d}.mp4",
+        "videos/{episode_index:{episode_chunk}d}.mp4",
+        "videos/{video_key:999999999}.mp4",
+        "videos/{video_key.__class__}.mp4",
+        "videos/{video_key[0]}.mp4",
+        "videos/{episode_index!r}.mp4",
+        "videos/{0}.mp4",
+        "videos/{}.mp4",
+        "videos/{other}.mp4",
+        "videos/{episode_index",
+        "videos/{episode_index:.6f}.mp4",
+        "x" * 2000,
+        "videos/\0.mp4",
+        "videos/{file_index:03d}.mp4",
+    ],
+)
+def test_a_foreign_pattern_is_refused_before_it_is_formatted(pattern: str) -> None:
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
+    with pytest.raises(DatasetError, match=r"video_path is .*valid: "):
+        films.locate("observation.images.top", 0, None)
+
+
+def test_a_row_of_version_3_without_a_place_is_a_dataset_error() -> None:
+    pattern = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+    films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
+    row = {"videos/k/chunk_index": 0, "videos/k/file_index": 2, "videos/k/from_timestamp": 1.5}
+    assert films.locate("k", 0, row) == (Path("set/videos/k/chunk-000/file-002.mp4").resolve(), 1.5)
+    for key in row:
+        for wrong in (None, -1, "0"):
+            with pytest.raises(DatasetError, match="episode 0: "):
+                films.locate("k", 0, row | {key: wrong})
+
+
+def test_videos_are_checked_when_a_dataset_is_read(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station)
+    info = json.loads((folder / "meta/info.json").read_text())
+    (folder / "meta/info.json").write_text(json.dumps(info | {"fps": None}))
+    with pytest.raises(DatasetError, match=r"fps is None; valid: "):
+        reader_of("lerobot")(folder, station, None, locations)
+    features = info["features"] | {"observation.images.a/b": info["features"].pop("observation.images.top")}
+    (folder / "meta/info.json").write_text(json.dumps(info | {"features": features}))
+    with pytest.raises(DatasetError, match="camera 'a/b' is not valid"):
+        reader_of("lerobot")(folder, station, None, locations)

@@ -7,26 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, grey_of
-from tests.core.recordings.foreign_mcap import FILM_EVERY, write_mcap
-from tests.core.recordings.making import swinging
-from yamsim_cli.core.config.loader import load_config
+from tests.core.recordings.foreign import FILM_EVERY, PROMPT, grey_of, write_mcap
+from tests.core.recordings.making import same_motion, swinging
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.formats import format_of, reader_of
+from yamsim_cli.core.recordings.reading import format_of, reader_of
 from yamsim_cli.core.resources import Locations
 
 pytest.importorskip("mcap", reason="the extra mcap is not installed")
-
-STATION = "yam_station_linear_4310_d405"
-
-
-@pytest.fixture(scope="module")
-def station(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", STATION, locations)
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +35,7 @@ def test_a_recording_comes_in_with_its_film(
 ) -> None:
     assert format_of(file) == "mcap"
     (recording,) = reader_of("mcap")(file, station, None, locations)
-    found = recording.in_metres(station)
-    np.testing.assert_allclose(found.times, motion.times, atol=1e-9)
-    for arm, other in zip(found.arms, motion.arms, strict=True):
-        for key in ("joints", "commands", "openings", "commanded_openings"):
-            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=1e-12)
+    same_motion(recording.in_metres(station), motion, atol=1e-9)
     assert recording.prompt == PROMPT
     pictures = recording.pictures["top_camera"]
     np.testing.assert_array_equal(pictures.samples, np.arange(0, len(motion.times), FILM_EVERY))
@@ -59,19 +46,7 @@ def test_a_recording_comes_in_with_its_film(
         assert abs(float(image.mean()) - grey_of(k)) < 3
 
 
-def test_a_file_that_was_cut_off_is_refused(
-    file: Path, station: RigConfig, locations: Locations, tmp_path: Path
-) -> None:
-    data = file.read_bytes()
-    for share in (0.3, 0.9, 0.999):
-        cut = tmp_path / "cut.mcap"
-        cut.write_bytes(data[: int(len(data) * share)])
-        with pytest.raises(DatasetError, match=r"cut\.mcap"):
-            reader_of("mcap")(cut, station, None, locations)
-
-
-def test_another_rig_is_told_the_topics(file: Path, locations: Locations) -> None:
-    single = load_config(RigConfig, "rigs", "single", locations)
+def test_another_rig_is_told_the_topics(file: Path, single: RigConfig, locations: Locations) -> None:
     with pytest.raises(DatasetError, match="/left-arm-state"):
         reader_of("mcap")(file, single, None, locations)
 

@@ -1,24 +1,21 @@
-"""Motions come back from files as they were written, and files that hold none are told with their line."""
+"""Motions are read from CSVs and from episodes, and errors of a CSV name the line."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.core.recordings.making import swinging
+from tests.core.recordings.making import same_motion, swinging, write_csv
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.columns import header
-from yamsim_cli.core.recordings.csv_file import csv_bytes, read_csv
+from yamsim_cli.core.recordings.csv_file import header, read_csv
 from yamsim_cli.core.recordings.faults import find_faults
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
@@ -29,18 +26,6 @@ def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", request.param, locations)
 
 
-@pytest.fixture(scope="module")
-def single(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "single", locations)
-
-
-def table(motion: Motion) -> np.ndarray:
-    """A motion's columns in the order of the header."""
-    told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms]  # type: ignore[list-item]
-    measured = [np.column_stack([arm.joints, arm.openings]) for arm in motion.arms]  # type: ignore[list-item]
-    return np.hstack([*told, *measured])
-
-
 def test_the_header_is_what_users_were_told(single: RigConfig) -> None:
     kinds = [[f"{kind}_joint{k}" for k in range(1, 7)] + [f"{kind}_gripper"] for kind in ("command", "position")]
     assert header(single) == ["t", *kinds[0], *kinds[1]]
@@ -48,25 +33,18 @@ def test_the_header_is_what_users_were_told(single: RigConfig) -> None:
 
 def test_a_csv_comes_back_to_the_last_bit(rig: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(rig, 0.5)
-    path = tmp_path / "log.csv"
-    path.write_bytes(csv_bytes(rig, motion.times + 12.5, table(motion)))
-    (read,) = read_motions([path], rig, locations)
-    np.testing.assert_allclose(read.times, motion.times, atol=1e-12)
-    for arm, other in zip(read.arms, motion.arms, strict=True):
-        assert arm.side == other.side
-        np.testing.assert_array_equal(arm.joints, other.joints)
-        np.testing.assert_array_equal(arm.commands, other.commands)  # type: ignore[arg-type]
-        np.testing.assert_array_equal(arm.openings, other.openings)  # type: ignore[arg-type]
+    (read,) = read_motions([write_csv(tmp_path / "log.csv", motion, rig)], rig, locations)
+    same_motion(read, motion, atol=0.0)
 
 
 def test_an_arm_may_come_first_in_a_columns_name(locations: Locations, tmp_path: Path) -> None:
     rig = load_config(RigConfig, "rigs", "russet", locations)
     motion = swinging(rig, 0.5)
-    text = csv_bytes(rig, motion.times, table(motion)).decode()
+    path = write_csv(tmp_path / "log.csv", motion, rig)
+    text = path.read_text()
     for kind in ("command", "position"):
         for side in ("left", "right"):
             text = text.replace(f"{kind}_{side}", f"{side}_{kind}")
-    path = tmp_path / "log.csv"
     path.write_text(text)
     np.testing.assert_array_equal(read_csv(path, rig).arms[1].joints, motion.arms[1].joints)
 
@@ -74,8 +52,10 @@ def test_an_arm_may_come_first_in_a_columns_name(locations: Locations, tmp_path:
 def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     names = [name for name in header(single) if name.startswith("position_joint")]
-    path.write_text(",".join(["t", "note", *names]) + "\n" + "0,7,0,0,0,0,0,0\n0.1,8,0,0,0,0,0,0.5\n")
-    (arm,) = read_csv(path, single).arms
+    path.write_text(",".join(["t", "note", *names]) + "\n" + "12.5,7,0,0,0,0,0,0\n12.6,8,0,0,0,0,0,0.5\n")
+    motion = read_csv(path, single)
+    np.testing.assert_allclose(motion.times, [0.0, 0.1])
+    (arm,) = motion.arms
     assert (arm.commands, arm.openings, arm.commanded_openings, arm.velocities) == (None, None, None, None)
     assert arm.joints[1, 5] == 0.5
 
@@ -97,10 +77,8 @@ def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Pa
     ],
 )
 def test_what_is_no_motion_is_told_with_its_line(single: RigConfig, tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
-    motion = swinging(single, 0.2)
-    lines = csv_bytes(single, motion.times, table(motion)).decode().splitlines()
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(change(lines)))
+    path = write_csv(tmp_path / "log.csv", swinging(single, 0.2), single)
+    path.write_text("\n".join(change(path.read_text().splitlines())))
     with pytest.raises(DatasetError, match=r"log\.csv") as caught:
         read_csv(path, single)
     assert message in str(caught.value)
@@ -116,9 +94,7 @@ def test_what_is_not_there_or_no_recording_is_told(single: RigConfig, locations:
 
 
 def test_another_rigs_csv_is_refused_with_the_columns(locations: Locations, single: RigConfig, tmp_path: Path) -> None:
-    motion = replace(swinging(single, 0.1), name="log")
-    path = tmp_path / "log.csv"
-    path.write_bytes(csv_bytes(single, motion.times, table(motion)))
+    path = write_csv(tmp_path / "log.csv", swinging(single, 0.1), single)
     with pytest.raises(DatasetError, match="position_left_joint1"):
         read_csv(path, load_config(RigConfig, "rigs", "russet", locations))
 

@@ -9,7 +9,7 @@ import pytest
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.motors.faults import Fault
+from yamsim_cli.core.motors.bus import BusFault
 from yamsim_cli.core.motors.frames import Mit
 from yamsim_cli.core.motors.motor import Motor, Status
 from yamsim_cli.core.resources import Locations
@@ -93,7 +93,7 @@ def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
 
 
 def test_a_stuck_gripper_stays(serve: Serve) -> None:
-    plant = serve(faults=[Fault("stuck")]).plant
+    plant = serve(faults=[BusFault("stuck")]).plant
     motor = plant.buses[0].motors[-1]
     run(plant, 0.1)
     run(plant, 0.5, lambda: motor.drive(Mit(-6.0, 0, 20.0, 0.5, 0), plant.now))
@@ -129,7 +129,7 @@ def test_a_follower_refuses_what_is_no_command(serve: Serve, told: object) -> No
 
 
 def test_two_arms_are_on_two_buses(serve: Serve) -> None:
-    served = serve("yam_station_linear_4310_d405", faults=[Fault("lost", channel="can_right", motor=3)])
+    served = serve("yam_station_linear_4310_d405", faults=[BusFault("lost", channel="can_right", motor=3)])
     assert served.sides == ("left", "right")
     assert [bus.channel for bus in served.plant.buses] == ["can_left", "can_right"]
     for follower in served.followers:
@@ -151,8 +151,8 @@ def test_two_arms_are_on_two_buses(serve: Serve) -> None:
     [
         ({"channels": ["a", "b"]}, "give 1 different names"),
         ({"channels": ["a/b"]}, "up to 15 letters"),
-        ({"faults": [Fault("lost", motor=9)]}, "no motor 9; there: 1, 2, 3, 4, 5, 6, 7"),
-        ({"faults": [Fault("stuck", channel="can9")]}, "no channel 'can9'; there: can0"),
+        ({"faults": [BusFault("lost", motor=9)]}, "no motor 9; there: 1, 2, 3, 4, 5, 6, 7"),
+        ({"faults": [BusFault("stuck", channel="can9")]}, "no channel 'can9'; there: can0"),
     ],
 )
 def test_what_is_not_there_is_named(serve: Serve, given: dict[str, object], says: str) -> None:

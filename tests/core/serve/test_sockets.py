@@ -16,8 +16,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.motors import frames
 from yamsim_cli.core.motors.bus import Bus
 from yamsim_cli.core.motors.frames import Frame
-from yamsim_cli.core.motors.kinds import KINDS
-from yamsim_cli.core.motors.motor import Motor
+from yamsim_cli.core.motors.motor import KINDS, Motor
 from yamsim_cli.core.serve import sockets
 from yamsim_cli.core.serve.program import program_environment
 from yamsim_cli.core.serve.sockets import KernelBus, UnixBus

@@ -1,28 +1,32 @@
-"""LeRobotDataset v3.0 as data: the places of its files, its features, and the content of `meta/info.json`.
+"""The files of LeRobotDataset v3.0: their places, features, `meta/info.json`, and tables in Parquet.
 
 Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..closing import Closing
 from ..images.video import ENCODER
 
 VERSION = "v3.0"
-CHUNK_FILES = 1000
-DATA_FILE_MB = 100
-# Size up to which lerobot's tools join videos when they merge datasets. This export writes one for each episode.
-VIDEO_FILE_MB = 200
-# Every second frame is a key frame, since training reads single frames at random. Source: lerobot's own encoding.
-KEY_FRAME_INTERVAL = 2
+CHUNK_FILES = 1000  # files in a chunk
+DATA_FILE_MB = 100  # size at which a new Parquet file begins
+VIDEO_FILE_MB = 200  # size up to which lerobot's tools join videos; this export writes one video for each episode
+KEY_FRAME_INTERVAL = 2  # frames; training reads single frames at random. Source: lerobot's own encoding
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# A file beside the format: the recorded episode of each exported one, and its seed, so that it can be made again.
+# Not part of the format: the recorded episode of each exported one, and its seed for simulating it again.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -31,42 +35,41 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# lerobot gives this key to policies as a kind of its own, which stands in for pictures.
+# lerobot gives this key to policies in place of pictures.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
-# Of real recordings: the joints' velocities as measured, rad/s, and the frames' own times, s. Programs of the format
-# leave both alone: their names begin neither with `observation` nor with `action`.
+# Of real recordings: measured velocities of the joints, rad/s, and recorded times of the frames, s. Other programs
+# ignore both, since their names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
-# Prefix of a robot's type for two arms, as in lerobot's own names.
-_TWO = "bi_"
+_TWO = "bi_"  # prefix of a robot's type for two arms, as in lerobot's own names
 
 
 @dataclass(frozen=True)
-class Place:
-    """One file of a series, with its number, its chunk, and its place in the chunk."""
+class FilePlace:
+    """A file of a series, by its number."""
 
     number: int
 
     @property
     def chunk(self) -> int:
-        """Number of its chunk; a chunk has CHUNK_FILES files."""
+        """Number of the file's chunk."""
         return self.number // CHUNK_FILES
 
     @property
     def file(self) -> int:
-        """Its place within the chunk."""
+        """Number of the file within its chunk."""
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """Its relative path by one of the patterns above."""
+        """The relative path by one of the patterns above."""
         return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A column: dtype and shape of a frame's value, which is one number or a row of them, and the parts' names."""
+    """A column: dtype and shape of a frame's value, (1,) or a row, and the names of the row's elements."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -88,9 +91,9 @@ INDEX_FEATURES: Mapping[str, Feature] = {
 
 
 def _matrix(letter: str, size: int) -> Feature:
-    """The feature of a square matrix, row by row. Its elements are named by row and column from 0, such as `K02`.
+    """The feature of a square matrix, row by row, with elements named by row and column from 0, such as `K02`.
 
-    It is flat, since lerobot's own tools for editing datasets cannot write arrays of two dimensions.
+    The feature is flat, since lerobot's tools for editing datasets cannot write arrays of two dimensions.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
     return Feature("float32", (len(names),), names)
@@ -107,7 +110,7 @@ def intrinsics_key(camera: str) -> str:
 
 
 def extrinsics_key(camera: str) -> str:
-    """Key of a camera's pose in the robot's base; with two arms, in the left one's."""
+    """Key of a camera's pose in the robot's base; with two arms, in the left arm's base."""
     return f"camera.extrinsics.{camera}"
 
 
@@ -116,13 +119,13 @@ def rows(names: Sequence[str]) -> Feature:
     return Feature("float32", (len(names),), tuple(names))
 
 
-def matrices(lenses: Collection[str], places: Collection[str]) -> dict[str, Feature]:
-    """The features of what is known of cameras: of some their K, of some their pose."""
+def matrices(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, Feature]:
+    """The features of cameras with a known K, and of cameras with a known pose."""
     features = {}
-    for camera in dict.fromkeys((*lenses, *places)):
-        if camera in lenses:
+    for camera in dict.fromkeys((*intrinsics, *extrinsics)):
+        if camera in intrinsics:
             features[intrinsics_key(camera)] = _matrix("K", 3)
-        if camera in places:
+        if camera in extrinsics:
             features[extrinsics_key(camera)] = _matrix("T", 4)
     return features
 
@@ -142,7 +145,7 @@ def info(
     Args:
         cameras: camera -> width and height (px) of its images in the videos.
         robots: the model of each arm.
-        features: those of the Parquet files.
+        features: of the Parquet files.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
@@ -173,7 +176,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "video.fps": int(fps) if fps == int(fps) else fps,
         "video.channels": 3,
         "has_audio": False,
-        # lerobot uses these when it has to encode a video again.
+        # lerobot uses these when encoding a video again.
         "video.g": KEY_FRAME_INTERVAL,
         "video.crf": int(ENCODER["crf"]),
         "video.preset": ENCODER["preset"],
@@ -186,3 +189,85 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "names": ["height", "width", "channels"],
         "info": details,
     }
+
+
+class TableSeries(Closing):
+    """Writes tables with the same columns to a series of Parquet files.
+
+    Use it as a context manager: leaving it writes the last file's footer.
+
+    Args:
+        root: the dataset's directory.
+        pattern: the pattern of the files' paths.
+        limit_mb: size at which a file is closed, MB.
+    """
+
+    def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:
+        self._root, self._pattern, self._limit = root, pattern, limit_mb * 1e6
+        self._writer: Any = None
+        self._place = FilePlace(0)
+        self._path = root
+
+    def next_place(self) -> FilePlace:
+        """The file for the next table."""
+        if self._writer is not None and self._path.stat().st_size >= self._limit:
+            self.close()
+            self._place = FilePlace(self._place.number + 1)
+        return self._place
+
+    def write(self, table: Any) -> None:
+        """Add a table."""
+        import pyarrow.parquet
+
+        place = self.next_place()
+        if self._writer is None:
+            self._path = self._root / place.path(self._pattern)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pyarrow.parquet.ParquetWriter(self._path, table.schema, compression="snappy")
+        self._writer.write_table(table)
+
+    def close(self) -> None:
+        """Write the last file's footer."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def frames_table(columns: Mapping[str, Feature], values: Mapping[str, NDArray[Any]]) -> Any:
+    """A table of an episode's frames, from values (frames, ...) by feature."""
+    import pyarrow
+
+    def array(key: str, feature: Feature) -> Any:
+        flat = pyarrow.array(np.asarray(values[key], feature.dtype).ravel())
+        (width,) = feature.shape
+        return flat if width == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, width)
+
+    return pyarrow.table([array(key, feature) for key, feature in columns.items()], names=list(columns))
+
+
+def episode_table(row: Mapping[str, Any]) -> Any:
+    """A table of one episode's row in `meta/episodes`: numbers, a list of texts, and statistics as arrays."""
+    import pyarrow
+
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}
+    return pyarrow.table({key: pyarrow.array([value]) for key, value in plain.items()})
+
+
+def write_tasks(root: Path, tasks: Sequence[str]) -> None:
+    """Write `meta/tasks.parquet`: the tasks' numbers, with the texts as pandas' index."""
+    import pyarrow
+    import pyarrow.parquet
+
+    def column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+        return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
+
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "pandas_version": "2.0.0",
+    }
+    table = pyarrow.table({"task_index": pyarrow.array(range(len(tasks)), pyarrow.int64()), "task": list(tasks)})
+    table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    (root / TASKS).parent.mkdir(parents=True, exist_ok=True)
+    pyarrow.parquet.write_table(table, root / TASKS)

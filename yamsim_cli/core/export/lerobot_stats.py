@@ -13,8 +13,7 @@ from ..images.image import Image
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _LEVELS = 256
-# One pixel in so many counts, in both directions: that is fast, and means and quantiles hardly change.
-_STRIDE = 4
+_STRIDE = 4  # pixels between those that count, in both directions: means and quantiles hardly change
 
 Stats = dict[str, Array]
 
@@ -30,7 +29,7 @@ def column_stats(values: ArrayLike) -> Stats:
 
 
 class PixelCounts:
-    """Counts how often each level occurs in each channel of the images. All statistics follow exactly from that."""
+    """Counts of each level in each channel of images, from which all statistics follow exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((3, _LEVELS), np.int64)
@@ -56,18 +55,17 @@ class PixelCounts:
         }
 
     def _level(self, part: float) -> Array:
-        """The level (3,), in 0..1, at or below which a share `part` of the pixels lies."""
+        """The lowest level (3,), in 0..1, at or below which lie a share `part` of the pixels and at least one."""
         below = np.cumsum(self._counts, axis=1)
-        # The first level at or below which there are enough pixels, and at least one.
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))
         found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
         return found / (_LEVELS - 1)
 
 
 class RunningStats:
-    """Statistics of many episodes together. They are exact except for quantiles, which are means weighted by frames.
+    """Statistics of many episodes together: exact, except for quantiles, which are means weighted by frames.
 
-    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`. The numbers are those that lerobot gives.
+    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`, which gives the same numbers.
     """
 
     def __init__(self) -> None:

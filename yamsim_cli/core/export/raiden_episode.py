@@ -17,7 +17,7 @@ from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..dataset.disk_faults import explain
 from ..dataset.layout import depth_name
-from ..dataset.reader import StoredEpisode, open_episode
+from ..dataset.reader import RecordedEpisode, StoredEpisode, open_episode
 from ..dataset.truth_files import dump_depth
 from ..errors import DatasetError, PartialJobError
 from ..images.image import Image
@@ -26,23 +26,23 @@ from ..images.png import encode_png
 from ..session import Session
 from ..types import EpisodeJob
 from . import raiden_schema as schema
-from .raiden_options import RaidenOptions
+from .raiden_schema import RaidenOptions
 from .resample import Resampled, nearest_frames, resample
 from .source import depth_cameras
 
-# Largest mean difference, of 255, between a picture that is rendered anew and the recorded one. The OpenGL of another
-# machine stays below. Missing meshes, or the looks of another version, do not.
-_MOST_OTHER = 3.0
+# Largest mean difference, of 255, between a picture rendered anew and the recorded one. OpenGL of another machine stays
+# below; missing meshes, or another version's appearance, exceed it.
+_MOST_DIFFERENCE = 3.0
 
 
 @dataclass(frozen=True)
 class MadeEpisode:
-    """What was made of an episode. Its pictures are on the disk already.
+    """An episode's frames, whose pictures are written already.
 
     Attributes:
-        times: times of the frames, s.
-        frames: frames in the form of recorded ones.
-        pictures: where the pictures come from, for the metadata.
+        times: of the frames, s.
+        frames: in the form of recorded ones.
+        pictures: the metadata's entry on the pictures.
     """
 
     times: Sequence[float]
@@ -51,19 +51,14 @@ class MadeEpisode:
 
 
 class EpisodeMaker(Closing):
-    """Makes episodes of one dataset; a context manager, since it may own a renderer.
+    """Makes episodes of one dataset, and owns a renderer if it renders.
 
     Args:
-        session: of the dataset's own config, with the size of rendered pictures; its meshes matter to those alone.
+        session: of the dataset's config, with the size of rendered pictures; its meshes are needed only for rendering.
         names: camera -> its name in raiden's layout.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        names: Mapping[str, str],
-        options: RaidenOptions,
-    ) -> None:
+    def __init__(self, session: Session, names: Mapping[str, str], options: RaidenOptions) -> None:
         self._names = names
         self._options = options
         self._quality = session.config.image.jpeg_quality
@@ -71,13 +66,13 @@ class EpisodeMaker(Closing):
         self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> MadeEpisode:
-        """What is made of an episode; its pictures are written.
+        """Make an episode and write its pictures.
 
         Args:
             job: the episode's directory, and the folder to write into.
 
         Raises:
-            DatasetError: it is damaged, or cannot be made; see `resample`.
+            DatasetError: the episode is damaged, or cannot be resampled; see `resample`.
             ResourceError: nothing can render here.
             PartialJobError: the disk refused something.
         """
@@ -99,27 +94,15 @@ class EpisodeMaker(Closing):
             return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
         nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
         self._copy(episode, folder, nearest)
-        period = episode.record.frame_period_s
-        told = {"source": "nearest", "recorded_frames": nearest, "recorded_period_s": period}
-        return MadeEpisode(made.times.tolist(), made.frames, told)
+        pictures = schema.nearest_pictures(nearest, episode.record.frame_period_s)
+        return MadeEpisode(made.times.tolist(), made.frames, pictures)
 
     def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
-        """Copy recorded pictures: JPEGs byte for byte, or PNGs of the pixels that OpenCV reads from them."""
-        depths = depth_cameras(episode)
-        for camera, name in self._names.items():
-            before, data, depth = -1, b"", b""
+        copy_images(episode, folder, self._names, frames, self._options)
+        for camera in depth_cameras(episode):
             for k, frame in enumerate(frames):
-                if frame != before:
-                    data = self._stored(episode, camera, frame)
-                    depth = _depth(episode, camera, frame) if camera in depths else b""
-                    before = frame
-                _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
-                if depth:
-                    _write(folder / "depth" / name / schema.frame_name(k, "npz"), depth)
-
-    def _stored(self, episode: StoredEpisode, camera: str, frame: int) -> bytes:
-        data = episode.image(camera, frame)
-        return data if self._options.images == "jpg" else encode_png(_decoded(episode, camera, frame, data))
+                place = folder / "depth" / self._names[camera] / schema.frame_name(k, "npz")
+                _write(place, _depth(episode, camera, frame))
 
     def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
         depths = depth_cameras(episode)
@@ -131,26 +114,25 @@ class EpisodeMaker(Closing):
         for k, camera, image in recorded_pictures(simulator, made.attempt, made.qpos):
             name = self._names[camera]
             if k == 0:
-                self._require_looks(episode, camera, image)
+                self._require_same_appearance(episode, camera, image)
             data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
             _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
             if camera in depths:
                 data = dump_depth(depth_mm(simulator, made.attempt, made.qpos[k], camera))
                 _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
 
-    def _require_looks(self, episode: StoredEpisode, camera: str, image: Image) -> None:
-        """Raise DatasetError unless the first picture looks as it was recorded."""
+    def _require_same_appearance(self, episode: StoredEpisode, camera: str, image: Image) -> None:
         recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
         rendered = decode_jpeg(encode_jpeg(image, self._quality))
         assert rendered is not None
-        apart = np.inf
+        difference = np.inf
         if rendered.shape == recorded.shape:
-            apart = float(np.abs(rendered.astype(np.int16) - recorded).mean())
-        if apart > _MOST_OTHER:
+            difference = float(np.abs(rendered.astype(np.int16) - recorded).mean())
+        if difference > _MOST_DIFFERENCE:
             raise DatasetError(
-                f"{episode.directory}: {camera} rendered anew is not what was recorded ({apart:.1f} of 255 off in the "
-                f"mean, at most {_MOST_OTHER:g}): run `yamsim assets fetch` if meshes are missing, or take the "
-                "recorded pictures with --pictures nearest"
+                f"{episode.directory}: {camera} rendered anew is not what was recorded ({difference:.1f} of 255 off in "
+                f"the mean, at most {_MOST_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are missing, or take "
+                "the recorded pictures with --pictures nearest"
             )
 
     def close(self) -> None:
@@ -159,12 +141,35 @@ class EpisodeMaker(Closing):
             self._simulators.close()
 
 
+def copy_images(
+    episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
+) -> None:
+    """Copy recorded pictures: JPEGs byte for byte, or PNGs of their pixels.
+
+    Args:
+        names: camera -> its name in raiden's layout.
+        frames: numbers of the recorded frames, which may repeat.
+
+    Raises:
+        DatasetError: a picture is missing, altered or damaged.
+    """
+    for camera, name in names.items():
+        before, data = -1, b""
+        for k, frame in enumerate(frames):
+            if frame != before:
+                data = episode.image(camera, frame)
+                if options.images == "png":
+                    data = encode_png(_decoded(episode, camera, frame, data))
+                before = frame
+            _write(folder / "rgb" / name / schema.frame_name(k, options.images), data)
+
+
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
 
 
-def _decoded(episode: StoredEpisode, camera: str, frame: int, data: bytes) -> Image:
+def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
     image = decode_jpeg(data)
     if image is None:
         raise DatasetError(f"{episode.directory}: frame {frame} of {camera} is no whole JPEG; --images jpg copies it")
@@ -172,7 +177,7 @@ def _decoded(episode: StoredEpisode, camera: str, frame: int, data: bytes) -> Im
 
 
 def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    """A depth image's file, unchanged, after its content was checked."""
+    """The bytes of a depth image's file, whose content is checked."""
     name = depth_name(camera, number)
     data = episode.whole(name)
     width, height = episode.record.cameras[camera]
@@ -181,9 +186,9 @@ def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
             depth = archive[schema.DEPTH_KEY]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise DatasetError(f"{episode.directory / name} holds no array {schema.DEPTH_KEY!r}: {error}") from error
-    if depth.dtype != schema.DEPTH.dtype or depth.shape != (height, width):
+    if depth.dtype != schema.DEPTH_DTYPE or depth.shape != (height, width):
         raise DatasetError(
-            f"{episode.directory / name}: depth is {depth.dtype} {depth.shape}, not {schema.DEPTH.dtype} "
+            f"{episode.directory / name}: depth is {depth.dtype} {depth.shape}, not {schema.DEPTH_DTYPE} "
             f"{(height, width)}"
         )
     return data

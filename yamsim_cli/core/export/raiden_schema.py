@@ -1,64 +1,31 @@
-"""The converted layout of the real stack, as data: every name, dtype, shape and key.
+"""The converted layout of the real stack: its files, keys and sizes, and the options of an export to it.
 
 Source: TRI-ML/raiden 2353b10: what `converter.py` writes, and what `shardify.py`, `visualizer.py`, `replay.py` and
-`server.py` read. Its documentation differs in places, such as on pictures. The code decides here.
+`server.py` read. Where raiden's documentation differs, such as on pictures, the code decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
+# "draw" renders a picture at each frame's time; "nearest" takes the recorded picture nearest in time.
+PictureSource = Literal["draw", "nearest"]
+ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
+HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for poses of hands, see `raiden_frames.hand_frame`
 
-@dataclass(frozen=True)
-class RaidenForm:
-    """The form of a value: an array's dtype and shape, or a plain type and ().
+FPS = 30.0  # frames per second: `rd replay` plays at this rate, and `rd shardify` counts windows in its frames
 
-    Attributes:
-        each: whether the value is a dictionary from every camera's name to such an array.
-    """
-
-    dtype: str
-    shape: tuple[int, ...] = ()
-    each: bool = False
-
-
-# Numbers of an arm in the layout: six joints and the gripper; and of its hand: position (3), rotation row by row (9),
-# and the gripper.
+# Numbers of an arm in the layout: joints, and joints with the gripper.
 JOINTS = 6
 ARM = JOINTS + 1
-HAND = 3 + 9 + 1
 
-# Key of the right base's pose in the left base. It takes a point from the right arm's base to the left one's.
+# Key of the right base's pose in the left base: it maps points from the right base to the left one.
 BETWEEN_ARMS = "T_left_from_right"
 
-
-def lowdim(width: int, recorded: int) -> Mapping[str, RaidenForm]:
-    """Key -> form of a frame's dictionary, in order.
-
-    The left arm comes first. A hand's position and rotation are in its own arm's base.
-
-    Args:
-        width: how many arms the arrays hold.
-        recorded: how many arms were recorded.
-    """
-    return {
-        "intrinsics": RaidenForm("float32", (3, 3), each=True),
-        "extrinsics": RaidenForm("float32", (4, 4), each=True),
-        "joints": RaidenForm("float32", (ARM * width,)),
-        "action": RaidenForm("float32", (HAND * width,)),
-        "actual_poses": RaidenForm("float32", (HAND * width,)),
-        "action_joints": RaidenForm("float32", (ARM * width,)),
-        "language_task": RaidenForm("object"),
-        "language_prompt": RaidenForm("object"),
-        **({BETWEEN_ARMS: RaidenForm("float32", (4, 4))} if recorded == 2 else {}),
-    }
-
-
-# Capture times of all frames, ns.
-TIMESTAMPS = RaidenForm("int64", (-1,))
-# A depth image, mm.
-DEPTH = RaidenForm("uint16", (-1, -1))
+TIMESTAMP_DTYPE = "int64"  # of capture times, ns
+DEPTH_DTYPE = "uint16"  # of depth images, mm
 DEPTH_KEY = "depth"
 
 # Files of the dataset, of an episode, and of an episode's camera.
@@ -67,6 +34,30 @@ SPLIT = "split_all.json"
 CALIBRATION = "calibration_results.json"
 METADATA = "metadata.json"
 TIMESTAMPS_FILE = "timestamps.npy"
+
+
+@dataclass(frozen=True)
+class RaidenOptions:
+    """The options of an export.
+
+    Attributes:
+        fps: frames per second; None for exactly the recorded frames.
+        pictures: their source, if `fps` is given.
+        images: format of the pictures.
+        single: whether arrays hold a lone arm without a right arm that stands still.
+        hand_frame: the kinematics for `action` and `actual_poses`.
+    """
+
+    fps: float | None = FPS
+    pictures: PictureSource = "draw"
+    images: ImageFormat = "png"
+    single: bool = False
+    hand_frame: HandFrameName = "yamsim"
+
+    @property
+    def renders(self) -> bool:
+        """Whether the export renders pictures."""
+        return self.fps is not None and self.pictures == "draw"
 
 
 def episode_name(number: int) -> str:
@@ -79,55 +70,6 @@ def frame_name(frame: int, extension: str) -> str:
     return f"{frame:010d}.{extension}"
 
 
-# Keys of the JSON files; a value of None is a leaf.
-Keys = Mapping[str, "Keys | None"]
-
-METADATA_KEYS: Keys = {
-    "info": {"name": None, "raw_id": None, "tags": None},
-    "labels": None,
-    "cameras": None,
-    "resolution": None,
-    "framerate": None,
-    "language": {"task": None, "prompt": None},
-    "num_frames": None,
-    "rgb": {"extension": None},
-    "intrinsics": {"model": None},
-    "extrinsics": {"transform": None, "metric": None},
-    "action": {"format": None, "dims": None},
-    "control": None,
-    # The real stack does not have the next two.
-    "hand_frame": {"name": None, "description": None},
-    "pictures": {"source": None},
-}
-# Further keys where pictures are the nearest recorded ones.
-NEAREST_METADATA_KEYS: Keys = {"pictures": {"source": None, "recorded_frames": None, "recorded_period_s": None}}
-# Further keys where there is depth.
-DEPTH_METADATA_KEYS: Keys = {"depth": {"extension": None, "sparse": None, "metric": None}}
-
-SPLIT_KEYS: Keys = {"filters": {}, "size": {"n_seqs": None, "n_samples": None, "n_frames": None}, "files": None}
-
-_INTRINSICS: Keys = {"camera_matrix": None, "distortion_coeffs": None, "image_size": None, "source": None}
-_TRANSFORM: Keys = {"success": None, "rotation_matrix": None, "translation_vector": None, "rotation_vector": None}
-_CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None, "arm": None}
-SCENE_CAMERA_KEYS: Keys = {**_CAMERA, "extrinsics": {**_TRANSFORM, "reference_frame": None}}
-# The fork at the lab reads `extrinsics` and `arm`. `upside_down` is yamsim's own.
-WRIST_CAMERA_KEYS: Keys = {
-    **SCENE_CAMERA_KEYS,
-    "hand_eye_calibration": {**_TRANSFORM, "method": None, "upside_down": None},
-}
-CALIBRATION_KEYS: Keys = {
-    "version": None,
-    "timestamp": None,
-    "coordinate_frame": None,
-    "hand_frame": {"name": None, "description": None},
-    "cameras": None,
-}
-# Further keys for two arms. The real stack does not have the last one, which is the inverse of the first.
-BIMANUAL_CALIBRATION_KEYS: Keys = {
-    "bimanual_transform": {
-        "right_base_to_left_base": None,
-        "computed_from_calibration": None,
-        "description": None,
-        "T_right_base_in_left_base": None,
-    }
-}
+def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
+    """The metadata's entry on pictures of the nearest recorded frames, recorded every `period` s."""
+    return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

@@ -1,7 +1,4 @@
-"""Export for the rerun viewer: an `.rrd` per episode with images, joints, poses and camera frusta.
-
-No other module knows rerun.
-"""
+"""Export for the rerun viewer: an `.rrd` per episode with images, joints, poses and camera frusta."""
 
 from __future__ import annotations
 
@@ -19,26 +16,30 @@ from ..dataset.real import RealRecord
 from ..errors import ResourceError
 from ..geometry.se3 import Array
 from ..progress import Progress
-from .source import AnySource, Exported, depth_cameras
-from .target import export_directory
+from .source import AnySource, depth_cameras
+from .target import Exported, export_directory
 
-# Distance of a picture in front of its camera, and length of a pose's axes, m.
-_PICTURE_DISTANCE = 0.15
-_AXIS = 0.05
+_PICTURE_DISTANCE = 0.15  # m, of a picture in front of its camera
+_AXIS = 0.05  # m, length of a pose's axes
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left one's.
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left base.
 
-    Of real recordings there is what was recorded, at the times at which it was.
+    Real recordings are shown at their recorded times, without what was not recorded.
 
     Raises:
         DatasetError: a file is missing, altered or damaged.
         ResourceError: rerun is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    _require_rerun()
+    try:
+        import rerun  # noqa: F401
+    except ModuleNotFoundError as error:
+        if error.name != "rerun":
+            raise
+        raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
     frames = 0
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):
@@ -47,20 +48,11 @@ def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite:
     return Exported(out, len(source), frames, stage.moved_aside)
 
 
-def _require_rerun() -> None:
-    try:
-        import rerun  # noqa: F401
-    except ModuleNotFoundError as error:
-        if error.name != "rerun":
-            raise
-        raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
-
-
 def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
-    # Properties are left out, since they hold the time of day. Lists of recordings show only the name.
+    # Properties are left out, since they hold the time of day.
     stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")
@@ -88,7 +80,7 @@ def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str, Any]) -> str:
-    """The place of a camera's pictures: in the base where its pose is known, else beside it."""
+    """Log a camera; its entity is in `base` if its pose is known, else in `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):
@@ -121,24 +113,17 @@ def _log_static(
     if BETWEEN_BASES in frames[0]:
         stream.log("base/right_base", _transform(frames[0][BETWEEN_BASES]), static=True)
         stream.log("base/right_base/axes", axes, static=True)
-    lines = [
-        f"{source.path.absolute().name}/{episode.directory.name}",
-        str(frames[0].get("language_prompt", "")),
-        *_told(episode),
-    ]
+    record, name = episode.record, f"{source.path.absolute().name}/{episode.directory.name}"
+    lines = [name, str(frames[0].get("language_prompt", ""))]
+    if isinstance(record, RealRecord):
+        lines += [f"real, from {record.imported.name}", *record.problems]
+    else:
+        lines += [f"seed {record.seed}, attempt {record.attempt}", f"success: {record.outcome.success}"]
     stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
 
 
-def _told(episode: RecordedEpisode) -> list[str]:
-    """Lines on where an episode is from."""
-    record = episode.record
-    if isinstance(record, RealRecord):
-        return [f"real, from {record.imported.name}", *record.problems]
-    return [f"seed {record.seed}, attempt {record.attempt}", f"success: {record.outcome.success}"]
-
-
 def _hands(source: AnySource, frame: Mapping[str, Any]) -> dict[str, Array]:
-    """Name -> pose (4, 4) of each hand; none where nobody recorded them."""
+    """Name -> pose (4, 4) of each hand; empty if poses were not recorded."""
     if "ee_pose" not in frame:
         return {}
     poses = np.reshape(frame["ee_pose"], (-1, 4, 4))

@@ -4,11 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..dataset.disk_faults import explain
 from ..errors import InterruptedJobError, PartialJobError, UsageError
 from ..files import StagedDirectory, staged_directory
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote.
+
+    Attributes:
+        path: the directory or file.
+        episodes, frames: their numbers.
+        moved_aside: new path of what was at `path` before; None if nothing was.
+        notes: lines for the user on where the export differs from the recording.
+    """
+
+    path: Path
+    episodes: int
+    frames: int
+    moved_aside: Path | None = None
+    notes: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -23,7 +42,10 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
         PartialJobError: the disk refused something; nothing of the export is left.
         InterruptedJobError: stopped by the user; nothing of the export is left.
     """
-    require_free(final, overwrite=overwrite)
+    require_parent(final)
+    if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):
+        what = "is not empty" if final.is_dir() else "is not a directory"
+        raise UsageError(f"{final} {what}; move it aside with --overwrite, or choose another OUT")
     try:
         with staged_directory(final, overwrite=overwrite) as stage:
             yield stage
@@ -33,14 +55,11 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
         raise InterruptedJobError(f"interrupted: nothing was written to {final}; run it again") from None
 
 
-def require_free(final: Path, *, overwrite: bool) -> None:
-    """Refuse a place for a directory before the work begins.
+def require_parent(out: Path) -> None:
+    """Refuse a path without a parent directory, before the work begins.
 
     Raises:
-        UsageError: it is in use, or has no parent.
+        UsageError: there is no such directory.
     """
-    if not final.absolute().parent.is_dir():
-        raise UsageError(f"{final}: there is no directory {final.absolute().parent}; make it, or choose another OUT")
-    if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):
-        what = "is not empty" if final.is_dir() else "is not a directory"
-        raise UsageError(f"{final} {what}; move it aside with --overwrite, or choose another OUT")
+    if not out.absolute().parent.is_dir():
+        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")

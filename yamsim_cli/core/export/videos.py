@@ -1,4 +1,4 @@
-"""Export for people: a video of each episode, or one picture of all."""
+"""Export as a video of each episode, or as a contact sheet of all episodes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,11 @@ from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..vision.views import label, resized
-from .real_source import RealSource
-from .source import AnySource, Exported
-from .target import export_directory
+from .source import AnySource, RealSource
+from .target import Exported, export_directory, require_parent
 
 _SHEET_QUALITY = 90
-_SHEET_SUFFIXES = (".jpg", ".jpeg")
-# Largest side of a sheet, px: larger ones cannot be opened everywhere.
-_LARGEST_SIDE = 16_000
+_LARGEST_SIDE = 16_000  # px, of a sheet: some programs open no larger JPEG
 
 
 def export_mp4(
@@ -34,11 +31,11 @@ def export_mp4(
     speed: float = 1.0,
     overwrite: bool = False,
 ) -> Exported:
-    """Write an H.264 video of each episode, with its name, into a directory; frame k is at exactly k periods.
+    """Write an H.264 video of each episode into a directory; frame k is at exactly k periods.
 
     Args:
-        cameras: cameras to show side by side; empty for all.
-        speed: how fast time passes.
+        cameras: shown side by side; empty for all.
+        speed: factor by which the video is faster.
 
     Raises:
         UsageError: a camera was not recorded; and see `export_directory`.
@@ -51,9 +48,8 @@ def export_mp4(
     notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):
-            if isinstance(source, RealSource):
-                note = source.unevenness(episode, episode.frames())
-                notes += [note] if note else []
+            if isinstance(source, RealSource) and (note := source.unevenness(episode, episode.frames())):
+                notes.append(note)
             with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
                 for image in recorded_images(episode, chosen):
                     video.write(image)
@@ -72,12 +68,12 @@ def export_sheet(
     width: int = 160,
     overwrite: bool = False,
 ) -> Exported:
-    """Write one JPEG with a row for each episode: images of it, evenly spread from the first to the last.
+    """Write one JPEG with a row for each episode: images spread evenly from its first frame to its last.
 
     Args:
-        cameras: cameras with a row each; empty for the first camera.
-        columns: images in a row.
-        width: width of each image, px.
+        cameras: with a row each; empty for the first camera.
+        columns: number of images in a row.
+        width: of each image, px.
 
     Raises:
         UsageError: a camera was not recorded, `out` is no name for a JPEG or in use, or the picture would be too large.
@@ -85,7 +81,11 @@ def export_sheet(
         PartialJobError, InterruptedJobError: it could not be written, or the user stopped it; nothing was written.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
-    _require_sheet(out, overwrite)
+    if out.suffix.lower() not in (".jpg", ".jpeg"):
+        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
+    require_parent(out)
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
     heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
     size = (columns * width, len(source) * sum(heights.values()))
     if max(size) > _LARGEST_SIDE:
@@ -110,17 +110,8 @@ def export_sheet(
     return Exported(out, len(source), len(rows) * columns, moved)
 
 
-def _require_sheet(out: Path, overwrite: bool) -> None:
-    if out.suffix.lower() not in _SHEET_SUFFIXES:
-        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
-    if not out.absolute().parent.is_dir():
-        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
-
-
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
-    """Images of one episode side by side, from its first to its last, each of width and height `size`."""
+    """Images of one episode side by side, each of width and height `size`, px."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))
@@ -132,7 +123,7 @@ def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, i
 
 def _cameras(source: AnySource, wanted: Sequence[str]) -> tuple[str, ...]:
     if not source.cameras:
-        raise DatasetError(f"{source.path} has no pictures: nobody recorded any, so there is no film of it")
+        raise DatasetError(f"{source.path} has no pictures, so there is nothing to show")
     for name in wanted:
         if name not in source.cameras:
             raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")

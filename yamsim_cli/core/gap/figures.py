@@ -1,4 +1,4 @@
-"""How far what was measured lies from what a scene's arms do with the same commands: figures of one motion."""
+"""The gap of one motion: measured joints less the joints of simulated arms that follow the same commands."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from ..geometry.se3 import Array
 from ..motion import ArmMotion, Motion
 from ..scene.compiled import CompiledScene, SceneArm
 from ..sim.follow import follow, hand_poses, held
-from .delays import delay
-from .phases import PHASES, at_rest, overshoot, phases, stops
-from .smoothing import STEP, Smooth, smooth
+from .curves import PHASES, SmoothCurves, at_rest, delay, overshoot, phases, smooth, stops
 
-# Fewer measured samples than these say nothing.
-_LEAST_SAMPLES = 10
+_LEAST_SAMPLES = 10  # measured samples that a gap needs
 
 
 @dataclass(frozen=True)
-class Size:
-    """How large errors are, of how many samples: root mean square, the 95th percentile and the largest."""
+class ErrorSize:
+    """The size of errors: RMS, 95th percentile and maximum of their absolute values, and the number of samples."""
 
     rms: float
     p95: float
@@ -31,8 +28,8 @@ class Size:
     samples: int
 
     @classmethod
-    def of(cls, errors: Array) -> Size:
-        """Of errors (n,) with n above 0, whatever their signs."""
+    def of(cls, errors: Array) -> ErrorSize:
+        """The size of errors (n,), at least one."""
         sizes = np.abs(errors)
         return cls(
             float(np.sqrt(np.mean(sizes**2))), float(np.percentile(sizes, 95)), float(np.max(sizes)), len(errors)
@@ -41,12 +38,12 @@ class Size:
 
 @dataclass(frozen=True)
 class Following:
-    """How one curve of a joint comes after another; None where a motion does not tell.
+    """How one curve of a joint follows another; None if the motion does not determine a figure.
 
     Attributes:
-        delay: how much later it is, s.
-        sag: how much farther it stands on average where both are at rest, rad.
-        overshoot: how much farther it goes beyond where it comes to rest, on average over the stops, rad.
+        delay: s.
+        sag: mean difference where both curves are at rest, rad.
+        overshoot: how much farther it goes beyond its value at rest, mean over the stops, rad.
     """
 
     delay: float | None
@@ -56,51 +53,51 @@ class Following:
 
 @dataclass(frozen=True)
 class JointGap:
-    """What a joint did beyond its simulation; errors are measured less simulated.
+    """The gap of a joint; errors are measured less simulated.
 
     Attributes:
-        arm, name: `left`, `right` or nothing, and the joint's name in the model.
+        arm, name: `left`, `right` or empty, and the joint's name in the model.
         error: rad.
-        beyond: of what was measured after what was simulated.
-        measured, simulated: of each of them after the command; their overshoots are whole.
-        phases: phase -> errors of the samples in which the joint was in it; those without any are left out.
+        beyond: how the measured curve follows the simulated one.
+        measured, simulated: how each curve follows the command.
+        phases: phase -> errors of the samples in that phase; phases without samples are left out.
     """
 
     arm: str
     name: str
-    error: Size
+    error: ErrorSize
     beyond: Following
     measured: Following
     simulated: Following
-    phases: Mapping[str, Size]
+    phases: Mapping[str, ErrorSize]
 
 
 @dataclass(frozen=True)
 class HandGap:
-    """How far a hand is from its simulation, by the joints of both; and its fingers, where they were measured.
+    """The gap of a hand, by forward kinematics of measured and simulated joints, and of its fingers.
 
     Attributes:
-        arm: `left`, `right` or nothing.
+        arm: `left`, `right` or empty.
         position: m.
-        turn: rad.
-        delay: how much later it is than its simulation, s; None where it is not told.
-        opening: of one finger, m; None where nobody measured it.
+        rotation: rad.
+        delay: of the measured hand, s; None if the motion does not determine it.
+        opening: of one finger, m; None if it was not measured.
     """
 
     arm: str
-    position: Size
-    turn: Size
+    position: ErrorSize
+    rotation: ErrorSize
     delay: float | None
-    opening: Size | None
+    opening: ErrorSize | None
 
 
 @dataclass(frozen=True)
-class Worst:
+class WorstError:
     """The largest error of any joint.
 
     Attributes:
-        frame: number of the measured sample, from 0: an episode's frame, or a file's row of figures.
-        time: of it, s after the recording's first sample.
+        frame: number of the measured sample, from 0: of an episode's frame, or of a file's row.
+        time: of the sample, s after the recording's first sample.
         error: measured less simulated, rad.
     """
 
@@ -116,30 +113,29 @@ class Gap:
     """The gap of one motion.
 
     Attributes:
-        name: of the motion.
         seconds: that were compared.
         error: of all joints, rad.
-        phases: phase -> errors of all joints in it, rad.
-        motion, simulated: what was measured, and what the scene's arms did, at the same samples.
+        phases: phase -> errors of all joints, rad.
+        motion, simulated: the measured and the simulated motion, at the same samples.
         counted: which samples were compared (n,).
     """
 
     name: str
     seconds: float
-    error: Size
+    error: ErrorSize
     joints: tuple[JointGap, ...]
     hands: tuple[HandGap, ...]
-    phases: Mapping[str, Size]
-    worst: Worst
+    phases: Mapping[str, ErrorSize]
+    worst: WorstError
     motion: Motion
     simulated: Motion
     counted: NDArray[np.bool_]
 
 
 def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float = np.inf) -> Gap:
-    """How far a motion lies from what a scene's arms do with its commands.
+    """The gap between a motion and the simulation of its commands.
 
-    All of it is simulated, from where it was measured first; the samples from `begin` to `end` are compared.
+    The whole motion is simulated, from the first measured joints; the samples from `begin` to `end` are compared.
 
     Args:
         scene: of the rig alone, as `scene.build.build_rig_scene` makes it.
@@ -158,24 +154,19 @@ def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float 
             f"{motion.name}: {found} measured samples from {max(begin, 0):g} s to {min(end, motion.duration):g} s; "
             f"a gap needs {_LEAST_SAMPLES}: give a longer recording, or another --from and --to"
         )
-    both = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
-    curves = [_curves(motion.times, counted, real, made) for _, real, made in both]
-    errors = [(real.joints - made.joints)[counted] for _, real, made in both]
-    labels = [phases(seen.measured, motion.times[counted]) for seen in curves]
-    joints = tuple(
-        _joint_gap(scene, arm, real.side, k, off[:, k], seen, label[:, k])
-        for (arm, real, _), seen, off, label in zip(both, curves, errors, labels, strict=True)
-        for k in range(arm.dof)
-    )
-    hands = tuple(_hand_gap(scene, k, real, made, motion.times, counted) for k, (_, real, made) in enumerate(both))
+    pairs = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
+    joints = [_joint_gaps(scene, arm, real, made, motion.times, counted) for arm, real, made in pairs]
+    hands = tuple(_hand_gap(scene, k, real, made, motion.times, counted) for k, (_, real, made) in enumerate(pairs))
+    errors = [(real.joints - made.joints)[counted] for _, real, made in pairs]
+    together = np.concatenate([rows.ravel() for rows in errors])
     times = motion.times[counted]
     return Gap(
         name=motion.name,
         seconds=float(times[-1] - times[0]),
-        error=Size.of(np.concatenate([off.ravel() for off in errors])),
-        joints=joints,
+        error=ErrorSize.of(together),
+        joints=tuple(gap for gaps, _ in joints for gap in gaps),
         hands=hands,
-        phases=_by_phase(np.concatenate([off.ravel() for off in errors]), np.concatenate([x.ravel() for x in labels])),
+        phases=_by_phase(together, np.concatenate([labels.ravel() for _, labels in joints])),
         worst=_worst(scene, motion, errors, counted),
         motion=motion,
         simulated=simulated,
@@ -183,72 +174,54 @@ def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float 
     )
 
 
-@dataclass(frozen=True)
-class _Curves:
-    """An arm's joints as measured, as simulated and as commanded, over what is compared, on one even grid."""
-
-    measured: Smooth
-    simulated: Smooth
-    commanded: Smooth
-
-
-def _curves(times: Array, counted: NDArray[np.bool_], real: ArmMotion, made: ArmMotion) -> _Curves:
-    assert real.commands is not None, "it was followed"
-    at = times[counted]
+def _joint_gaps(
+    scene: CompiledScene, arm: SceneArm, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
+) -> tuple[list[JointGap], NDArray[np.int8]]:
+    """The gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
+    assert real.commands is not None, "the simulation followed them"
+    at, errors = times[counted], (real.joints - made.joints)[counted]
+    # Commands between measured samples count too.
     inside = (times >= at[0]) & (times <= at[-1])
-    # Commands may be told between what is measured, and none of them is to be missed.
-    commands = held(real.commands, real.joints)[inside]
-    return _Curves(
-        smooth(at, real.joints[counted]),
-        smooth(at, made.joints[counted]),
-        smooth(times[inside], commands, steps=True, like=at),
-    )
+    commanded = smooth(times[inside], held(real.commands, real.joints)[inside], steps=True, like=at)
+    measured, simulated = smooth(at, real.joints[counted]), smooth(at, made.joints[counted])
+    resting, labels = at_rest(measured, commanded), phases(measured, at)
 
-
-def _joint_gap(
-    scene: CompiledScene,
-    arm: SceneArm,
-    side: str,
-    k: int,
-    errors: Array,
-    curves: _Curves,
-    labels: NDArray[np.int8],
-) -> JointGap:
-    resting = at_rest(curves.measured, curves.commanded, curves.measured.times)[:, k]
-    stopped = list(stops(curves.commanded, k))
-
-    def following(first: Smooth, second: Smooth) -> Following:
-        apart = (second.values - first.values)[resting, k]
-        beyond = [overshoot(second.values[:, k], stop, STEP) for stop in stopped]
-        # A command does not go beyond itself, and a simulation may.
-        already = [0.0 if first is curves.commanded else overshoot(first.values[:, k], stop, STEP) for stop in stopped]
+    def following(first: SmoothCurves, second: SmoothCurves, k: int) -> Following:
+        apart = (second.values - first.values)[resting[:, k], k]
+        stopped = list(stops(commanded, k))
+        beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
+        # A command has no overshoot of its own.
+        already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return Following(
             delay(first, second, k),
             float(np.mean(apart)) if len(apart) else None,
             float(np.mean(np.subtract(beyond, already))) if stopped else None,
         )
 
-    return JointGap(
-        arm=side,
-        name=joint_name(scene, arm, k),
-        error=Size.of(errors),
-        beyond=following(curves.simulated, curves.measured),
-        measured=following(curves.commanded, curves.measured),
-        simulated=following(curves.commanded, curves.simulated),
-        phases=_by_phase(errors, labels),
-    )
+    gaps = [
+        JointGap(
+            arm=real.side,
+            name=_joint_name(scene, arm, k),
+            error=ErrorSize.of(errors[:, k]),
+            beyond=following(simulated, measured, k),
+            measured=following(commanded, measured, k),
+            simulated=following(commanded, simulated, k),
+            phases=_by_phase(errors[:, k], labels[:, k]),
+        )
+        for k in range(arm.dof)
+    ]
+    return gaps, labels
 
 
-def joint_name(scene: CompiledScene, arm: SceneArm, k: int) -> str:
-    """The name of an arm's k-th joint in its model."""
+def _joint_name(scene: CompiledScene, arm: SceneArm, k: int) -> str:
     number = int(scene.model.dof_jntid[arm.joint_dof[k]])
     return str(scene.model.joint(number).name.removeprefix(arm.prefix))
 
 
-def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, Size]:
-    """Phase -> size of the errors (n,) that are labelled so (n,)."""
+def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorSize]:
+    """Phase -> size of the errors (n,) with that label (n,)."""
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
-    return {name: Size.of(errors[mask]) for name, mask in masks.items() if mask.any()}
+    return {name: ErrorSize.of(errors[mask]) for name, mask in masks.items() if mask.any()}
 
 
 def _hand_gap(
@@ -260,34 +233,34 @@ def _hand_gap(
     opening = None
     if real.openings is not None and made.openings is not None:
         off = (real.openings - made.openings)[counted]
-        opening = Size.of(off[np.isfinite(off)]) if np.isfinite(off).any() else None
+        opening = ErrorSize.of(off[np.isfinite(off)]) if np.isfinite(off).any() else None
     return HandGap(
         arm=real.side,
-        position=Size.of(apart),
-        turn=Size.of(_turns(T_real[:, :3, :3], T_made[:, :3, :3])),
+        position=ErrorSize.of(apart),
+        rotation=ErrorSize.of(_angles(T_real[:, :3, :3], T_made[:, :3, :3])),
         delay=delay(smooth(at, T_made[:, :3, 3]), smooth(at, T_real[:, :3, 3]), slice(None)),
         opening=opening,
     )
 
 
-def _turns(ones: Array, others: Array) -> Array:
-    """The angles (n,) between rotations (n, 3, 3), rad: exact for small ones too, which a cosine is not."""
-    # The distance of two rotations as matrices is 2 sqrt(2) sin(angle / 2).
+def _angles(ones: Array, others: Array) -> Array:
+    """The angles (n,) between rotations (n, 3, 3), rad."""
+    # The Frobenius distance is 2 sqrt(2) sin(angle / 2), which is exact for small angles too; a cosine is not.
     apart = np.linalg.norm(ones - others, axis=(1, 2)) / (2 * np.sqrt(2))
     angles: Array = 2 * np.arcsin(np.clip(apart, 0, 1))
     return angles
 
 
-def _worst(scene: CompiledScene, motion: Motion, errors: list[Array], counted: NDArray[np.bool_]) -> Worst:
+def _worst(scene: CompiledScene, motion: Motion, errors: list[Array], counted: NDArray[np.bool_]) -> WorstError:
     sizes = [np.abs(off) for off in errors]
     side = int(np.argmax([size.max() for size in sizes]))
     row, joint = np.unravel_index(np.argmax(sizes[side]), sizes[side].shape)
     sample = int(np.flatnonzero(counted)[row])
     known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
-    return Worst(
+    return WorstError(
         frame=int(known[:sample].sum()),
         time=float(motion.times[sample]),
         arm=motion.arms[side].side,
-        joint=joint_name(scene, scene.arms[side], int(joint)),
+        joint=_joint_name(scene, scene.arms[side], int(joint)),
         error=float(errors[side][row, joint]),
     )

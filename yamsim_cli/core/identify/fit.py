@@ -1,4 +1,4 @@
-"""The values by which an arm follows its logs best, and how surely each is known."""
+"""Fits an arm's parameters to its logs."""
 
 from __future__ import annotations
 
@@ -15,29 +15,25 @@ from ..geometry.least_squares import LeastSquares, descend
 from ..geometry.se3 import Array
 from .plant import FINE_TIMESTEP, ArmPlant, Log, Run, Values
 
-# A log's beginning is not compared, s: nobody knows how fast the arm was, nor which way its friction pulled.
-_BEGINNING = 0.5
-# As fine as anything is read at best, rad, so that no joint counts without end.
-_FINEST = 1e-4
-# Accelerations are taken over so long, s.
-_OVER = 0.04
-_MOST_STEPS, _MOST_FINE = 6, 4
-# Delays that are tried first, s: from one that is far off, a descent goes astray.
-_DELAYS = tuple(0.01 * k for k in range(11))
-# A fit stands still when a step moves nothing by more than this share of its scale, or gains less than this share.
+_BEGINNING = 0.5  # s at a log's start that are not compared: the arm's speed and friction are not known there
+_FINEST = 1e-4  # rad, least error of a joint for its weight
+_ACCELERATION_PERIOD = 0.04  # s
+_MOST_STEPS, _MOST_FINE = 6, 4  # descent steps with the time step of tasks, and with the fine one
+_DELAYS = tuple(0.01 * k for k in range(11))  # s, tried first: a descent from a delay that is far off fails
+# A fit has converged when a step changes nothing by more than this share of its scale, or gains less than this share.
 _STILL, _LITTLE = 0.01, 1e-3
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that a fit varies.
+    """A number that the fit varies.
 
     Attributes:
-        name: of the field of `Values`.
-        joint: number of the joint; None of the delay, which all have in common.
-        scale: how large a step is that changes something.
-        spread: standard deviation of what is believed before any log is seen, around what the model has.
-        least, most: no value is smaller or larger.
+        name: the field of `Values`.
+        joint: number of the joint; None for the delay, which all joints have in common.
+        scale: size of a step that changes the motion.
+        spread: standard deviation of the prior, whose mean is the model's value.
+        least, most: bounds of the value.
     """
 
     name: str
@@ -49,7 +45,7 @@ class Parameter:
 
 
 def parameters(plant: ArmPlant) -> list[Parameter]:
-    """All that is fitted of an arm."""
+    """All parameters of an arm."""
     found = [Parameter("delay", None, 0.005, 0.1, 0.0)]
     for k in range(len(plant.kp)):
         most, kv, armature = plant.most_torque[k], plant.kv[k], plant.values.armature[k]
@@ -71,7 +67,7 @@ def value(values: Values, parameter: Parameter) -> float:
 
 
 def with_value(values: Values, parameter: Parameter, number: float) -> Values:
-    """The same values but for one parameter's."""
+    """The same values but for one parameter."""
     if parameter.joint is None:
         return replace(values, delay=number)
     changed: Array = getattr(values, parameter.name).copy()
@@ -81,36 +77,38 @@ def with_value(values: Values, parameter: Parameter, number: float) -> Values:
 
 
 class _Compared:
-    """Logs and what becomes of them by some values: the problem there, linearized when it is asked for."""
+    """The problem at some values; see `geometry.least_squares.Linearized`."""
 
     def __init__(self, problem: _Problem, values: Values) -> None:
         self._problem, self.values = problem, values
         self.errors = problem.errors(values)
-        self.cost = problem.cost(self.errors, values)
+        self.cost = float(np.sum((self.errors * problem.weights) ** 2) + np.sum(problem.prior(values) ** 2))
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """How the errors change with each parameter, in its scale (samples, dof, parameters)."""
-        problem = self._problem
-        found = np.empty((*self.errors.shape, len(problem.parameters)))
-        for k, parameter in enumerate(problem.parameters):
+        """Change of the errors with each parameter, per scale (samples, dof, parameters)."""
+        found = np.empty((*self.errors.shape, len(self._problem.parameters)))
+        for k, parameter in enumerate(self._problem.parameters):
             moved = with_value(self.values, parameter, value(self.values, parameter) + parameter.scale)
-            found[..., k] = problem.errors(moved) - self.errors
+            found[..., k] = self._problem.errors(moved) - self.errors
         return found
 
     @property
     def normal(self) -> Array:
-        """The normal equations' matrix (k, k)."""
         return self._problem.normal(self.slopes)
 
     @property
     def gradient(self) -> Array:
-        """Their right-hand side (k,)."""
         return self._problem.gradient(self.slopes, self.errors, self.values)
 
 
 class _Problem(LeastSquares[Values, _Compared]):
-    """An arm that is to follow its logs, by joints that count as their `weights` (dof,) say, 1/rad."""
+    """The least-squares problem of an arm that follows its logs.
+
+    Args:
+        weights: of the joints (dof,), 1/rad.
+        step: called before each simulation of the logs.
+    """
 
     def __init__(self, plant: ArmPlant, runs: Sequence[Run], weights: Array, step: Callable[[], None]) -> None:
         self.parameters = parameters(plant)
@@ -120,13 +118,13 @@ class _Problem(LeastSquares[Values, _Compared]):
         self._runs, self._step = runs, step
 
     def errors(self, values: Values) -> Array:
-        """What is read less what was measured, of every compared sample of all runs (samples, dof), rad."""
+        """Simulated less measured joints, of the compared samples of all runs (samples, dof), rad."""
         self._step()
         return np.concatenate([(run.follow(values) - run.log.joints)[compared(run)] for run in self._runs])
 
-    def cost(self, errors: Array, values: Values) -> float:
-        """What is to become small."""
-        return float(np.sum((errors * self.weights) ** 2) + np.sum(self._believed(values) ** 2))
+    def prior(self, values: Values) -> Array:
+        """Distance of each parameter from its prior's mean, in its spread (k,)."""
+        return np.array([(value(values, p) - value(self._centre, p)) / p.spread for p in self.parameters])
 
     def normal(self, slopes: Array) -> Array:
         """The normal equations' matrix (k, k), for slopes (samples, dof, k)."""
@@ -135,14 +133,10 @@ class _Problem(LeastSquares[Values, _Compared]):
         return found
 
     def gradient(self, slopes: Array, errors: Array, values: Values) -> Array:
-        """Their right-hand side (k,)."""
+        """The normal equations' right-hand side (k,)."""
         pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
-        found: Array = -pulled - np.sqrt(self._precision) * self._believed(values)
+        found: Array = -pulled - np.sqrt(self._precision) * self.prior(values)
         return found
-
-    def _believed(self, values: Values) -> Array:
-        """How far each parameter is from what was believed, in its spread (k,)."""
-        return np.array([(value(values, p) - value(self._centre, p)) / p.spread for p in self.parameters])
 
     def linearized(self, state: Values, before: _Compared | None) -> _Compared | None:
         there = _Compared(self, state)
@@ -166,16 +160,15 @@ def compared(run: Run) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Values that were fitted.
+    """The result of a fit.
 
     Attributes:
-        values: they.
-        parameters: what was varied.
-        errors: what the arm reads less what was measured (samples, dof), rad.
-        slopes: how these change with each parameter, in its scale (samples, dof, parameters).
-        weights: of each joint (dof,), 1/rad.
-        times: of the samples, each run's after the one before (samples,), s.
-        accelerations: root mean square of each joint's in the logs (dof,), rad/s2.
+        parameters: that were varied.
+        errors: simulated less measured joints (samples, dof), rad.
+        slopes: change of the errors with each parameter, per scale (samples, dof, parameters).
+        weights: of the joints (dof,), 1/rad.
+        times: of the samples, each run's after those of the run before (samples,), s.
+        accelerations: RMS acceleration of each joint in the logs (dof,), rad/s2.
     """
 
     values: Values
@@ -188,13 +181,13 @@ class Fitted:
 
 
 def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: None) -> Fitted:
-    """The values by which an arm follows logs best.
+    """Fit an arm's values to its logs.
 
-    What a step of physics is long enough to change shows as inertia and delay. So the arm follows by the steps of tasks
-    until little is left, and then by finer ones, along the slopes that are known.
+    A long time step of physics biases inertia and delay. So the fit descends with the time step of tasks, and then with
+    a finer one along the slopes found before.
 
     Args:
-        step: called before each time that the logs are followed.
+        step: called before each simulation of the logs.
     """
     plant, fine = ArmPlant(arm), ArmPlant(arm, FINE_TIMESTEP)
     runs, fine_runs = [Run(plant, log) for log in logs], [Run(fine, log) for log in logs]
@@ -221,12 +214,12 @@ def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: 
 
 
 def _accelerations(logs: Sequence[Log]) -> Array:
-    """Root mean square of the joints' accelerations (dof,), rad/s2, from positions that are read in steps."""
+    """RMS acceleration of each joint (dof,), rad/s2, from positions read in steps of the encoder."""
     squares = []
     for log in logs:
         known = np.isfinite(log.joints).all(axis=1)
-        grid = np.arange(0.0, log.seconds, _OVER)
+        grid = np.arange(0.0, log.seconds, _ACCELERATION_PERIOD)
         places = np.column_stack([np.interp(grid, log.times[known], column[known]) for column in log.joints.T])
-        squares.append(np.square(np.diff(places, 2, axis=0) / _OVER**2))
+        squares.append(np.square(np.diff(places, 2, axis=0) / _ACCELERATION_PERIOD**2))
     found: Array = np.sqrt(np.concatenate(squares).mean(axis=0))
     return found

@@ -1,4 +1,4 @@
-"""One arm that follows recorded commands, by parameters that a fit varies."""
+"""One arm that follows recorded commands, with parameters that a fit varies."""
 
 from __future__ import annotations
 
@@ -15,23 +15,28 @@ from ..motion import ArmMotion, Motion
 from ..robots.dynamics import Dynamics
 from ..scene.robot import arm_spec
 
-# Of physics, s: what tasks are stepped with; and where nothing may depend on it.
-TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s; that of tasks, and one short enough not to bias the fit
+
+_LEAST_INERTIA = 2e-4  # kg m2, that each joint keeps beside half its links' inertia
+_POSES = 64  # random poses for the least inertia of a joint's links
+_CREEP = 0.005  # rad/s, prior of `Values.creep`
+_WEIGHT_PERIOD = 0.01  # s between computations of the arm's weight
+_LEAST_FRICTION, _LEAST_CREEP = 1e-6, 1e-5  # N m and rad/s; keep the solver's parameters finite
 
 
 @dataclass(frozen=True)
 class Values:
-    """How an arm moves: what a fit varies. All but the delay are there for each joint (dof,).
+    """Parameters of an arm's motion; all but the delay have a value for each joint (dof,).
 
     Attributes:
         delay: from a command's time until it acts, s.
         friction: Coulomb's, N m.
-        damping: passive, beside that of the drive, N m s/rad; below 0 it takes some of the drive's away.
+        damping: passive, beside that of the drive, N m s/rad; negative values reduce the drive's.
         armature: of the motor at the joint, kg m2.
-        offset: what is read where the drive holds the joint at 0, rad.
-        gravity: how many times the joint's weight is made up for.
-        creep: how fast a joint turns before friction is full, rad/s. No real joint's friction turns over at once where
-            it stops, and who takes it to do so finds too little of it.
+        offset: position that is read where the drive holds the joint at 0, rad.
+        gravity: factor of the joint's weight in the gravity compensation.
+        creep: speed at which friction reaches its full value, rad/s. Real friction does not reverse at once where a
+            joint stops; a fit with creep 0 finds too little friction.
     """
 
     delay: float
@@ -45,13 +50,13 @@ class Values:
 
 @dataclass(frozen=True)
 class Log:
-    """What is needed of one recorded motion of one arm.
+    """One arm's part of a recorded motion.
 
     Attributes:
-        name: where it was read from.
+        name: of the motion.
         times: of the samples (n,), s.
         commands, joints: (n, dof), rad; joints are NaN where they were not measured.
-        openings: what the gripper was told, or did (n,), m; None where nobody recorded either.
+        openings: of the gripper, commanded or else measured (n,), m; None if neither was recorded.
     """
 
     name: str
@@ -62,15 +67,15 @@ class Log:
 
     @classmethod
     def of(cls, motion: Motion, arm: ArmMotion) -> Log:
-        """An arm's part of a motion, whose commands are known."""
+        """The log of an arm of a motion with commands."""
         assert arm.commands is not None, "motions without commands are refused before"
         known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
-        told = next(known, None)
-        openings = None if told is None else _filled(told[:, None])[:, 0]
-        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, openings)
+        openings = next(known, None)
+        filled = None if openings is None else _filled(openings[:, None])[:, 0]
+        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, filled)
 
     def between(self, start: float, end: float) -> Log:
-        """The part of it from one time to another, beginning at 0 again."""
+        """The part between two times, s; its times begin at 0."""
         kept = (self.times >= start) & (self.times <= end)
         openings = None if self.openings is None else self.openings[kept]
         times = self.times[kept]
@@ -78,15 +83,15 @@ class Log:
 
     @property
     def seconds(self) -> float:
-        """From its first sample to its last, s."""
+        """Time of the last sample, s."""
         return float(self.times[-1])
 
 
 class ArmPlant:
-    """An arm alone, without anything to touch.
+    """An arm alone, without contacts.
 
     Attributes:
-        values: as its model has them.
+        values: those of its model.
         kp, kv: of the joints' drives (dof,), N m/rad and N m s/rad.
         most_torque: of these drives (dof,), N m.
         timestep: of physics, s.
@@ -111,20 +116,20 @@ class ArmPlant:
         self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
 
     def plain_model(self, values: Values) -> mujoco.MjModel:
-        """The model as a revision with these values makes it, but for delay, offsets and gravity factors."""
+        """The model of a revision with these values, without its delay, offsets and gravity factors."""
         model, drives = copy.copy(self.model), self.drives
         model.dof_frictionloss[self.dof] = values.friction
         model.dof_armature[self.dof] = values.armature
         model.dof_damping[self.dof] = np.maximum(values.damping, 0)
         model.actuator_biasprm[drives, 2] = -(self.kv + np.minimum(values.damping, 0))
-        # How stiff friction is follows from the inertia.
+        # The stiffness of friction follows from the inertia.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def fitted_model(self, values: Values) -> mujoco.MjModel:
-        """The same nearer to what moves without steps, and with friction that sets in gently."""
+        """The plain model corrected for the time step, with friction that sets in gently."""
         model = self.plain_model(values)
-        # A step takes the damping at its end, which is as much more inertia: a fit that left it would find too little.
+        # A step takes the damping at its end, which acts as additional inertia. The fit would find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
         model.dof_armature[self.dof] = np.maximum(taken, _LEAST_INERTIA - self._links / 2)
         # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of b / r, stepped
@@ -137,7 +142,7 @@ class ArmPlant:
         return model
 
     def weights(self, joints: Array) -> Array:
-        """What the gravity compensation gives each joint (n, dof) at positions (n, dof), N m."""
+        """Torques of the gravity compensation (n, dof) at positions (n, dof), N m."""
         data, found = mujoco.MjData(self.model), np.empty(joints.shape)
         for k, row in enumerate(joints):
             data.qpos[self.qpos] = row
@@ -148,11 +153,10 @@ class ArmPlant:
 
 
 class Run:
-    """A log that an arm follows again and again, each time by other values.
+    """A log that the plant follows repeatedly, each time with other values.
 
     Attributes:
-        log: which one.
-        read: where joints were measured (n,).
+        read: which samples have measured joints (n,).
     """
 
     def __init__(self, plant: ArmPlant, log: Log) -> None:
@@ -162,20 +166,20 @@ class Run:
         self._grid = self.plant.timestep * np.arange(self._steps + 1)
         self._clipped = np.clip(log.commands, *plant.model.actuator_ctrlrange[plant.drives].T)
         held = self._clipped[:-1] * np.diff(log.times)[:, None]
-        self._told = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(held, axis=0)])
+        self._integral = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(held, axis=0)])
         measured = np.column_stack(
             [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
         )
-        coarse = np.arange(0, self._steps, max(1, round(_WEIGHED / plant.timestep)))
+        coarse = np.arange(0, self._steps, max(1, round(_WEIGHT_PERIOD / plant.timestep)))
         weights = plant.weights(measured[coarse])
         self._weights = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in weights.T])
         self._data = mujoco.MjData(plant.model)
 
     def follow(self, values: Values, *, plain: bool = False) -> Array:
-        """What would have been read of the joints at the log's times (n, dof), rad.
+        """Simulated readings of the joints at the log's times (n, dof), rad.
 
         Args:
-            plain: as a simulation follows that has these values in a revision.
+            plain: use `ArmPlant.plain_model`, as simulations of a revision do, instead of `fitted_model`.
         """
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
@@ -196,14 +200,14 @@ class Run:
         return read + values.offset
 
     def _delayed(self, delay: float) -> Array:
-        """What the drives are told in each step (steps, dof): the mean over it, as long ago as it takes to act."""
-        # A step begins with the pull of what is told then, so it is told the mean around its beginning.
-        asked, log = self._grid - self.plant.timestep / 2 - delay, self.log
+        """The mean command of each step, `delay` s earlier (steps, dof)."""
+        # Drives pull by the command at the step's beginning, so the mean is taken around that time.
+        when, log = self._grid - self.plant.timestep / 2 - delay, self.log
         columns = []
-        for first, last, total in zip(self._clipped[0], self._clipped[-1], self._told.T, strict=True):
-            sums = np.interp(asked, log.times, total)
-            sums = np.where(asked < 0, first * asked, sums)
-            sums = np.where(asked > log.times[-1], total[-1] + last * (asked - log.times[-1]), sums)
+        for first, last, total in zip(self._clipped[0], self._clipped[-1], self._integral.T, strict=True):
+            sums = np.interp(when, log.times, total)
+            sums = np.where(when < 0, first * when, sums)
+            sums = np.where(when > log.times[-1], total[-1] + last * (when - log.times[-1]), sums)
             columns.append(np.diff(sums) / self.plant.timestep)
         return np.column_stack(columns)
 
@@ -212,26 +216,15 @@ class Run:
         if robot.fingers is None:
             return
         if openings is None:
-            told = np.full(self._steps, robot.fingers.range[0])
+            commands = np.full(self._steps, robot.fingers.range[0])
         else:
-            told = np.interp(self._grid[:-1], self.log.times, openings)
-        controls[0, :, self.plant.model.actuator(robot.fingers.drive).id] = told
-        data.qpos[self.plant.fingers] = told[0] * np.array(robot.finger_signs)
-
-
-# What a joint keeps of its inertia whatever is taken off, kg m2, beside half of what hangs on it; and how many poses
-# tell how little that is.
-_LEAST_INERTIA, _POSES = 2e-4, 64
-# How fast joints creep unless a log says otherwise, rad/s.
-_CREEP = 0.005
-# How often an arm's weight is looked at, s.
-_WEIGHED = 0.01
-# Friction and creep below these, N m and rad/s, are as good as none.
-_LEAST_FRICTION, _LEAST_CREEP = 1e-6, 1e-5
+            commands = np.interp(self._grid[:-1], self.log.times, openings)
+        controls[0, :, self.plant.model.actuator(robot.fingers.drive).id] = commands
+        data.qpos[self.plant.fingers] = commands[0] * np.array(robot.finger_signs)
 
 
 def _filled(commands: Array) -> Array:
-    """Commands (n, dof) with each that was not noted as the one before it, and the first ones as the first that was."""
+    """Commands (n, dof) with each NaN replaced by the last command before it, or else by the first command."""
     filled = commands.copy()
     for column in filled.T:
         known = np.flatnonzero(np.isfinite(column))
@@ -253,7 +246,7 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """How little inertia hangs on each joint (dof,), the motor's left out and all others free, kg m2."""
+    """Least inertia of the links at each joint (dof,), without the motor's and with all other joints free, kg m2."""
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

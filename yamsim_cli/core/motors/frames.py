@@ -1,19 +1,17 @@
-"""CAN frames of DAMIAO motors: the bytes, and nothing of what a motor does with them."""
+"""CAN frames of DAMIAO motors, as bytes."""
 
 from __future__ import annotations
 
 import struct
 from typing import NamedTuple
 
-# Linux' `struct can_frame`: identifier with flags, length, three bytes of padding, data. Sockets of ours carry it too.
+# Linux' `struct can_frame`: identifier with flags, length, three bytes of padding, data. yamsim's sockets carry it too.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 FRAME_BYTES = _CAN_FRAME.size
-# Extended, remote and error frames; motors take none of them.
-_FLAGS = 0xE0000000
+_FLAGS = 0xE0000000  # of extended, remote and error frames, which motors ignore
 _LONGEST = 8
 
-# To all motors; who is meant stands in the data.
-TO_ALL = 0x7FF
+TO_ALL = 0x7FF  # identifier of frames to all motors; the data names one motor
 # Last byte of a frame whose other seven are 0xFF. Source: DAMIAO's manual of the DM-J43 series, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 # Third byte of a frame to all. Source: the same manual.
@@ -23,19 +21,14 @@ KP_MAX, KD_MAX = 500.0, 5.0
 
 
 class Frame(NamedTuple):
-    """A CAN frame with an identifier of 11 bits.
-
-    Attributes:
-        id: 0..0x7FF.
-        data: up to 8 bytes.
-    """
+    """A CAN frame: an identifier of 11 bits, and up to 8 bytes of data."""
 
     id: int
     data: bytes
 
 
 class Mit(NamedTuple):
-    """What a MIT frame asks for, in the motor's own frame: torque `kp (position - p) + kd (velocity - v) + torque`."""
+    """The command of a MIT frame at the motor's shaft: torque `kp (position - p) + kd (velocity - v) + torque`."""
 
     position: float
     velocity: float
@@ -53,7 +46,7 @@ class Scale(NamedTuple):
 
 
 def parse(wire: bytes) -> Frame | None:
-    """The frame in 16 bytes of a socket; None for one that is no motor's: other kinds of frames, or a wrong length."""
+    """The frame in 16 bytes of a socket; None for frames that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
     if identifier & _FLAGS or identifier > TO_ALL or length > _LONGEST:
         return None
@@ -66,24 +59,24 @@ def to_wire(frame: Frame) -> bytes:
 
 
 def special(data: bytes) -> int | None:
-    """Which of ENABLE, DISABLE, SET_ZERO and CLEAR_ERROR is asked for; None if the frame is none of them."""
+    """ENABLE, DISABLE, SET_ZERO or CLEAR_ERROR; None for any other frame."""
     if len(data) == _LONGEST and data[:7] == b"\xff" * 7 and CLEAR_ERROR <= data[7] <= SET_ZERO:
         return data[7]
     return None
 
 
 def quantize(value: float, most: float, bits: int) -> int:
-    """A value of -most..most as an unsigned number of so many bits; beyond the range counts as its end."""
+    """A value, clipped to -most..most, as an unsigned number of `bits` bits."""
     return int((min(max(value, -most), most) + most) * ((1 << bits) - 1) / (2 * most))
 
 
 def restore(number: int, most: float, bits: int) -> float:
-    """The value that `quantize` made a number of, to within a step."""
+    """The inverse of `quantize`, to within a step."""
     return number * 2 * most / ((1 << bits) - 1) - most
 
 
 def read_mit(data: bytes, scale: Scale) -> Mit:
-    """What the 8 bytes of a MIT frame ask for."""
+    """The command in the 8 bytes of a MIT frame."""
     bits = int.from_bytes(data, "big")
     return Mit(
         position=restore(bits >> 48, scale.position, 16),
@@ -100,7 +93,7 @@ def feedback(
     """The 8 bytes of an answer.
 
     Args:
-        motor: its identifier, of which the lowest four bits are told.
+        motor: its identifier, of which the answer has the lowest four bits.
         status: 0 disabled, 1 enabled, from 8 on an error.
         celsius: temperatures of the driver and of the rotor.
     """

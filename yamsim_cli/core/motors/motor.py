@@ -1,25 +1,139 @@
-"""One motor: it takes frames, answers, and says by which law it gives torque. It knows no physics and no sockets."""
+"""An emulated DAMIAO motor: its kinds, its registers, its answers to frames, and its law of torque."""
 
 from __future__ import annotations
 
+import math
+import struct
+from dataclasses import dataclass
 from enum import IntEnum
 
-from . import frames, registers
+from . import frames
 from .frames import Frame, Mit, Scale
-from .kinds import AMBIENT, MotorKind
-from .registers import Registers
 
-# Of the rotor, s: how fast it warms up and cools down. No figure is published; an assumption.
-_THERMAL_SECONDS = 300.0
-# The driver warms up by this share of what the rotor does. The same.
-_DRIVER_SHARE = 0.5
-# Of the driver; the rotor's limit is a register. Source: DAMIAO's manual of the DM-J43 series, "protections".
+AMBIENT = 25.0  # degrees Celsius, of the air around a motor
+# K above the air, at which a rotor settles at its rated torque. With the default limit of 100 degrees, a motor may give
+# its rated torque for ever, and 1.2 times that for minutes. No figures are published; an assumption.
+_RATED_RISE = 55.0
+_THERMAL_SECONDS = 300.0  # s, time constant of the rotor. No figure is published; an assumption
+_DRIVER_SHARE = 0.5  # of the rotor's rise, by which the driver warms up. An assumption
+# Degrees Celsius, of the driver; the rotor's limit is a register. Source: DAMIAO's manual of the DM-J43 series,
+# "protections".
 _DRIVER_LIMIT = 120.0
 _REST = Mit(0.0, 0.0, 0.0, 0.0, 0.0)
 
+# Registers that the emulated motor uses, by DAMIAO's numbers.
+OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
+ROTOR_POSITION = 80
+MIT_MODE = 1
+
+# Registers that hold whole numbers; all others hold a float32. Source: DAMIAO's manual.
+_WHOLE = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
+# Registers that can be written. Source: the same.
+_WRITABLE = frozenset({*range(11), *range(21, 36)})
+_POSITIVE = frozenset({PMAX, VMAX, TMAX})  # with 0 or an infinite value in one of them, answers would be impossible
+_LARGEST_ID = 0x7FE
+_VERSION = 0x53494D  # "SIM" in ASCII, which tells readers that the motor is simulated
+# Factory values: protections (V, degrees Celsius, A), gains of loops that MIT mode does not use.
+_FACTORY = {
+    0: 15.0, 1: 0.0, OT_VALUE: 100.0, 3: 0.98, 4: 2.0, 5: -2.0, 6: 600.0, 11: 0.0, 12: 0.0, 13: _VERSION, 14: _VERSION,
+    16: 14, 17: 0.0, 18: 0.0, 19: 0.0, 24: 1000.0, 25: 0.0, 26: 0.0, 27: 0.0, 28: 0.0, 29: 32.0, 30: 1.0, 31: 4.0,
+    32: 0.0, 33: 0.0, 34: 0.0, 35: 4, 36: 0, 50: 0.0, 51: 0.0, 52: 0.0, 53: 0.0, 54: 0.0, 55: 1.0,
+}  # fmt: skip
+_FACTORY_TIMEOUT = 8000  # 400 ms. Source: the maker's SDK 1.3.6, README and `motor_config_tool/set_timeout.py`
+_TIMEOUT_UNIT = 50e-6  # s
+
+
+@dataclass(frozen=True)
+class MotorKind:
+    """A kind of motor.
+
+    Attributes:
+        name: in the maker's SDK.
+        scale: ranges of its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+        gear: ratio, in a register from which programs tell the kind. Source: the same file.
+        rated: continuous torque, N m. Source: DAMIAO's tables.
+    """
+
+    name: str
+    scale: Scale
+    gear: float
+    rated: float
+
+    @property
+    def heating(self) -> float:
+        """Steady rise of the rotor's temperature per torque squared, K/(N m)2."""
+        return _RATED_RISE / self.rated**2
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        MotorKind("DM3507", Scale(12.5, 50.0, 5.0), 7.0, 1.2),
+        MotorKind("DM4310", Scale(12.5, 30.0, 10.0), 10.0, 3.0),
+        MotorKind("DM4340", Scale(12.5, 10.0, 28.0), 40.0, 9.0),
+        MotorKind("DM6248", Scale(12.5, 20.0, 120.0), 48.0, 35.0),
+    )
+}
+
+
+class Registers:
+    """Register -> value: the current values, and those saved for when the power comes back.
+
+    Args:
+        motor: its CAN identifier; it answers with an identifier 16 larger.
+    """
+
+    def __init__(self, kind: MotorKind, motor: int) -> None:
+        own = {MST_ID: motor + 16, ESC_ID: motor, TIMEOUT: _FACTORY_TIMEOUT, CTRL_MODE: MIT_MODE, GR: kind.gear}
+        scale = {PMAX: kind.scale.position, VMAX: kind.scale.velocity, TMAX: kind.scale.torque}
+        self._saved: dict[int, float] = {**_FACTORY, 15: motor, ROTOR_POSITION: 0.0, XOUT: 0.0, **own, **scale}
+        self._values = dict(self._saved)
+
+    def __getitem__(self, register: int) -> float:
+        return self._values[register]
+
+    def show(self, register: int, value: float) -> None:
+        """Set a register that only reports."""
+        self._values[register] = value
+
+    def read(self, register: int) -> bytes | None:
+        """A register's four bytes; None if there is no such register."""
+        value = self._values.get(register)
+        if value is None:
+            return None
+        return struct.pack("<I", int(value)) if register in _WHOLE else struct.pack("<f", value)
+
+    def write(self, register: int, data: bytes) -> bytes | None:
+        """Set a register from four bytes, and read it back; an invalid value leaves it unchanged."""
+        if register in _WRITABLE:
+            value = float(struct.unpack("<I" if register in _WHOLE else "<f", data)[0])
+            if self._is_valid(register, value):
+                self._values[register] = value
+        return self.read(register)
+
+    def save(self, register: int) -> bool:
+        """Save a register's value for when the power comes back; False if it cannot be saved."""
+        if register not in _WRITABLE:
+            return False
+        self._saved[register] = self._values[register]
+        return True
+
+    def restart(self) -> None:
+        """Power off and on: values that were not saved are lost."""
+        self._values = dict(self._saved)
+
+    def _is_valid(self, register: int, value: float) -> bool:
+        if not math.isfinite(value):
+            return False
+        if register in _POSITIVE:
+            return 1e-3 <= value <= 1e6
+        if register in (ESC_ID, MST_ID):
+            return 0 < value <= _LARGEST_ID
+        return True
+
 
 class Status(IntEnum):
-    """What a motor tells of itself in each answer. Source: DAMIAO's manual, "feedback frame"."""
+    """A motor's status in each answer. Source: DAMIAO's manual, "feedback frame"."""
 
     DISABLED = 0x0
     ENABLED = 0x1
@@ -29,17 +143,14 @@ class Status(IntEnum):
 
 
 class Motor:
-    """A motor on a bus. Positions and the like are those of its output shaft, in its own sense of turning.
+    """A motor on a bus, without physics and sockets. Positions are those of its output shaft, in its own direction.
 
     Attributes:
-        number: its CAN identifier when it was made, by which people name it.
-        kind: of which it is.
-        registers: what it is set to.
-        status: what it tells of itself.
-        position, velocity, torque: of the shaft, rad, rad/s and N m, as whoever simulates it last said.
+        number: its first CAN identifier, by which people name it.
+        position, velocity, torque: of the shaft, set by the simulation, rad, rad/s and N m.
         celsius: temperature of its rotor.
-        lost: its plug is out: it hears nothing, says nothing and gives no torque.
-        law_changed: whether `law` gives something else than when this was last set to False.
+        lost: its plug is out: the motor neither receives nor answers frames and gives no torque.
+        law_changed: whether `law` may have changed since this was last set to False.
     """
 
     def __init__(self, number: int, kind: MotorKind) -> None:
@@ -58,32 +169,32 @@ class Motor:
 
     @property
     def answers_to(self) -> int:
-        """The identifier that it listens to."""
-        return int(self.registers[registers.ESC_ID])
+        """The identifier of frames to this motor."""
+        return int(self.registers[ESC_ID])
 
     @property
     def most_torque(self) -> float:
-        """The most that it gives, N m."""
+        """The largest torque, N m."""
         return min(self._scale.torque, self.kind.scale.torque)
 
     @property
     def driver_celsius(self) -> float:
-        """Temperature of its driver's transistors."""
+        """Temperature of the driver's transistors."""
         return AMBIENT + _DRIVER_SHARE * (self.celsius - AMBIENT)
 
     def law(self) -> tuple[float, float, float]:
-        """(kp, kd, constant): it gives `constant - kp position - kd velocity`, N m, up to `most_torque`."""
+        """(kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `most_torque`."""
         if self.status is not Status.ENABLED or self.lost:
             return 0.0, 0.0, 0.0
-        told = self._command
-        constant = told.kp * (told.position + self._zero) + told.kd * told.velocity + told.torque
-        return told.kp, told.kd, constant
+        command = self._command
+        constant = command.kp * (command.position + self._zero) + command.kd * command.velocity + command.torque
+        return command.kp, command.kd, constant
 
     def hear(self, frame: Frame, now: float) -> Frame | None:
-        """Take a frame from the bus at a time (s).
+        """Receive a frame at a time (s).
 
         Returns:
-            Its answer; None if it is not meant.
+            The answer; None if the frame is for another motor.
         """
         if self.lost:
             return None
@@ -91,50 +202,50 @@ class Motor:
             return self._administer(frame.data)
         if frame.id != self.answers_to or len(frame.data) != 8:
             return None
-        asked = frames.special(frame.data)
-        if asked is None:
-            if self.registers[registers.CTRL_MODE] != registers.MIT_MODE:
+        order = frames.special(frame.data)
+        if order is None:
+            if self.registers[CTRL_MODE] != MIT_MODE:
                 return None
-            # What arrives while it is not enabled is answered, and does not act later either.
+            # A command to a motor that is not enabled is answered and never acts.
             self._command = frames.read_mit(frame.data, self._scale) if self.status is Status.ENABLED else _REST
         else:
-            self._order(asked)
+            self._obey(order)
         self._heard = now
         self.law_changed = True
         return self._answer()
 
-    def drive(self, told: Mit, now: float) -> None:
-        """Do what a MIT frame would make it do that comes now, enabling it first; an error stays."""
+    def drive(self, command: Mit, now: float) -> None:
+        """Act as if a MIT frame came now, after enabling the motor; an error stays."""
         if self.lost:
             return
         if self.status is Status.DISABLED:
             self.status = Status.ENABLED
         if self.status is Status.ENABLED:
-            self._command = told._replace(position=told.position - self._zero)
+            self._command = command._replace(position=command.position - self._zero)
         self._heard = now
         self.law_changed = True
 
     def passes(self, now: float, seconds: float) -> None:
-        """Let time pass: it warms up by what it gives, and fails when it is too hot or has heard nothing for long."""
+        """Let time pass: the motor warms up by its torque, and fails when too hot or without frames for too long."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:
             return
-        patience = self.registers[registers.TIMEOUT] * registers.TIMEOUT_UNIT
-        if self.celsius > self.registers[registers.OT_VALUE]:
+        timeout = self.registers[TIMEOUT] * _TIMEOUT_UNIT
+        if self.celsius > self.registers[OT_VALUE]:
             self._fail(Status.ROTOR_TOO_HOT)
         elif self.driver_celsius > _DRIVER_LIMIT:
             self._fail(Status.DRIVER_TOO_HOT)
-        elif patience and now - self._heard > patience:
+        elif timeout and now - self._heard > timeout:
             self._fail(Status.LOST_COMMUNICATION)
 
     def unplug(self) -> None:
-        """Take its plug out."""
+        """Take the plug out."""
         self.lost = True
         self.law_changed = True
 
     def plug_in(self) -> None:
-        """Give it its power again: it is disabled, and knows what was saved."""
+        """Restore the power: the motor is disabled and has its saved registers."""
         self.lost = False
         self.registers.restart()
         self._rescale()
@@ -145,13 +256,13 @@ class Motor:
         self.status, self._command = status, _REST
         self.law_changed = True
 
-    def _order(self, asked: int) -> None:
-        if asked == frames.ENABLE:
+    def _obey(self, order: int) -> None:
+        if order == frames.ENABLE:
             if self.status is Status.DISABLED:
                 self.status, self._command = Status.ENABLED, _REST
-        elif asked == frames.SET_ZERO:
+        elif order == frames.SET_ZERO:
             self._zero = self.position
-        elif asked == frames.DISABLE:
+        elif order == frames.DISABLE:
             # An error stays until it is cleared.
             self._command = _REST
             if self.status is Status.ENABLED:
@@ -163,34 +274,34 @@ class Motor:
         celsius = self.driver_celsius, self.celsius
         state = self.position - self._zero, self.velocity, self.torque
         data = frames.feedback(self.answers_to, self.status, *state, celsius, self._scale)
-        return Frame(int(self.registers[registers.MST_ID]), data)
+        return Frame(int(self.registers[MST_ID]), data)
 
     def _administer(self, data: bytes) -> Frame | None:
-        """Take a frame to all: registers, or a wish to hear how it is."""
+        """Answer a frame to all motors: access to a register, or a request for the status."""
         if len(data) < 4 or int.from_bytes(data[:2], "little") != self.answers_to:
             return None
-        what, register = data[2], data[3]
-        if what == frames.REFRESH:
+        access, register = data[2], data[3]
+        if access == frames.REFRESH:
             return self._answer()
-        self.registers.show(registers.XOUT, self.position - self._zero)
-        self.registers.show(registers.ROTOR_POSITION, (self.position - self._zero) * self.kind.gear)
-        if what == frames.READ:
+        self.registers.show(XOUT, self.position - self._zero)
+        self.registers.show(ROTOR_POSITION, (self.position - self._zero) * self.kind.gear)
+        if access == frames.READ:
             value = self.registers.read(register)
-        elif what == frames.WRITE and len(data) == 8:
+        elif access == frames.WRITE and len(data) == 8:
             value = self.registers.write(register, data[4:8])
             self._rescale()
-        elif what == frames.SAVE:
-            # It keeps registers only while it stands still, and answers with a short frame.
-            kept = self.status is not Status.ENABLED and self.registers.save(register)
-            return self._said(bytes([frames.SAVE, kept]))
+        elif access == frames.SAVE:
+            # A motor saves registers only while it is not enabled, and answers with a short frame.
+            saved = self.status is not Status.ENABLED and self.registers.save(register)
+            return self._register_answer(bytes([frames.SAVE, saved]))
         else:
             return None
-        return None if value is None else self._said(bytes([what, register]) + value)
+        return None if value is None else self._register_answer(bytes([access, register]) + value)
 
-    def _said(self, what: bytes) -> Frame:
+    def _register_answer(self, content: bytes) -> Frame:
         # A new identifier counts at once.
-        return Frame(int(self.registers[registers.MST_ID]), self.answers_to.to_bytes(2, "little") + what)
+        return Frame(int(self.registers[MST_ID]), self.answers_to.to_bytes(2, "little") + content)
 
     def _rescale(self) -> None:
         known = self.registers
-        self._scale = Scale(known[registers.PMAX], known[registers.VMAX], known[registers.TMAX])
+        self._scale = Scale(known[PMAX], known[VMAX], known[TMAX])

@@ -1,4 +1,4 @@
-"""Which motors an arm and a gripper have, and how they turn the joints: what `can.yaml` in their folders says."""
+"""The motors of an arm and a gripper, from `can.yaml` in their folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, ValidationError
 from ..documents.base import Config
 from ..errors import ConfigError
 from ..resources import Locations, config_place
-from .kinds import KINDS
+from .motor import KINDS
 
 
 def _known(name: str) -> str:
@@ -30,8 +30,8 @@ class JointMotor(Config):
     Attributes:
         id: its CAN identifier.
         kind: of motor.
-        direction: 1 where it turns as the joint does, -1 where it turns the other way.
-        load: how much heavier the joint is to hold than the model's weights say.
+        direction: 1 if the motor turns as the joint does, -1 if it turns the other way.
+        load: factor of the joint's weight in the model.
     """
 
     id: Number
@@ -51,11 +51,11 @@ class GripperWiring(Config):
 
     Attributes:
         id, kind: as a joint's.
-        closed, opened: its shaft's angles with closed fingers and with fingers that are wide open, rad.
-        stroke: how far one finger goes between the two, m.
+        closed, opened: the shaft's angles with closed and with fully opened fingers, rad.
+        stroke: of one finger between the two, m.
         armature: of its rotor at the shaft, kg m2.
         friction: at the shaft, N m.
-        kp, kd: gains that it is held with, N m/rad and N m s/rad.
+        kp, kd: gains of its drive, N m/rad and N m s/rad.
     """
 
     id: Number
@@ -70,13 +70,13 @@ class GripperWiring(Config):
 
     @property
     def ratio(self) -> float:
-        """How far the shaft turns for each metre that one finger opens, rad/m."""
+        """Turn of the shaft per opening of one finger, rad/m."""
         return (self.opened - self.closed) / self.stroke
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """All motors of an arm with its gripper; the gripper's is None where it has none."""
+    """All motors of an arm and its gripper; `gripper` is None without fingers."""
 
     arm: ArmWiring
     gripper: GripperWiring | None
@@ -86,8 +86,8 @@ def find_wiring(model: str, gripper: str | None, joints: int, where: Locations) 
     """The motors of an arm with a gripper.
 
     Args:
-        model, gripper: names of their folders; no gripper where it has no fingers.
-        joints: how many the arm has.
+        model, gripper: names of their folders; None for a gripper without fingers.
+        joints: their number.
 
     Raises:
         ConfigError: a file is missing or not valid, or does not have a motor for each joint.

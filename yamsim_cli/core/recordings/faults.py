@@ -1,4 +1,4 @@
-"""What is wrong with a recorded motion: what was cut out of it, and units and arms that were mistaken."""
+"""Faults of recorded motions: gaps, wrong units, swapped arms, grippers that are mirrored."""
 
 from __future__ import annotations
 
@@ -17,32 +17,23 @@ from ..geometry.se3 import Array
 from ..motion import ArmMotion, Motion
 from ..robots.robot import Robot
 
-# A pause between samples is a gap if it is so many times the usual one, and longer than this, s.
+# A pause between samples is a gap if it exceeds both limits: a multiple of the usual pause, and a time, s.
 _GAP_TIMES, _GAP_S = 5.0, 0.1
-# A joint beyond its stops by more than this, rad, cannot be: arms are calibrated to a degree or two.
-_BEYOND_STOPS = 0.1
-# No joint turns by as much, rad; degrees do.
-_NO_RADIANS = 2 * math.pi
+_BEYOND_STOPS = 0.1  # rad; arms are calibrated to a degree or two
+_NO_RADIANS = 2 * math.pi  # rad; no joint turns as far, and values in degrees exceed it
 _PERIOD = Within("s", 1e-5, 0.5)  # Usual time between samples: 100 kHz to 2 Hz. At 1 kHz and in ms it is 1.
-# What a command does to its joint, and to no other one: a motion is told from stillness, rad.
-_MOTION = 0.05
-# Where each arm's commands fit the other arm's joints so many times better, arms are swapped.
-_SWAPPED = 3.0
-# An opening wider than the fingers open by so much is no metres.
-_WIDER = 1.1
-# A joint whose measurement does not change for so long while its command does, s and rad.
-_FROZEN_S, _FROZEN_COMMAND = 1.0, 0.1
-# Openings that go down as their commands go up.
-_UPSIDE_DOWN = -0.5
-# Fingers that open by less say nothing, as a share of how far they open.
-_SOME_OPENING = 0.2
-# Fingers stall that stand still for so long, s, by so much of their way from where they are told to be.
+_MOTION = 0.05  # rad; a smaller change counts as noise
+_SWAPPED = 3.0  # arms are swapped if each arm's commands fit the other arm's joints this many times better
+_OPENING_FACTOR = 1.1  # openings above this many times the fingers' range are not in metres
+_FROZEN_S, _FROZEN_COMMAND = 1.0, 0.1  # s and rad: a measurement stays for that time while its command moves that far
+_MIRRORED = -0.5  # correlation of openings and commanded openings below which one of them is mirrored
+_SOME_OPENING = 0.2  # share of the fingers' range; smaller motions are not correlated
+# Fingers stall if they stand still for that time, s, at that distance from their command, as a share of their range.
 _STALL_S, _STALL = 0.5, 0.2
-# They stand still while they are slower, in their way a second: noise of an encoder is half of it.
-_SLOW = 0.2
+_SLOW = 0.2  # shares of the range per s: slower fingers stand still; noise of an encoder is half of it
 
 
-class Fault(StrEnum):
+class MotionFault(StrEnum):
     """A kind of fault."""
 
     GAP = "gap"
@@ -57,36 +48,30 @@ class Fault(StrEnum):
     GRIPPER_STALLS_OPENING = "gripper_stalls_opening"
 
 
-# Faults that make every number of a comparison wrong.
-_WRONG_UNITS = (Fault.DEGREES, Fault.TIME_UNIT)
+_WRONG_UNITS = (MotionFault.DEGREES, MotionFault.TIME_UNIT)
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Something wrong with a motion.
+class MotionProblem:
+    """A fault of a motion.
 
     Attributes:
-        fault: what kind it is.
-        arm: `left`, `right`, or empty of a lone arm or of the whole motion.
-        joint: whose; empty of the whole arm.
-        time: when it begins, s; None of all of it.
-        text: for a person, with the value and what to do.
+        fault: its kind.
+        text: one line with the joint, the value and what to do.
+        time: when it begins, s; None if the whole motion has it.
     """
 
-    fault: Fault
-    arm: str
-    joint: str
-    time: float | None
+    fault: MotionFault
     text: str
+    time: float | None = None
 
 
-def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
-    """What is wrong with a motion of a rig; empty of a good one."""
+def find_faults(motion: Motion, rig: RigConfig) -> list[MotionProblem]:
+    """All faults of a motion of a rig."""
     found = [*find_gaps(motion.times), *_time_unit(motion.times)]
     for arm, k in zip(motion.arms, rig.recorded, strict=True):
         robot = rig.arms[k].robot
-        degrees = list(_degrees(arm, robot))
-        found += degrees or [
+        found += list(_degrees(arm, robot)) or [
             *_beyond_stops(motion.times, arm, robot),
             *_too_fast(motion.times, arm, robot),
             *_frozen(motion.times, arm, robot),
@@ -95,82 +80,69 @@ def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
     return found + list(_swapped(motion))
 
 
-def require_units(name: str, problems: Iterable[Problem]) -> None:
-    """Make sure that a recording is not in other units than s and rad.
+def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
+    """Make sure that a recording is in s and rad.
 
     Raises:
-        DatasetError: it is; the text names the likely unit.
+        DatasetError: it is in other units; the text names the likely unit.
     """
     for problem in problems:
         if problem.fault in _WRONG_UNITS:
             raise DatasetError(f"{name}: {problem.text}")
 
 
-def _time_unit(times: Array) -> Iterator[Problem]:
+def _time_unit(times: Array) -> Iterator[MotionProblem]:
     if len(times) < 2:
         return
     usual = float(np.median(np.diff(times)))
     try:
         _PERIOD.check(usual)
     except ValueError as error:
-        text = f"samples are {usual:g} s apart, which {error}"
-        yield Problem(Fault.TIME_UNIT, "", "", None, text)
+        yield MotionProblem(MotionFault.TIME_UNIT, f"samples are {usual:g} s apart, which {error}")
 
 
-def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Problem]:
-    """The gaps in times (n,) at which something was recorded.
+def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[MotionProblem]:
+    """The gaps between recorded times (n,), s.
 
     Args:
-        what: is told of a gap, before how long it is.
+        what: the beginning of each gap's text, followed by its length.
     """
     if len(times) < 2:
         return
     pauses = np.diff(times)
     usual = float(np.median(pauses))
     for k in np.flatnonzero((pauses > _GAP_TIMES * usual) & (pauses > _GAP_S)):
-        yield Problem(
-            Fault.GAP,
-            "",
-            "",
-            float(times[k]),
+        text = (
             f"{what} for {pauses[k]:.2f} s from {times[k]:.2f} s on, and elsewhere samples are "
-            f"{usual * 1000:.1f} ms apart; split it there",
+            f"{usual * 1000:.1f} ms apart; split it there"
         )
+        yield MotionProblem(MotionFault.GAP, text, float(times[k]))
 
 
-def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     turned = arm.joints if arm.commands is None else np.vstack([arm.joints, arm.commands])
     most = np.nanmax(np.abs(turned), axis=0)
-    if most.max() <= _NO_RADIANS:
-        return
     k = int(np.argmax(most))
-    name = robot.joint_names[k]
-    yield Problem(
-        Fault.DEGREES,
-        arm.side,
-        name,
-        None,
-        f"{_called(arm, name)} is at {most[k]:.3g}, which no joint turns to in rad; are these degrees?",
-    )
+    if most[k] > _NO_RADIANS:
+        name = _full_name(arm, robot.joint_names[k])
+        text = f"{name} is at {most[k]:.3g}, which no joint turns to in rad; are these degrees?"
+        yield MotionProblem(MotionFault.DEGREES, text)
 
 
-def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     low, high = robot.joint_range.T
     beyond = np.fmax(low - arm.joints, arm.joints - high)
     for k, name in enumerate(robot.joint_names):
         if (most := np.nanmax(beyond[:, k])) > _BEYOND_STOPS:
             at = int(np.nanargmax(beyond[:, k]))
-            yield Problem(
-                Fault.BEYOND_STOPS,
-                arm.side,
-                name,
-                float(times[at]),
-                f"{_called(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad beyond "
-                f"its stops ({low[k]:.3f} to {high[k]:.3f}); is it another model, or was its zero another one?",
+            text = (
+                f"{_full_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad "
+                f"beyond its stops ({low[k]:.3f} to {high[k]:.3f}); is it another model, or was its zero another one?"
             )
+            yield MotionProblem(MotionFault.BEYOND_STOPS, text, float(times[at]))
 
 
-def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     known = ~np.isnan(arm.joints).any(axis=1)
     when, joints = times[known], arm.joints[known]
     speeds = np.abs(np.diff(joints, axis=0)) / np.diff(when)[:, None]
@@ -179,18 +151,15 @@ def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
         fast = (speeds[:, k] > joint.reported_rad_s) & (np.abs(np.diff(joints[:, k])) > _MOTION)
         if fast.any():
             at = int(np.argmax(fast))
-            yield Problem(
-                Fault.TOO_FAST,
-                arm.side,
-                joint.name,
-                float(when[at]),
-                f"{_called(arm, joint.name)} jumps from {joints[at, k]:.3f} to {joints[at + 1, k]:.3f} rad at "
+            text = (
+                f"{_full_name(arm, joint.name)} jumps from {joints[at, k]:.3f} to {joints[at + 1, k]:.3f} rad at "
                 f"{when[at]:.2f} s, faster than its drive can report ({joint.reported_rad_s:g} rad/s); were recordings "
-                "joined, or samples lost?",
+                "joined, or samples lost?"
             )
+            yield MotionProblem(MotionFault.TOO_FAST, text, float(when[at]))
 
 
-def _frozen(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _frozen(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     if arm.commands is None:
         return
     known = ~np.isnan(arm.joints).any(axis=1)
@@ -198,70 +167,54 @@ def _frozen(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
     for k, name in enumerate(robot.joint_names):
         edges = np.flatnonzero(np.r_[True, np.diff(joints[:, k]) != 0, True])
         for first, end in itertools.pairwise(edges):
-            told = commands[first:end, k]
-            if when[end - 1] - when[first] >= _FROZEN_S and np.ptp(told) > _FROZEN_COMMAND:
-                yield Problem(
-                    Fault.FROZEN,
-                    arm.side,
-                    name,
-                    float(when[first]),
-                    f"{_called(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for "
-                    f"{when[end - 1] - when[first]:.2f} s from {when[first]:.2f} s on, while its command moved by "
-                    f"{np.ptp(told):.2f} rad; was its bus silent?",
+            seconds, moved = when[end - 1] - when[first], np.ptp(commands[first:end, k])
+            if seconds >= _FROZEN_S and moved > _FROZEN_COMMAND:
+                text = (
+                    f"{_full_name(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for {seconds:.2f} s "
+                    f"from {when[first]:.2f} s on, while its command moved by {moved:.2f} rad; was its bus silent?"
                 )
+                yield MotionProblem(MotionFault.FROZEN, text, float(when[first]))
                 break
 
 
-def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     if arm.openings is None or robot.fingers is None:
         return
-    widest = robot.fingers.range[1]
+    name, widest = _full_name(arm, "gripper"), robot.fingers.range[1]
     known = ~np.isnan(arm.openings)
     measured = arm.openings[known]
-    if measured.max() > _WIDER * widest:
-        yield Problem(
-            Fault.GRIPPER_SHARE,
-            arm.side,
-            "gripper",
-            None,
-            f"{_called(arm, 'gripper')} is at {measured.max():.3g}, and one finger opens by {widest:g} m; is it a "
-            "share, or both fingers together?",
+    if measured.max() > _OPENING_FACTOR * widest:
+        text = (
+            f"{name} is at {measured.max():.3g}, and one finger opens by {widest:g} m; is it a share, or both fingers "
+            "together?"
         )
-        return
-    if arm.commanded_openings is None:
-        return
-    told = arm.commanded_openings[known]
+        yield MotionProblem(MotionFault.GRIPPER_SHARE, text)
+    elif arm.commanded_openings is not None:
+        yield from _mirrored_gripper(name, times[known], measured / widest, arm.commanded_openings[known] / widest)
+
+
+def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
+    """Openings (n,) as shares of the fingers' range that seem to be counted from the other end."""
     if (
-        min(np.ptp(told), np.ptp(measured)) > _SOME_OPENING * widest
-        and (r := float(np.corrcoef(told, measured)[0, 1])) < _UPSIDE_DOWN
+        min(np.ptp(commanded), np.ptp(measured)) > _SOME_OPENING
+        and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
     ):
-        yield Problem(
-            Fault.GRIPPER_UPSIDE_DOWN,
-            arm.side,
-            "gripper",
-            None,
-            f"{_called(arm, 'gripper')} closes as it is told to open (correlation {r:.2f}): is one of them upside "
-            "down?",
+        text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of them upside down?"
+        yield MotionProblem(MotionFault.GRIPPER_UPSIDE_DOWN, text)
+    elif (stall := _first_stall(times, measured, commanded)) is not None:
+        text = (
+            f"{name} stops short while commanded to open, from {stall:.2f} s on, and never while commanded to close, "
+            "which is when things are in its way: is it upside down? If so, import it with --mirror-gripper both"
         )
-    elif (stall := _stalled(times[known], measured / widest, told / widest)) is not None:
-        yield Problem(
-            Fault.GRIPPER_STALLS_OPENING,
-            arm.side,
-            "gripper",
-            stall,
-            f"{_called(arm, 'gripper')} stops short as it is told to open, from {stall:.2f} s on, and never as it is "
-            "told to close, which is where things are in its way: is it upside down? If so, import it with "
-            "--mirror-gripper both",
-        )
+        yield MotionProblem(MotionFault.GRIPPER_STALLS_OPENING, text, stall)
 
 
-def _stalled(times: Array, measured: Array, told: Array) -> float | None:
-    """When fingers first stall as they are told to open; None if they never do, or also as they are told to close.
+def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
+    """When the fingers first stall while commanded to open, s.
 
-    Args:
-        measured, told: openings (n,), as shares of the widest.
+    None if they never stall, or also stall while commanded to close.
     """
-    ahead = measured - told
+    ahead = measured - commanded
     still = np.abs(np.gradient(measured, times)) < _SLOW
     stands = np.where(still & (np.abs(ahead) > _STALL), np.sign(ahead), 0)
     first_of: dict[float, float] = {}
@@ -272,28 +225,25 @@ def _stalled(times: Array, measured: Array, told: Array) -> float | None:
     return first_of.get(-1.0) if 1.0 not in first_of else None
 
 
-def _swapped(motion: Motion) -> Iterator[Problem]:
+def _swapped(motion: Motion) -> Iterator[MotionProblem]:
     if len(motion.arms) != 2:
         return
     left, right = motion.arms
     if left.commands is None or right.commands is None or left.joints.shape != right.joints.shape:
         return
-    own = max(_apart(left.commands, left.joints), _apart(right.commands, right.joints))
-    other = max(_apart(left.commands, right.joints), _apart(right.commands, left.joints))
+    own = max(_rms(left.commands - left.joints), _rms(right.commands - right.joints))
+    other = max(_rms(left.commands - right.joints), _rms(right.commands - left.joints))
     if own > _MOTION and own > _SWAPPED * other:
-        yield Problem(
-            Fault.SWAPPED_ARMS,
-            "",
-            "",
-            None,
-            f"each arm is where the other one was told to go: {own:.2f} rad from its own commands, {other:.2f} from "
-            "the other's; are the arms swapped?",
+        text = (
+            f"each arm is where the other arm was commanded to go: {own:.2f} rad from its own commands, {other:.2f} "
+            "from the other's; are the arms swapped?"
         )
+        yield MotionProblem(MotionFault.SWAPPED_ARMS, text)
 
 
-def _apart(commands: Array, joints: Array) -> float:
-    return float(np.sqrt(np.nanmean((commands - joints) ** 2)))
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.nanmean(errors**2)))
 
 
-def _called(arm: ArmMotion, joint: str) -> str:
+def _full_name(arm: ArmMotion, joint: str) -> str:
     return f"{arm.side}_{joint}" if arm.side else joint

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..config.loader import load_config
-from ..config.real import ArmTopics, RecordingNames
+from ..config.real import RecordingNames
 from ..config.rig import RigConfig
 from ..errors import ConfigError, DatasetError, ResourceError
 from ..geometry.se3 import Array
@@ -19,99 +18,89 @@ from ..images.jpeg import encode_jpeg
 from ..images.video import packet_frames
 from ..motion import ArmMotion, Motion
 from ..resources import Locations
-from .columns import sides
-from .naming import KIND, known_names
-from .recording import Pictures, Recording, Samples
-from .times import from_nanoseconds
+from .naming import KIND, arm_keys, candidate_names
+from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, sides, times_from_nanoseconds
 
-_ONLY = "only"
-_QUALITY = 95
-_MOST_MESSAGES = 5_000_000
-# What was told last holds. A topic that begins later than this after the motion's own is not the same recording; one
-# that ends earlier before its end is worth a word, s.
-_LATEST_BEGIN = _EARLIEST_END = 1.0
+_MOST_MESSAGES = 5_000_000  # of a file
+# A topic that starts later than this after the first arm's state is refused; one that ends earlier is reported, s.
+_LATEST_START = _EARLIEST_END = 1.0
+
+Rows = list[tuple[int, Array]]  # time (ns) and numbers of each message of a topic
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """The recording in an MCAP file, with the samples of the first arm's state; other topics are as they were last.
+    """The recording in an MCAP file.
+
+    Samples are those of the first arm's state. Each other topic has its last value at that time.
 
     Raises:
-        DatasetError: it is damaged or cut off, or no naming fits its topics.
-        ConfigError: the naming that was asked for is none.
+        DatasetError: the file is damaged or cut off, or no naming fits its topics.
+        ConfigError: `mapping` does not exist or does not fit.
         ResourceError: mcap is not installed.
     """
-    topics = _topics(path)
+    with _OpenedMcap(path) as reader:
+        summary = reader.get_summary()
+        if summary is None:
+            raise DatasetError(f"{path}: has no summary: was it cut off? `mcap recover` mends it")
+        topics = [channel.topic for channel in summary.channels.values()]
     names = _naming(topics, rig, mapping, path, locations)
-    numbers = {topic for arm in names.topics.values() for topic in _of(arm) if topic in topics}
-    wanted = {*numbers, *([names.prompt_topic] if names.prompt_topic else [])}
-    rows: dict[str, list[tuple[int, Array]]] = {topic: [] for topic in numbers}
+    rows: dict[str, Rows] = {
+        topic: []
+        for arm in names.topics.values()
+        for topic in (arm.state, arm.action, arm.gripper_state, arm.gripper_action)
+        if topic and topic in topics
+    }
     prompt = ""
-    for topic, time, message in _messages(path, wanted):
+    for topic, time, message in _messages(path, {*rows, *([names.prompt_topic] if names.prompt_topic else [])}):
         if topic == names.prompt_topic:
-            said = _field(message, names.prompt_field)
-            prompt = said if isinstance(said, str) and not prompt else prompt
-            continue
-        rows[topic].append((time, _numbers(message, names.field, topic, path)))
-    return [_recording(path, rig, names, topics, rows, prompt)]
-
-
-def _recording(
-    path: Path,
-    rig: RigConfig,
-    names: RecordingNames,
-    topics: Mapping[str, str],
-    rows: Mapping[str, list[tuple[int, Array]]],
-    prompt: str,
-) -> Recording:
-    first = names.topics[_key(sides(rig)[0])].state
+            text = _field(message, names.prompt_field)
+            prompt = prompt or (text if isinstance(text, str) else "")
+        else:
+            rows[topic].append((time, _numbers(message, names.field, topic, path)))
+    first = names.topics[arm_keys(rig)[0]].state
     stamps = np.array([time for time, _ in rows[first]], dtype=np.int64)
-    times = from_nanoseconds(stamps, f"{path} {first}")
-    arms = []
-    for side, k in zip(sides(rig), rig.recorded, strict=True):
-        arm, dof = names.topics[_key(side)], rig.arms[k].robot.dof
+    motion = Motion(str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arms(path, rig, names, rows, stamps))
+    pictures = {camera: _images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
+    return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))]
 
-        def at(topic: str | None, width: int) -> Array | None:
-            return _held(rows[topic], stamps, width, f"{path} {topic}") if topic in rows and topic else None
 
-        joints = at(arm.state, dof)
+def _arms(
+    path: Path, rig: RigConfig, names: RecordingNames, rows: Mapping[str, Rows], stamps: Samples
+) -> tuple[ArmMotion, ...]:
+    def values_of(topic: str | None, width: int) -> Array | None:
+        return _last_values(rows[topic], stamps, width, f"{path} {topic}") if topic and topic in rows else None
+
+    motions = []
+    for side, key, k in zip(sides(rig), arm_keys(rig), rig.recorded, strict=True):
+        arm, dof = names.topics[key], rig.arms[k].robot.dof
+        joints = values_of(arm.state, dof)
         assert joints is not None, "the naming fits"
-        opening, told = at(arm.gripper_state, 1), at(arm.gripper_action, 1)
-        arms.append(
+        measured, commanded = values_of(arm.gripper_state, 1), values_of(arm.gripper_action, 1)
+        motions.append(
             ArmMotion(
                 side,
                 joints,
-                at(arm.action, dof),
-                None if opening is None else opening[:, 0],
-                None if told is None else told[:, 0],
+                values_of(arm.action, dof),
+                None if measured is None else measured[:, 0],
+                None if commanded is None else commanded[:, 0],
             )
         )
-    pictures = {camera: _pictures(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
-    motion = Motion(str(path), times, tuple(arms))
-    return Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))
+    return tuple(motions)
 
 
-def _early_ends(rows: Mapping[str, list[tuple[int, Array]]], stamps: Samples) -> Iterator[str]:
-    """Lines on the topics that end long before the motion does."""
-    for topic, said in sorted(rows.items()):
-        if said and (early := (stamps[-1] - said[-1][0]) * 1e-9) > _EARLIEST_END:
-            yield f"{topic} ends {early:.1f} s before the arm's state, and is held as it was then: was it cut off?"
-
-
-def _key(side: str) -> Any:
-    return side or _ONLY
-
-
-def _of(arm: ArmTopics) -> list[str]:
-    return [topic for topic in (arm.state, arm.action, arm.gripper_state, arm.gripper_action) if topic]
+def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
+    """A line for each topic that ends long before the motion does."""
+    for topic, messages in sorted(rows.items()):
+        if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
+            yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
 
 
 def _naming(
-    topics: Mapping[str, str], rig: RigConfig, mapping: str | None, path: Path, locations: Locations
+    topics: Collection[str], rig: RigConfig, mapping: str | None, path: Path, locations: Locations
 ) -> RecordingNames:
-    wanted = {_key(side) for side in sides(rig)}
-    asked = [load_config(RecordingNames, KIND, mapping, locations)] if mapping else known_names(locations)
-    for names in asked:
-        if wanted <= set(names.topics) and all(names.topics[key].state in topics for key in wanted):
+    keys = arm_keys(rig)
+    for names in candidate_names(mapping, locations):
+        if set(keys) <= set(names.topics) and all(names.topics[key].state in topics for key in keys):
             return names
     error = ConfigError if mapping else DatasetError
     raise error(
@@ -121,12 +110,12 @@ def _naming(
     )
 
 
-def _held(rows: list[tuple[int, Array]], stamps: Samples, width: int, source: str) -> Array:
-    """What a topic said last at each time (n, width)."""
+def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
+    """The last value of a topic at each time (n, width)."""
     if not rows:
         raise DatasetError(f"{source}: holds no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)
-    if when[0] - stamps[0] > _LATEST_BEGIN * 1e9:
+    if when[0] - stamps[0] > _LATEST_START * 1e9:
         raise DatasetError(
             f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; was it cut off?"
         )
@@ -139,23 +128,20 @@ def _held(rows: list[tuple[int, Array]], stamps: Samples, width: int, source: st
     return values[np.clip(np.searchsorted(when, stamps, side="right") - 1, 0, None)]
 
 
-def _pictures(path: Path, topic: str, stamps: Samples) -> Pictures:
-    """A camera's pictures, each at the sample that was there when it was taken."""
+def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
+    """A camera's images, each at the last sample before the image."""
     when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
     after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
     kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
-    return Pictures(kept, functools.partial(_jpegs, path, topic, frozenset(int(k) for k in first)))
+    return CameraImages(kept, functools.partial(_jpegs, path, topic, frozenset(int(k) for k in first)))
 
 
 def _jpegs(path: Path, topic: str, kept: frozenset[int]) -> Iterator[bytes]:
-    codec = ""
-    for _, _, message in _messages(path, {topic}):
-        codec = str(_field(message, "format") or "")
-        break
+    codec = next((str(_field(message, "format") or "") for _, _, message in _messages(path, {topic})), "")
     packets = (bytes(_field(message, "data")) for _, _, message in _messages(path, {topic}))
     for number, image in enumerate(packet_frames(packets, codec, f"{path} {topic}")):
         if number in kept:
-            yield encode_jpeg(image, _QUALITY)
+            yield encode_jpeg(image, JPEG_QUALITY)
 
 
 def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
@@ -167,24 +153,15 @@ def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
 
 
 def _field(message: Any, name: str) -> Any:
-    """A field of a decoded message; fields of fields are parted by dots."""
+    """A field of a decoded message; dots in `name` separate nested fields."""
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message
 
 
-def _topics(path: Path) -> dict[str, str]:
-    """Topic -> how its messages are encoded."""
-    with _Reading(path) as reader:
-        summary = reader.get_summary()
-        if summary is None:
-            raise DatasetError(f"{path}: has no summary: was it cut off? `mcap recover` mends it")
-        return {channel.topic: channel.message_encoding for channel in summary.channels.values()}
-
-
 def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time in ns and content of each message, in the order of their times."""
-    with _Reading(path) as reader:
+    """Topic, time (ns) and content of each message, in the order of their times."""
+    with _OpenedMcap(path) as reader:
         made = reader.iter_decoded_messages if decoded else reader.iter_messages
         for count, found in enumerate(made(topics=sorted(topics))):
             if count > _MOST_MESSAGES:
@@ -192,8 +169,8 @@ def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator
             yield found[1].topic, int(found[2].log_time), found[3] if decoded else None
 
 
-class _Reading:
-    """An MCAP file that is open, with decoders for protobuf and JSON. What mcap finds wrong is a `DatasetError`."""
+class _OpenedMcap:
+    """An open MCAP file, with decoders for protobuf and JSON; errors of mcap become `DatasetError`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -213,17 +190,12 @@ class _Reading:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         self._file.close()
-        if (
-            error is not None
-            and kind is not None
-            and kind.__module__.split(".")[0] in ("mcap", "google", "mcap_protobuf")
-        ):
+        if kind is not None and kind.__module__.split(".")[0] in ("mcap", "google", "mcap_protobuf"):
             raise DatasetError(f"{self._path}: is damaged: {error}; was it copied whole?") from error
 
 
 class _JsonDecoders:
-    """Decoders of messages that are JSON."""
+    """The decoder factory that mcap asks for messages that are JSON."""
 
     def decoder_for(self, encoding: str, schema: Any) -> Any:
-        """The decoder of a channel's messages; None if they are no JSON."""
         return json.loads if encoding == "json" else None

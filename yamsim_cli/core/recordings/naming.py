@@ -1,4 +1,4 @@
-"""Which of somebody else's columns are an arm's joints and its gripper."""
+"""Names of columns in recordings of other programs: which columns hold an arm's joints and gripper."""
 
 from __future__ import annotations
 
@@ -13,86 +13,92 @@ from ..errors import ConfigError, DatasetError
 from ..geometry.se3 import Array
 from ..motion import ArmMotion
 from ..resources import Locations
-from .columns import sides
+from .recording import sides
 
-KIND = "recordings"
-_ONLY = "only"
+KIND = "recordings"  # folder of namings in configs/
 
 
-def known_names(locations: Locations) -> list[RecordingNames]:
-    """All namings that there are, in the order of their names."""
-    return [load_config(RecordingNames, KIND, name, locations) for name in locations.config_names(KIND)]
+def candidate_names(mapping: str | None, locations: Locations) -> list[RecordingNames]:
+    """The naming `mapping`, or without one all namings of `configs/recordings/` in the order of their names."""
+    names = locations.config_names(KIND) if mapping is None else [mapping]
+    return [load_config(RecordingNames, KIND, name, locations) for name in names]
+
+
+def arm_keys(rig: RigConfig) -> list[str]:
+    """Key of each arm in a naming, in the order of recordings."""
+    return [side or "only" for side in sides(rig)]
 
 
 def naming_of(
     columns: Sequence[str], rig: RigConfig, mapping: str | None, source: str, locations: Locations
 ) -> RecordingNames:
-    """The naming that fits some columns: the one that was asked for, or else the first that does; then the drives' own.
+    """The naming that fits the columns: `mapping`, or else the first known one, or else the drives' own names.
 
     Raises:
-        ConfigError: the one that was asked for is none, or does not fit.
-        DatasetError: none fits.
+        ConfigError: `mapping` does not exist or does not fit.
+        DatasetError: no naming fits.
     """
+    candidates = candidate_names(mapping, locations)
     if mapping is not None:
-        asked = load_config(RecordingNames, KIND, mapping, locations)
-        lacking = _lacking(asked, columns, rig)
-        if lacking is not None:
-            raise ConfigError(f"--mapping {mapping}: {source} has no {lacking!r}; its columns are {', '.join(columns)}")
-        return asked
-    for names in [*known_names(locations), *_own_names(rig)]:
-        if names.arms and _lacking(names, columns, rig) is None:
+        (requested,) = candidates
+        missing = _missing(requested, columns, rig)
+        if missing is not None:
+            raise ConfigError(f"--mapping {mapping}: {source} has no {missing!r}; its columns are {', '.join(columns)}")
+        return requested
+    for names in [*candidates, *_drive_names(rig)]:
+        if names.arms and _missing(names, columns, rig) is None:
             return names
     raise DatasetError(
         f"{source}: its columns are {', '.join(columns)}, and no naming in configs/{KIND}/ fits those and rig "
-        f"{rig.name!r}; say which is whose with --mapping names.yaml, or give another --rig"
+        f"{rig.name!r}; name each arm's columns with --mapping names.yaml, or give another --rig"
     )
 
 
-def arms_of(
-    names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], told: Mapping[str, Array] | None
+def named_arms(
+    names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], commanded: Mapping[str, Array] | None
 ) -> tuple[ArmMotion, ...]:
-    """The arms' motions in columns (n,) by their names, the left arm's first; openings in the naming's own unit."""
+    """The arms' motions in named columns (n,), the left arm's first; openings keep the naming's unit."""
     motions = []
-    for side in sides(rig):
-        arm = names.arms[_key(side)]
+    for side, key in zip(sides(rig), arm_keys(rig), strict=True):
+        joints, gripper = names.arms[key].joints, names.arms[key].gripper
         motions.append(
             ArmMotion(
                 side,
-                np.column_stack([measured[name] for name in arm.joints]),
-                None if told is None else np.column_stack([told[name] for name in arm.joints]),
-                measured.get(arm.gripper) if arm.gripper else None,
-                told.get(arm.gripper) if told is not None and arm.gripper else None,
+                np.column_stack([measured[name] for name in joints]),
+                None if commanded is None else np.column_stack([commanded[name] for name in joints]),
+                measured.get(gripper) if gripper else None,
+                commanded.get(gripper) if commanded is not None and gripper else None,
             )
         )
     return tuple(motions)
 
 
-def _key(side: str) -> str:
-    return side or _ONLY
+def columns_of(arm: ArmNames) -> tuple[str, ...]:
+    """All columns of an arm."""
+    return arm.joints if arm.gripper is None else (*arm.joints, arm.gripper)
 
 
-def _lacking(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
-    """What a naming needs for the rig's arms that is not among the columns; None if nothing."""
-    if {_key(side) for side in sides(rig)} != set(names.arms):
-        return " and ".join(f"arm {_key(side)!r} in it" for side in sides(rig))
-    for side, k in zip(sides(rig), rig.recorded, strict=True):
-        arm = names.arms[_key(side)]
-        if len(arm.joints) != rig.arms[k].robot.dof:
-            return f"{rig.arms[k].robot.dof} joints of arm {_key(side)!r}"
-        for name in (*arm.joints, *([arm.gripper] if arm.gripper else [])):
+def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
+    """What the rig's arms need and the naming or the columns lack; None if nothing is missing."""
+    keys = arm_keys(rig)
+    if set(keys) != set(names.arms):
+        return " and ".join(f"arm {key!r} in it" for key in keys)
+    for key, k in zip(keys, rig.recorded, strict=True):
+        dof = rig.arms[k].robot.dof
+        if len(names.arms[key].joints) != dof:
+            return f"{dof} joints of arm {key!r}"
+        for name in columns_of(names.arms[key]):
             if name not in columns:
                 return name
     return None
 
 
-def _own_names(rig: RigConfig) -> list[RecordingNames]:
-    """As yamsim's own export names what it measured: the drives, the arm's side before them where there are two."""
-    arms, plain = {}, {}
-    for side, k in zip(sides(rig), rig.recorded, strict=True):
+def _drive_names(rig: RigConfig) -> list[RecordingNames]:
+    """Namings of yamsim's own exports: by drives and by joints, with the side as prefix if there are two arms."""
+    by_drive, by_joint = {}, {}
+    for side, key, k in zip(sides(rig), arm_keys(rig), rig.recorded, strict=True):
         robot, prefix = rig.arms[k].robot, f"{side}_" if side else ""
         gripper = prefix + robot.drives[-1] if robot.fingers else None
-        arms[_key(side)] = ArmNames(joints=tuple(prefix + name for name in robot.joint_drives), gripper=gripper)
-        plain[_key(side)] = ArmNames(joints=tuple(prefix + name for name in robot.joint_names), gripper=gripper)
-    return [
-        RecordingNames.model_validate({"name": "drives", "arms": named, "gripper": "metres"}) for named in (arms, plain)
-    ]
+        by_drive[key] = ArmNames(joints=tuple(prefix + name for name in robot.joint_drives), gripper=gripper)
+        by_joint[key] = ArmNames(joints=tuple(prefix + name for name in robot.joint_names), gripper=gripper)
+    return [RecordingNames(name="drives", arms=arms, gripper="metres") for arms in (by_drive, by_joint)]

@@ -53,7 +53,7 @@ def gap_page(report: Mapping[str, Any], joints: Sequence[JointCurves], pictures:
     """The page as HTML.
 
     Args:
-        report: of `gap.tally.report_of`.
+        report: of `gap.report.report_of`.
         joints: of the recording with the worst error.
         pictures: the simulated arms over photos of the recordings, the worst first.
         made: a line for the foot of the page: by what it was made, and when.

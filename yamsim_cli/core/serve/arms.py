@@ -13,10 +13,8 @@ from ..attempt.simulators import simulator_for
 from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..errors import SimulationError, UsageError
 from ..geometry.se3 import Array
-from ..motors.bus import Bus
-from ..motors.faults import Fault
-from ..motors.kinds import KINDS
-from ..motors.motor import Motor
+from ..motors.bus import Bus, BusFault
+from ..motors.motor import KINDS, Motor
 from ..motors.wiring import find_wiring
 from ..session import Session
 from ..types import EpisodeJob, Stand
@@ -88,7 +86,7 @@ def policy_robot(session: Session, served: Served, source: PictureProcess) -> Po
 def serve_arms(
     session: Session,
     channels: Sequence[str] = (),
-    faults: Sequence[Fault] = (),
+    faults: Sequence[BusFault] = (),
     start: str = "rest",
 ) -> Served:
     """The arms of a session's rig, with the task's things around them, before anything has moved.
@@ -137,7 +135,7 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     return scene.start_qpos(layout, stands)
 
 
-def _check(faults: Sequence[Fault], buses: Sequence[Bus]) -> None:
+def _check(faults: Sequence[BusFault], buses: Sequence[Bus]) -> None:
     """Raise a UsageError for a fault that names a channel or a motor that is not there."""
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..dataset.reader import RecordedEpisode
 from ..geometry.se3 import Array
-from ..recordings.episodes import read_episode
+from ..recordings.reading import read_episode
 from ..resources import Locations
 from ..scene.blueprint import Blueprint
 from ..viewers.address import PageAddress

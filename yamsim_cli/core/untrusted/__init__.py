@@ -1,1 +1,1 @@
-"""Files that other people wrote: the one folder that they may name others in, and what MJCF includes."""
+"""Untrusted files: reading confined to one folder, and MJCF includes."""

@@ -1,4 +1,4 @@
-"""What an MJCF file includes, put into its place."""
+"""Includes of untrusted MJCF files."""
 
 from __future__ import annotations
 
@@ -12,50 +12,49 @@ from .refusals import RefusedError
 
 Element = ElementTree.Element
 
-_DEEPEST = 8  # files that include each other in turn; more is a mistake or an attack
+_DEEPEST = 8  # levels of includes; more is a mistake or an attack
 
 
 def with_includes(data: bytes, folder: Folder, base: Path, parse: Callable[[bytes], Element]) -> Element:
-    """The root of an MJCF document, each `<include>` replaced by what the named file holds, as MuJoCo does it.
+    """The root of an MJCF document with each `<include>` replaced by the content of its file, as in MuJoCo.
 
     Args:
         data: the main file's content.
-        folder: reads the included files.
-        base: the main file's folder. Names are relative to it, or else to the folder of the file that has the include.
+        base: the main file's folder. Names are relative to `base`, or else to the folder of the including file.
         parse: returns the root of a document, or raises `RefusedError`.
 
     Raises:
         RefusedError: an included file cannot be read or parsed, or includes itself.
     """
-    return _whole(data, folder, (base,), (), parse)
+    return _expanded(data, folder, (base,), (), parse)
 
 
-def _whole(
+def _expanded(
     data: bytes,
     folder: Folder,
     bases: tuple[Path, ...],
-    on_way: tuple[Path, ...],
+    ancestors: tuple[Path, ...],
     parse: Callable[[bytes], Element],
 ) -> Element:
     try:
         root = parse(data)
     except RefusedError as error:
-        raise RefusedError(error.code, f"{on_way[-1].name}: {error}" if on_way else str(error)) from error
+        raise RefusedError(error.code, f"{ancestors[-1].name}: {error}" if ancestors else str(error)) from error
     for parent in list(root.iter()):
         for place, child in reversed(list(enumerate(parent))):
             if child.tag != "include":
                 continue
-            path = _included(child.get("file", ""), folder, bases)
-            if path in on_way or len(on_way) >= _DEEPEST:
+            path = _find(child.get("file", ""), folder, bases)
+            if path in ancestors or len(ancestors) >= _DEEPEST:
                 raise RefusedError("cycle", f"{path.name} includes itself, or more than {_DEEPEST} levels deep")
             included = folder.read(path.name, path.parent)
-            inner = _whole(included, folder, (bases[0], path.parent), (*on_way, path), parse)
+            inner = _expanded(included, folder, (bases[0], path.parent), (*ancestors, path), parse)
             parent[place : place + 1] = list(inner)
     return root
 
 
-def _included(name: str, folder: Folder, bases: tuple[Path, ...]) -> Path:
-    """The file that an include names, in the first folder that has it."""
+def _find(name: str, folder: Folder, bases: tuple[Path, ...]) -> Path:
+    """The named file in the first folder that has it."""
     for base in bases[:-1]:
         with contextlib.suppress(RefusedError):
             return folder.find(name, base)

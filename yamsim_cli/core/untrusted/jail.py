@@ -1,4 +1,4 @@
-"""The one folder that a file from elsewhere may name others in."""
+"""Reading of untrusted files, confined to one folder."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from pathlib import Path
 
 from .refusals import RefusedError
 
-# Of all files together, bytes; and how many there may be.
-MOST_BYTES = 256_000_000
+MOST_BYTES = 256_000_000  # of all files together
 MOST_FILES = 256
 
-# Schemes that mean "a model of that name, wherever models are kept", and those that mean a path.
-_MODELS = ("model", "package", "fuel")
+_MODELS = ("model", "package", "fuel")  # URI schemes of a model by its name
 
 
 class Folder:
-    """Reads files below one folder, and counts what it read.
+    """Reads files below one folder, within limits of their number and size.
+
+    Attributes:
+        refused: the last refusal, for libraries that ignore the exception.
 
     Args:
-        root: the folder; links in it may lead to where they like, but what lies outside is not read.
+        root: the folder; files outside are not read, through links either.
     """
 
     def __init__(self, root: Path) -> None:
         self._root = root.resolve()
         self._bytes = 0
         self._files = 0
-        # A library may go on without a file that it was refused; who calls it asks here.
         self.refused: RefusedError | None = None
 
     def read(self, name: str, base: Path | None = None) -> bytes:
         """Content of a file by its relative name or `model://` URI; see `find`.
 
         Raises:
-            RefusedError: it is outside, missing, no regular file, or too much.
+            RefusedError: the file is outside, missing or not regular, or a limit is exceeded.
         """
         try:
             path = self.find(name, base)
@@ -53,13 +53,13 @@ class Folder:
             raise self.refused from error
 
     def find(self, name: str, base: Path | None = None) -> Path:
-        """The regular file that a name stands for.
+        """The path of a regular file by its name.
 
         Args:
-            base: the folder that relative names are told from; by default the root.
+            base: the folder of relative names; by default the root.
 
         Raises:
-            RefusedError: it is outside, missing, or no regular file.
+            RefusedError: the file is outside, missing or not regular.
         """
         tried = self._candidates(name, base or self._root)
         inside = [path for path in tried if path.is_relative_to(self._root)]
@@ -88,7 +88,7 @@ class Folder:
         if scheme not in _MODELS:
             raise RefusedError("outside", f"it names {name!r}, and nothing is fetched")
         model, _, inner = rest.partition("/")
-        # Most files lie in a folder that is called as the model is; some beside it.
+        # Most files lie in a folder with the model's name; some lie beside that folder.
         roots = [base, self._root]
         own = [(root / inner).resolve() for root in roots if inner]
         return [*((root / rest).resolve() for root in roots if rest), *own] if model else own

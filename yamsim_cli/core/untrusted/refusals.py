@@ -1,10 +1,10 @@
-"""Why a file from elsewhere is refused: a stable code, and a sentence."""
+"""Refusals of untrusted files: a stable code, and a sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-#: Code -> what it stands for.
+#: Code -> its meaning.
 CODES: Mapping[str, str] = {
     "too-large": "the file, or one that it names, has more bytes than a thing needs",
     "too-many-files": "it names more files than a thing needs",
@@ -33,7 +33,7 @@ CODES: Mapping[str, str] = {
 
 
 class RefusedError(Exception):
-    """A file that is not read on.
+    """An untrusted file is refused.
 
     Attributes:
         code: one of `CODES`.

@@ -1,18 +1,21 @@
-"""A motor by its bytes: what it answers to which frame."""
+"""Emulated motors: frames by their bytes, answers, faults of the bus, and wiring."""
 
 from __future__ import annotations
 
 import random
 import struct
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.motors import frames
-from yamsim_cli.core.motors.bus import Bus
-from yamsim_cli.core.motors.faults import Fault
+from yamsim_cli.core.motors.bus import Bus, BusFault, parse_fault
 from yamsim_cli.core.motors.frames import Frame, Mit, Scale
-from yamsim_cli.core.motors.kinds import KINDS
-from yamsim_cli.core.motors.motor import Motor, Status
+from yamsim_cli.core.motors.motor import KINDS, Motor, Status
+from yamsim_cli.core.motors.wiring import find_wiring
+from yamsim_cli.core.resources import Locations
 
 ENABLE, DISABLE, ZERO, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFE, 0xFB))
 
@@ -178,7 +181,7 @@ def test_random_frames_do_no_harm() -> None:
 
 
 def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
-    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("lost", motor=1, at=1.0, seconds=1.0)])
+    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("lost", motor=1, at=1.0, seconds=1.0)])
     assert bus.send(Frame(1, ENABLE), 0.5)
     bus.passes(1.0)
     assert bus.send(Frame(1, ENABLE), 1.1) == []
@@ -188,7 +191,7 @@ def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
 
 
 def test_a_hot_motor_fails() -> None:
-    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [Fault("hot", channel="can_left", motor=1)])
+    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [BusFault("hot", channel="can_left", motor=1)])
     bus.send(Frame(1, ENABLE), 0.0)
     bus.passes(0.02)
     assert status(bus.send(Frame(1, ENABLE), 0.02)[0]) == Status.ROTOR_TOO_HOT
@@ -198,9 +201,58 @@ def test_as_many_frames_get_lost_as_the_fault_says() -> None:
     """In each direction; and from the same seed the same ones."""
 
     def answered(seed: int) -> list[bool]:
-        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("drop", share=0.2)], seed)
+        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)
         bus.passes(0.01)
         return [bool(bus.send(Frame(1, ENABLE), 0.01)) for _ in range(2000)]
 
     assert sum(answered(0)) / 2000 == pytest.approx(0.64, abs=0.03)
     assert answered(0) == answered(0) != answered(1)
+
+
+def test_a_fault_by_its_flag() -> None:
+    assert parse_fault("lost:motor=3,at=5,for=2,channel=can_left") == BusFault("lost", "can_left", 3, 5.0, 2.0)
+    assert parse_fault("stuck") == BusFault("stuck")
+    assert parse_fault("drop:share=0.5").share == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("broken", "unknown fault 'broken'; valid: lost, hot, drop, stuck"),
+        ("lost", "say which motor"),
+        ("lost:motor=x", "motor 'x' is not valid; it must lie in 1..15"),
+        ("lost:motor=1.5", "motor '1.5' is not valid"),
+        ("drop:motor=1", "a drop fault has no 'motor'; valid: share, channel, at, for"),
+        ("drop:share=2", "it must lie in 0..1"),
+        ("drop:share=0.1,share=0.2", "share is there twice"),
+    ],
+)
+def test_a_wrong_flag_says_what_would_be_valid(text: str, says: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_fault(text)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["yam_v1", "yam_pro_v1", "yam_ultra_v1", "yam_ultra_v2", "big_yam_v1", "i2rt_yam"])
+def test_every_arm_says_what_its_motors_are(name: str, locations: Locations) -> None:
+    wiring = find_wiring(name, "linear_4310", 6, locations)
+    assert wiring.gripper is not None
+    # 6.57 rad of the motor for 96 mm between the fingers, and forwards closes them.
+    assert wiring.gripper.ratio == pytest.approx(-6.57 / 0.048)
+    assert [motor.id for motor in wiring.arm.motors] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_gripper_without_wiring_is_told_which_have_one(locations: Locations) -> None:
+    with pytest.raises(ConfigError, match=r"linear_3507 has no can.yaml.*crank, crank_4310, finray"):
+        find_wiring("yam_v1", "linear_3507", 6, locations)
+
+
+def test_a_wrong_wiring_is_told_where(locations: Locations, tmp_path: Path) -> None:
+    folder = tmp_path / "robot_models" / "yam_v1"
+    folder.mkdir(parents=True)
+    (folder / "can.yaml").write_text("motors:\n- {id: 1, kind: DM9999}\n")
+    with pytest.raises(ConfigError, match=r"can.yaml:2.*unknown motor 'DM9999'; valid: DM3507, DM4310"):
+        find_wiring("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))
+    (folder / "can.yaml").write_text("motors:\n- {id: 1, kind: DM4340}\n")
+    with pytest.raises(ConfigError, match="has 1 motors, and yam_v1 has 6 joints"):
+        find_wiring("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))

@@ -1,13 +1,11 @@
-"""What a joint was doing is told from its motion alone, whatever the rate at which it was measured."""
+"""Phases, stops and delays of joints, whatever the rate of their samples."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from yamsim_cli.core.gap.delays import delay
-from yamsim_cli.core.gap.phases import PHASES, at_rest, overshoot, phases, stops
-from yamsim_cli.core.gap.smoothing import STEP, smooth
+from yamsim_cli.core.gap.curves import PHASES, STEP, at_rest, delay, overshoot, phases, smooth, stops
 from yamsim_cli.core.geometry.se3 import Array
 
 
@@ -21,13 +19,13 @@ def trapezoid(times: Array) -> Array:
 def test_phases_are_those_of_the_motion(rate: int) -> None:
     times = np.arange(0, 6, 1 / rate)
     names = [str(PHASES[number]) for number in phases(smooth(times, trapezoid(times)), times)[:, 0]]
-    told = {time: names[int(np.argmin(np.abs(times - time)))] for time in (0.5, 1.5, 3.0, 4.2, 5.5)}
-    assert list(told.values()) == ["still", "accelerating", "cruising", "braking", "still"]
+    found = {time: names[int(np.argmin(np.abs(times - time)))] for time in (0.5, 1.5, 3.0, 4.2, 5.5)}
+    assert list(found.values()) == ["still", "accelerating", "cruising", "braking", "still"]
 
 
 def test_noise_of_an_encoder_is_no_motion() -> None:
     times = np.arange(0, 6, 0.01)
-    # A step of the maker's CAN messages.
+    # The step of the maker's CAN messages, rad.
     step = 25 / 65536
     names = phases(smooth(times, np.round(trapezoid(times) / step) * step), times)[:, 0]
     clean = phases(smooth(times, trapezoid(times)), times)[:, 0]
@@ -37,7 +35,7 @@ def test_noise_of_an_encoder_is_no_motion() -> None:
 def test_a_joint_is_at_rest_some_time_after_it_became_still() -> None:
     times = np.arange(0, 6, 0.01)
     seen = smooth(times, trapezoid(times))
-    resting = at_rest(seen, seen, times)[:, 0]
+    times, resting = seen.times, at_rest(seen, seen)[:, 0]
     assert not resting[times < 0.29].any() and resting[(times > 0.35) & (times < 0.9)].all()
     assert not resting[(times > 1.1) & (times < 4.7)].any() and resting[times > 5.1].all()
 
@@ -50,8 +48,8 @@ def test_a_stop_is_found_with_its_direction() -> None:
         assert stop.direction == sign
         assert stop.begin * STEP == pytest.approx(4.45, abs=0.15)
         bump = 0.03 * np.exp(-(((commands.times - 4.7) / 0.05) ** 2))
-        assert overshoot(sign * (trapezoid(commands.times)[:, 0] + bump), stop, STEP) == pytest.approx(0.03, abs=2e-3)
-        assert overshoot(sign * trapezoid(commands.times)[:, 0], stop, STEP) == pytest.approx(0, abs=1e-6)
+        assert overshoot(sign * (trapezoid(commands.times)[:, 0] + bump), stop) == pytest.approx(0.03, abs=2e-3)
+        assert overshoot(sign * trapezoid(commands.times)[:, 0], stop) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_pause_is_no_stop() -> None:

@@ -1,4 +1,4 @@
-"""Several recordings' gaps as means with intervals, and a limit that they are held to."""
+"""The report on several recordings: means with intervals, the limit, and the page."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import pytest
 from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.gap.figures import Gap, gap_of
-from yamsim_cli.core.gap.page_file import write_gap_page
-from yamsim_cli.core.gap.tally import report_of, require_small, student95
+from yamsim_cli.core.gap.report import report_of, require_small, student95, write_gap_page
 
 TIMES = np.arange(0, 4.0, 0.01)
 
@@ -30,7 +29,7 @@ def test_an_interval_of_a_mean_is_students() -> None:
     # Source: R, t.test(c(1, 2, 4)).
     assert student95([1.0, 2.0, 4.0]) == pytest.approx((-1.461253, 6.127920), abs=1e-3)
     assert student95([1.0]) is None
-    # Of very many values it is the normal distribution's, and there is no step where the table ends.
+    # Many values approach the normal distribution, without a step where the table ends.
     wide = np.random.default_rng(0).normal(size=400)
     low, high = student95(list(wide)) or (0.0, 0.0)
     assert (high - low) / 2 == pytest.approx(1.966 * wide.std(ddof=1) / 20, rel=1e-3)
@@ -53,7 +52,7 @@ def test_a_report_has_means_intervals_and_the_worst(gaps: list[Gap]) -> None:
     assert low < 0.02 < high
     assert joint["max_rad"] == max(gap.joints[2].error.max for gap in gaps)
     assert "max_rad" not in joint["intervals"]
-    # Three recordings say little, and no size is below 0.
+    # Intervals of three recordings are wide, and end at 0.
     assert min(row["intervals"]["rms_rad"][0] for row in report["joints"]) == 0
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     assert report["worst"] == {"recording": "plant"} | report["recordings"][gaps.index(worst)]["worst"]
