@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from .core.closing import Closing
 from .core.errors import ResourceError, UsageError, suggest
-from .core.serve.places import CAMERA_SOCKET, default_folder
+from .core.serve.sockets import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 

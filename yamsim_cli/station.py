@@ -134,7 +134,7 @@ class Station(Closing):
         Raises:
             SimulationError: things of this trial have other joints than those that the task usually has.
         """
-        from .core.policies.environment_state import state_row, things_told
+        from .core.policies.environment_state import object_pose_keys, state_row
 
         simulator = self._task.simulator
         replica, config = simulator.replica, simulator.config
@@ -143,7 +143,7 @@ class Station(Closing):
         row = state_row(
             [
                 (replica.T_object_in_base(name), replica.object_joints(moving[name]) if name in moving else ())
-                for name in things_told(config)
+                for name in object_pose_keys(config)
             ]
         )
         if len(row) != len(self.form.environment):

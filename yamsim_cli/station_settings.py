@@ -92,7 +92,7 @@ class StationForm:
     def of_config(cls, config: RecordConfig) -> StationForm:
         """That of a record config."""
         from .core.dataset.rows import Rows
-        from .core.policies.environment_state import state_names, things_told
+        from .core.policies.environment_state import object_pose_keys, state_names
 
         joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
         rows, timing = Rows.of(config), config.task.timing
@@ -100,7 +100,7 @@ class StationForm:
         return cls(
             rows.drives,
             rows.actions,
-            state_names(tuple(things_told(config)), joints),
+            state_names(tuple(object_pose_keys(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
             round(1 / (timing.tick * timing.ticks_per_frame), 6),
             config.task.most_ticks // timing.ticks_per_frame,

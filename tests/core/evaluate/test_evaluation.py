@@ -131,7 +131,7 @@ def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: C
 def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
     (tmp_path / "holder.py").write_text(
-        "from yamsim_cli.core.evaluate.builtin_policies import Scripted\n\n\nclass Holder(Scripted):\n"
+        "from yamsim_cli.core.evaluate.policy_factory import Scripted\n\n\nclass Holder(Scripted):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
         "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
     )

@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.policies.base import InvalidActionError, read_chunk
 from yamsim_cli.core.policies.loading import load_policy, read_arguments, reset_policy, wanted_images, wanted_state
 from yamsim_cli.core.policies.policy_faults import fault_of
-from yamsim_cli.core.policies.wire import WireError, pack, unpack
+from yamsim_cli.core.policies.remote import WireError, pack, unpack
 
 HERE = Path(__file__).parent
 

@@ -20,7 +20,7 @@ from yamsim_cli.core.evaluate.evaluation import evaluate, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
 from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.loading import load_policy
-from yamsim_cli.core.policies.peer import RemoteError
+from yamsim_cli.core.policies.policy_client import RemoteError
 from yamsim_cli.core.policies.remote import RemotePolicy
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session

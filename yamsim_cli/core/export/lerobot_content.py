@@ -12,7 +12,7 @@ from ..dataset.lowdim import ACTION, BETWEEN_BASES, STATE
 from ..dataset.reader import RecordedEpisode, StoredEpisode
 from ..dataset.real import RealRecord
 from ..errors import DatasetError
-from ..policies.environment_state import joints_key, state_names, state_row, things_told
+from ..policies.environment_state import joints_key, object_pose_keys, state_names, state_row
 from . import lerobot_schema as schema
 from .lerobot_options import LeRobotOptions, RealOptions
 from .lerobot_schema import Feature
@@ -59,7 +59,7 @@ class SimulatedContent:
         self.pictures = options.pictures
         self.notes: list[str] = []
         self._source = source
-        self._things = tuple(things_told(source.config)) if options.environment_state else ()
+        self._things = tuple(object_pose_keys(source.config)) if options.environment_state else ()
         self._bases: dict[str, Any] = {}
 
     def columns(self) -> dict[str, Feature]:
