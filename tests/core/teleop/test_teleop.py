@@ -36,9 +36,9 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.teleop.desk import Desk, DrivenRunner
+from yamsim_cli.core.teleop.attempt_writer import AttemptWriter, DrivenRunner
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
-from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
+from yamsim_cli.core.teleop.loop import Jitter, TickClock, open_teleop
 from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 
@@ -397,7 +397,7 @@ def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[J
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.monotonic", lambda: now[0])
     monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
-    pace, began = Pace(TICK), 0.0
+    pace, began = TickClock(TICK), 0.0
     for seconds in slow:
         pace.wait()
         began = now[0]
@@ -464,13 +464,13 @@ class Failing:
 
 def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config: RecordConfig) -> None:
     sink = Refusing()
-    with Desk(config, sink, Failing()) as desk:  # type: ignore[arg-type]
+    with AttemptWriter(config, sink, Failing()) as writer:  # type: ignore[arg-type]
         for number in range(2):
-            assert desk.next_attempt == number
-            desk.hand_in(Simulated(Attempt(EpisodeJob(0, number)), Outcome(False, Cause.OFF_TARGET), None))
-        wait(list(desk._futures))
+            assert writer.next_attempt == number
+            writer.submit(Simulated(Attempt(EpisodeJob(0, number)), Outcome(False, Cause.OFF_TARGET), None))
+        wait(list(writer._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
-            desk.news()
+            writer.next_written()
     assert sink.asked == [0]
 
 
@@ -487,8 +487,8 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
     for _ in range(2):
-        with open_seat(Session(config, locations), out, OpenMode.RESUME, said.append) as seat:
-            assert seat.desk.next_attempt == 4
+        with open_teleop(Session(config, locations), out, OpenMode.RESUME, said.append) as session:
+            assert session.attempts.next_attempt == 4
     assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
     assert said[1:] == [
         "what attempts.jsonl said of attempt 0 is lost",
