@@ -235,17 +235,6 @@ def test_failures_are_shown_and_successes_on_request() -> None:
     assert shown([results[0]], 9, successes=False) == [results[0]]
 
 
-def test_a_policy_that_cannot_be_loaded_stops_the_job(
-    make_config: Callable[..., RecordConfig], locations: Locations
-) -> None:
-    with pytest.raises(UsageError, match="it has no 'Stil'; did you mean 'Still'"):
-        evaluate(
-            Session(make_config({("episodes",): 2}), locations),
-            PolicyChoice("sample_policies.py:Stil", SAMPLES),
-            lambda *_: None,
-        )
-
-
 def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult]) -> None:
     one, again, other = (trial("sample_policies.py:Random", attempt=k, time_limit=0.5) for k in (2, 2, 3))
     assert one.actions is not None

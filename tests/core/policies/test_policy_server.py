@@ -121,16 +121,6 @@ def test_an_answer_that_cannot_be_sent_is_told_and_the_server_goes_on(number: in
         policy.close()
 
 
-def test_an_answer_that_cannot_be_sent_is_an_invalid_one(
-    make_config: Callable[..., RecordConfig], locations: Locations
-) -> None:
-    config = make_config({("episodes",): 1, ("workers",): 1})
-    with served("Unsendable") as url:
-        found = evaluate(Session(config, locations), PolicyChoice(url, HERE), lambda *_: None)
-    assert found.results[0].ended is Ended.INVALID
-    assert found.results[0].error.startswith("ctrl of the answer: object cannot be sent")
-
-
 def test_a_fork_of_the_server_answers_nobody() -> None:
     with served("Forker") as url:
         policy = RemotePolicy(url, 5.0)

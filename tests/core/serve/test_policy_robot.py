@@ -10,7 +10,7 @@ import pytest
 from tests.core.serve.shots import Shots
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.serve.arms import Served, policy_robot, serve_arms, served_cameras
+from yamsim_cli.core.serve.arms import Served, policy_robot, serve_arms
 from yamsim_cli.core.serve.policy_robot import PolicyRobot, pose_of_rows
 from yamsim_cli.core.session import Session
 
@@ -116,7 +116,6 @@ def test_what_is_no_action_is_refused(driven: Driven, numbers: np.ndarray) -> No
 
 
 def test_cameras_have_raidens_names_and_squares(driven: Driven, session: Session) -> None:
-    assert served_cameras(session.config) == ("top", "left", "right")
     assert driven.robot.metadata["cameras"] == ["top", "left_wrist_camera"]
     driven.see()
     assert driven.shots.shot is not None
