@@ -52,9 +52,9 @@ SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene
 def expert_bench() -> Iterator[Bench]:
     scene = SCENES["stack-tight-spacing"]
     realized = realize(build_blueprint(scene, 0), open_base("64x48", images=False))
-    scene = PlanningScene(realized, 0, 10)
-    yield scene.bench
-    scene.close()
+    planning = PlanningScene(realized, 0, 10)
+    yield planning.bench
+    planning.close()
 
 
 def test_larger_things_are_stacked_first() -> None:
@@ -122,9 +122,9 @@ def tray_scene() -> Iterator[PlanningScene]:
     """Cutlery that lies in the cells of a tray, a fork beside the wall on its left."""
     scene = SCENES["sort-cutlery-overlapping"]
     seed = derive_seed(0, scene.init_seed, 0)
-    scene = PlanningScene(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
-    yield scene
-    scene.close()
+    planning = PlanningScene(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
+    yield planning
+    planning.close()
 
 
 def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) -> None:

@@ -45,7 +45,7 @@ FOLD = "fold"
 SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene with crumpled cloth.
 CRUMPLED = "crumple_level"
-_CRUMPLED = {"light": 0.2, "moderate": 0.4}  # level -> height and way of the crumpling, as shares of half the length
+_CRUMPLED = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
 
 _EDGE = 0.05  # m, of the table around cloth
 _FINER = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents

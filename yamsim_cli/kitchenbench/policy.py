@@ -171,10 +171,10 @@ def is_still(segment: Segment) -> bool:
 def _straight_until(joints: Array, first: int, last: int) -> int:
     """The last tick, up to `last`, to which a straight line from tick `first` follows a path (n + 1, dof)."""
     while last > first + 1:
-        way = joints[last] - joints[first]
+        chord = joints[last] - joints[first]
         between = joints[first + 1 : last] - joints[first]
-        share = np.clip(between @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-        if np.abs(between - share[:, None] * way).max() <= _OFF_PATH:
+        share = np.clip(between @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
+        if np.abs(between - share[:, None] * chord).max() <= _OFF_PATH:
             break
         last -= 1
     return last

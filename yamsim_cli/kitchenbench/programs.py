@@ -76,9 +76,9 @@ def _in_its_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], i
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
     room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
-    asked = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
+    required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
     fitting = slots[np.abs(slots) <= room]
-    x = min(fitting, key=lambda slot: abs(slot - asked), default=0.0)
+    x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
     return Place(thing=item, on=rack, at=(float(x), 0.0))
 
 
@@ -100,8 +100,8 @@ def _stacked(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Ar
 
     def farthest(below: str) -> float:
         """The longest reach of an arm, m, if the nearer arm brings each thing."""
-        ways = ((places[name], places[below]) for name in names if name != below)
-        return max(min(max(float(np.linalg.norm(end - base)) for end in way) for base in bases) for way in ways)
+        paths = ((places[name], places[below]) for name in names if name != below)
+        return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 
     below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
     others.sort(key=lambda name: (-_width(items[name]), _apart(places, name, below)))

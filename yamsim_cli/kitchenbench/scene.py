@@ -208,8 +208,8 @@ def table_of(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
         max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
         / 100
     )
-    wide = table.half_size[1] + config.rig.span / 2
-    return table.widened(max(0.0, 2 * (reach + _EDGE - wide)))
+    half_width = table.half_size[1] + config.rig.span / 2
+    return table.widened(max(0.0, 2 * (reach + _EDGE - half_width)))
 
 
 def _cast(blueprint: SceneBlueprint) -> Cast:

@@ -82,7 +82,7 @@ class PlaceInCompartment(Placing):
         world, into = bench.world, cast.one(self.into)
         T, (low, high), block = world.pose(into), world.block(into), world.block(thing)
         others = [outline(world.block(name), world.pose(name)) for name in cast.of(self.beside) if name != thing]
-        free, taken = list[tuple[float, Array]](), list[tuple[float, Array]]()
+        free, occupied = list[tuple[float, Array]](), list[tuple[float, Array]]()
         for R in _along(world, thing, T):
             corners = outline(block, pose(rotation=T[:3, :3].T @ R))
             first, last = low[:2] - corners.min(axis=0), high[:2] - corners.max(axis=0)
@@ -93,15 +93,15 @@ class PlaceInCompartment(Placing):
                     T_goal = pose((T @ (x, y, 0.0, 1.0))[:3], R)
                     off = math.hypot(*((x, y) - (first + last) / 2))
                     there = outline(block, T_goal)
-                    (taken if any(gap(there, other) < _FREE for other in others) else free).append((off, T_goal))
+                    (occupied if any(gap(there, other) < _FREE for other in others) else free).append((off, T_goal))
         free = sorted(free, key=lambda each: each[0])
         free = free[:: math.ceil(len(free) / _MAX_PLACES)] if free else []
-        for _, T_goal in free[:1] + taken:
+        for _, T_goal in free[:1] + occupied:
             T_goal[2, 3] = bench.height_of(thing, T_goal, into)
         for _, T_goal in free[1:]:
             T_goal[2, 3] = free[0][1][2, 3]
-        taken.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
-        return [T_goal for _, T_goal in free + taken[:_MAX_PLACES]]
+        occupied.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
+        return [T_goal for _, T_goal in free + occupied[:_MAX_PLACES]]
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
         """See `Placing`; where that fails, from joints that reach the place itself."""
@@ -157,17 +157,17 @@ class Slide(Skill):
         thing = cast.one(self.thing)
         across = _across(bench, thing)
         one, other = (bench.obstacles.room(bench.qpos, thing, side * across, _ROOM) for side in (1.0, -1.0))
-        way = (one - other) / 2
-        if abs(way) < _MIN_SLIDE:
+        distance = (one - other) / 2
+        if abs(distance) < _MIN_SLIDE:
             raise SkillFailedError(Cause.UNREACHABLE, f"the {thing} has no more room on one side than on the other")
-        shift = way * across
+        shift = distance * across
         before = bench.world.pose(thing)[:2, 3].copy()
         hands = bench.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
             for press in self._presses(bench, hand, thing, shift):
                 yield from park_free(bench, hand)
                 yield from _slid(bench, hand, press, shift)
-                moved = float((bench.world.pose(thing)[:2, 3] - before) @ shift) / abs(way)
+                moved = float((bench.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
                 if moved < _MOVED:
                     raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} did not slide")
                 return

@@ -72,7 +72,7 @@ class ObservationRenderer:
         Raises:
             RuntimeError: the picture is read in another thread, where OpenGL cannot render, or after its trial.
         """
-        hint = f"read observation[{key!r}], or dict(observation) for all, while you are asked"
+        hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:
             raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and hand that on")
         if self._is_over:

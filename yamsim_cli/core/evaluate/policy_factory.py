@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -188,8 +188,12 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
         local = choice.folder / rest
         checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
         return MappedPolicy(checkpoint, mapping, station, checkpoint.asks)
-    make: Callable[[str, float], PolicyClient] = act.ActClient if kind == act.SCHEME else openpi.OpenpiClient
-    return MappedPolicy(make(choice.name, choice.call_seconds), mapping, station)
+    client: PolicyClient
+    if kind == act.SCHEME:
+        client = act.ActClient(choice.name, choice.call_seconds)
+    else:
+        client = openpi.OpenpiClient(choice.name, choice.call_seconds)
+    return MappedPolicy(client, mapping, station)
 
 
 def policy_station(config: RecordConfig) -> PolicyStation:

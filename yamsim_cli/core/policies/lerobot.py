@@ -16,19 +16,19 @@ SCHEME = "lerobot"
 _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
 
 
-def check_rows(message: Mapping[str, Any], asked: Mapping[str, tuple[int, ...]]) -> None:
+def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
     """Compare the rows of numbers in a message with the checkpoint's inputs.
 
     Args:
-        asked: key -> shape.
+        expected: key -> shape.
 
     Raises:
         UsageError: a row has another length.
     """
-    for key, shape in asked.items():
-        if key in message and (told := np.shape(message[key])) != shape:
+    for key, shape in expected.items():
+        if key in message and (found := np.shape(message[key])) != shape:
             raise UsageError(
-                f"{key} has {told[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
+                f"{key} has {found[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
                 "give the --task and --rig of its demonstrations"
             )
 

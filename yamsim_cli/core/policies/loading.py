@@ -148,10 +148,10 @@ def check_policy(policy: Any, name: str) -> Policy:
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
         )
     for attribute, what, valid in (("images", "image", IMAGES), ("wants", "state", STATE)):
-        asked = getattr(policy, attribute, ())
-        if not isinstance(asked, tuple | list | set | frozenset):
-            raise UsageError(f"--policy {name}: {attribute} is {asked!r}; give a tuple, such as ({valid[0]!r},)")
-        for one in asked:
+        requested = getattr(policy, attribute, ())
+        if not isinstance(requested, tuple | list | set | frozenset):
+            raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({valid[0]!r},)")
+        for one in requested:
             if one not in valid:
                 raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
     ticks = getattr(policy, "ticks", 1)

@@ -1,4 +1,4 @@
-"""A policy in another process, on this machine or another, asked over HTTP with messages in msgpack.
+"""A policy in another process, on this machine or another, called over HTTP with messages in msgpack.
 
 Arrays are sent as dtype, shape and content. Reading a message runs no code of it.
 """

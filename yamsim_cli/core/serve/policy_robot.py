@@ -113,7 +113,7 @@ class _Motion:
 class PolicyRobot:
     """Arms that a policy drives by joints or by poses of the hands, and what the policy observes.
 
-    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, wide open, the left arm's first.
+    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, fully open, the left arm's first.
 
     Attributes:
         stopped: why the arms stand still until the next reset; "" while actions are accepted.
@@ -163,7 +163,7 @@ class PolicyRobot:
 
     @property
     def is_going_home(self) -> bool:
-        """Whether a reset is under way."""
+        """Whether the motion home after a reset goes on."""
         return self._motion is not None and self._motion.lasts == _HOME_S
 
     @property
