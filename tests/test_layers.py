@@ -137,11 +137,10 @@ CONFINED = {
     "pyarrow": {"core.export", "core.recordings.lerobot_files"},
     "mcap": {"core.recordings.mcap_file"},
     "rerun": {"core.export.rrd"},
-    "msgpack": {"core.policies.openpi", "core.policies.wire", "core.serve.chiral_wire", "core.serve.portal_wire"},
+    "msgpack": {"core.policies.openpi", "core.policies.remote", "core.serve.chiral", "core.serve.portal"},
     "websockets": {
-        "core.policies.websocket",
+        "core.policies.openpi",
         "core.serve.chiral",
-        "core.serve.chiral_wire",
         "core.viewers.local_server",
     },
     "lerobot": {"core.policies.lerobot", "lerobot_camera"},

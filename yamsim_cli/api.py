@@ -1,6 +1,6 @@
-"""yamsim from Python: what the commands do, as functions that return what they found.
+"""yamsim's commands as Python functions.
 
-Errors are `yamsim_cli.core.errors.YamsimError`, with the text that the command line would show, keywords for flags.
+Errors are `yamsim_cli.core.errors.YamsimError`, with the messages of the command line, and keywords in place of flags.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# Opens sessions for Python programs: messages name keywords, and what a user should read goes to the log.
+# Opens sessions for Python programs: messages name keywords, and warnings go to the log.
 PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword, config_of, task_of)
 
 
@@ -51,7 +51,7 @@ def record(
         workers: processes to start; None records in this process. A script that starts processes has to guard its main
             part by `if __name__ == "__main__"`.
         size: width and height of images, px.
-        resume: continue the dataset that is at `out`.
+        resume: continue the dataset at `out`.
 
     Returns:
         path, episodes, attempts, seconds.
@@ -90,8 +90,8 @@ def record(
 def open_dataset(path: str | Path) -> StoredEpisodes:
     """The episodes of a dataset as a sequence: `len(it)`, `it[0]`, `it[-1]`, `it[10:20]`, and `for episode in it`.
 
-    Each has `record`, `frames()` and `image(camera, number)`. The list of episodes is read here, and their files when
-    they are asked for.
+    Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read at once, and their
+    files on access.
 
     Raises:
         DatasetError: there is no dataset at `path`.
@@ -118,7 +118,7 @@ def evaluate(
         policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
-        What `--json` prints, among it `stats` and `trials`.
+        The data that `--json` prints, such as `stats` and `trials`.
     """
     from .core.policies.loading import sees_images
 

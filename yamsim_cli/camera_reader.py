@@ -1,4 +1,4 @@
-"""Pictures of the arms that `yamsim serve-robot --cameras` simulates, for any program. It needs numpy alone.
+"""A reader of the pictures that `yamsim serve-robot --cameras` serves, for any program. Needs numpy alone.
 
     from yamsim_cli.camera_reader import CameraReader
 
@@ -6,7 +6,7 @@
         picture = camera.read()
         picture.image  # RGB (height, width, 3)
 
-`yamsim_cli.lerobot_camera` and `yamsim_cli.raiden_camera` are cameras of LeRobot's and raiden's that read by it.
+`yamsim_cli.lerobot_camera` and `yamsim_cli.raiden_camera` are cameras of LeRobot and raiden that use this reader.
 """
 
 from __future__ import annotations
@@ -24,17 +24,16 @@ from numpy.typing import NDArray
 
 from .core.closing import Closing
 from .core.errors import ResourceError, UsageError, suggest
-from .core.serve.places import CAMERA_SOCKET, default_folder
+from .core.serve.sockets import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
-# Of an answer's description, and of a picture, bytes.
-_LARGEST_HEAD, _LARGEST_PICTURE = 65_536, 3 * 4096**2
+_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # of an answer that is read
 
 
 @dataclass(frozen=True)
 class CameraForm:
-    """What a camera's pictures are: width and height in px, at most so many a second, and intrinsics (3, 3)."""
+    """The form of a camera's pictures: width and height in px, the largest rate, and intrinsics (3, 3)."""
 
     width: int
     height: int
@@ -44,13 +43,13 @@ class CameraForm:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a camera saw.
+    """A picture of a camera.
 
     Attributes:
         image: RGB (height, width, 3).
-        number: of the picture; a later one has a larger number.
-        time_ns: when, by the machine's clock, ns since 1970.
-        sim_time: when, in the simulation, s.
+        number: of the picture; later pictures have larger numbers.
+        time_ns: by the machine's clock, ns since 1970.
+        sim_time: in the simulation, s.
         T_cam_in_base: the camera's pose (4, 4) in the left arm's base, in OpenCV's convention.
     """
 
@@ -62,108 +61,109 @@ class Picture:
 
 
 class CameraReader(Closing):
-    """Reads one camera; close it, or use it in a `with`. It belongs to one thread at a time.
+    """Reads one camera; close it, or use it in a `with`. Only one thread may use it at a time.
 
     Attributes:
         camera: its name.
-        form: what its pictures are.
+        form: of its pictures.
 
     Args:
-        camera: as `serve-robot` prints it, such as "top".
-        folder: that `serve-robot` was given with `--folder`; its default unless given.
-        timeout: how long to wait for an answer, s.
+        camera: a name that `serve-robot` prints, such as "top".
+        folder: the value of `serve-robot --folder`; by default its default.
+        timeout: for an answer, s.
 
     Raises:
-        ResourceError: nothing is served there, or what answers is no `serve-robot`.
+        ResourceError: nothing is served there, or the server is no `serve-robot`.
         UsageError: there is no such camera.
     """
 
     def __init__(self, camera: str, folder: str | Path | None = None, timeout: float = 5.0) -> None:
         self._folder, self._timeout = folder, timeout
-        self._line: _Line | None = None
+        self._connection: _Connection | None = None
         forms = served_cameras(folder, timeout)
         if camera not in forms:
             raise UsageError(f"there is no camera {camera!r}; {suggest(camera, forms)}")
         self.camera, self.form = camera, forms[camera]
 
     def read(self, after: int = -1, timeout: float | None = None) -> Picture:
-        """The newest picture whose number is larger than `after`; waits for one.
+        """The newest picture whose number is larger than `after`; waits for it.
 
         Args:
-            timeout: how long to wait, s; the reader's unless given.
+            timeout: s; by default the reader's.
 
         Raises:
-            TimeoutError: there was none in time.
-            ResourceError: `serve-robot` has ended, or what answers is none.
+            TimeoutError: there was no such picture in time.
+            ResourceError: `serve-robot` has ended, or the server is no `serve-robot`.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
-        if self._line is None:
-            self._line = _Line(self._folder)
+        if self._connection is None:
+            self._connection = _Connection(self._folder)
         try:
-            told, data = self._line.ask({"ask": "picture", "camera": self.camera, "after": after}, deadline)
+            request = {"ask": "picture", "camera": self.camera, "after": after}
+            header, data = self._connection.request(request, deadline)
         except BaseException:
-            # Its answer may still come, and would be taken for the next one's.
+            # The answer may still arrive, and must not be taken for the next one.
             self.close()
             raise
         height, width = self.form.height, self.form.width
-        if (told.get("width"), told.get("height"), len(data)) != (width, height, 3 * height * width):
+        if (header.get("width"), header.get("height"), len(data)) != (width, height, 3 * height * width):
             self.close()
             raise ResourceError(f"camera {self.camera!r}: its pictures have another size now; open it again")
         try:
             return Picture(
                 image=np.frombuffer(data, np.uint8).reshape(height, width, 3),
-                number=int(told["number"]),
-                time_ns=int(told["time_ns"]),
-                sim_time=float(told["sim_time"]),
-                T_cam_in_base=np.array(told["T_cam_in_base"], np.float64).reshape(4, 4),
+                number=int(header["number"]),
+                time_ns=int(header["time_ns"]),
+                sim_time=float(header["sim_time"]),
+                T_cam_in_base=np.array(header["T_cam_in_base"], np.float64).reshape(4, 4),
             )
         except (KeyError, TypeError, ValueError) as error:
             self.close()
-            raise _not_ours(self._folder) from error
+            raise _invalid_answer(self._folder) from error
 
     def close(self) -> None:
-        """Hang up; a later `read` connects again."""
-        if self._line is not None:
-            self._line.close()
-            self._line = None
+        """Close the connection; a later `read` connects again."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
 
 
 def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> dict[str, CameraForm]:
-    """The cameras that a `serve-robot` hands out, by name.
+    """The cameras of a `serve-robot`, by name.
 
     Args:
         folder, timeout: see `CameraReader`.
 
     Raises:
-        ResourceError: nothing is served there, or what answers is no `serve-robot`.
+        ResourceError: nothing is served there, or the server is no `serve-robot`.
     """
-    line = _Line(folder)
+    connection = _Connection(folder)
     try:
-        told, _ = line.ask({"ask": "cameras"}, time.monotonic() + timeout)
+        answer, _ = connection.request({"ask": "cameras"}, time.monotonic() + timeout)
         return {
             str(name): CameraForm(
                 int(one["width"]), int(one["height"]), float(one["fps"]), np.array(one["K"], np.float64).reshape(3, 3)
             )
-            for name, one in told["cameras"].items()
+            for name, one in answer["cameras"].items()
         }
     except TimeoutError as error:
-        raise ResourceError(f"{line.path}: serve-robot did not answer within {timeout:g} s") from error
+        raise ResourceError(f"{connection.path}: serve-robot did not answer within {timeout:g} s") from error
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise _not_ours(folder) from error
+        raise _invalid_answer(folder) from error
     finally:
-        line.close()
+        connection.close()
 
 
 def _path(folder: str | Path | None) -> Path:
     return (default_folder(os.environ) if folder is None else Path(folder)) / CAMERA_SOCKET
 
 
-def _not_ours(folder: str | Path | None) -> ResourceError:
+def _invalid_answer(folder: str | Path | None) -> ResourceError:
     return ResourceError(f"{_path(folder)}: what answers there is no serve-robot of this version")
 
 
-class _Line:
-    """A connection; see `core.serve.cameras` for what is said on it."""
+class _Connection:
+    """A connection to the server; see `core.serve.cameras` for the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
         self.path = _path(folder)
@@ -177,49 +177,49 @@ class _Line:
                 "`yamsim serve-robot --cameras`, with the same --folder if it has one"
             ) from error
 
-    def ask(self, message: dict[str, Any], deadline: float) -> tuple[dict[str, Any], bytes]:
-        """What is answered, and the bytes that follow.
+    def request(self, message: dict[str, Any], deadline: float) -> tuple[dict[str, Any], bytes]:
+        """The answer to a message, and the bytes that follow it.
 
         Raises:
-            TimeoutError: it did not come in time.
-            ResourceError: the connection has ended, or brings no answer of ours.
+            TimeoutError: the answer did not arrive in time.
+            ResourceError: the connection has ended, or the answer is not valid.
         """
-        asked = json.dumps(message).encode()
+        request = json.dumps(message).encode()
         try:
-            self._wait(deadline)
-            self._socket.sendall(len(asked).to_bytes(4, "little") + asked)
-            length = int.from_bytes(self._take(4, deadline), "little")
-            if length > _LARGEST_HEAD:
+            self._set_timeout(deadline)
+            self._socket.sendall(len(request).to_bytes(4, "little") + request)
+            length = int.from_bytes(self._receive(4, deadline), "little")
+            if length > _MAX_HEADER_BYTES:
                 raise ResourceError(f"{self.path}: what answers there is no serve-robot")
-            told = json.loads(self._take(length, deadline))
-            size = told.get("bytes") if isinstance(told, dict) else None
-            if type(size) is not int or not 0 <= size <= _LARGEST_PICTURE:
+            answer = json.loads(self._receive(length, deadline))
+            size = answer.get("bytes") if isinstance(answer, dict) else None
+            if type(size) is not int or not 0 <= size <= _MAX_PICTURE_BYTES:
                 raise ResourceError(f"{self.path}: what answers there is no serve-robot")
-            data = self._take(size, deadline)
+            data = self._receive(size, deadline)
         except TimeoutError:
             raise
         except (OSError, ValueError, RecursionError) as error:
             raise ResourceError(f"{self.path}: serve-robot has ended, or does not answer as it should") from error
-        if "error" in told:
-            raise ResourceError(f"{self.path}: {told['error']}")
-        return told, data
+        if "error" in answer:
+            raise ResourceError(f"{self.path}: {answer['error']}")
+        return answer, data
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
-    def _take(self, count: int, deadline: float) -> bytes:
+    def _receive(self, count: int, deadline: float) -> bytes:
         data = bytearray(count)
         view, at = memoryview(data), 0
         while at < count:
-            self._wait(deadline)
+            self._set_timeout(deadline)
             got = self._socket.recv_into(view[at:])
             if not got:
                 raise ConnectionError("closed")
             at += got
         return bytes(data)
 
-    def _wait(self, deadline: float) -> None:
+    def _set_timeout(self, deadline: float) -> None:
         left = deadline - time.monotonic()
         if left <= 0:
             raise TimeoutError(f"{self.path}: no new picture in time")

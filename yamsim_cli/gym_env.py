@@ -14,34 +14,33 @@ from .core.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-# Bound of every number in an observation: no joint (rad) and no position (m) gets there.
-_FAR = 10.0
+_FAR = 10.0  # rad and m, bound of all numbers in observations, beyond all joints and positions
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
-    """A task, by default picking an object up and putting it onto a target; a step is a control tick of 32 ms.
+    """A task, by default picking an object and placing it on a target; a step is a control tick of 32 ms.
 
     The action is that of `yamsim eval` and of the LeRobot export: of a YAM (8,), seven drives (rad, m), and the weld,
     which holds above 0.5. On a rig with two arms it is (16,): the left arm's drives, the right one's, the left weld and
     the right one. `joints` (14,) and `ee_pose_world` (2, 4, 4) also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
-    has held for its hold time, as in `yamsim eval`. With `end="actor"` it goes on until it is truncated, and `info`
-    has `success` for the present tick.
+    has held for its hold time, as in `yamsim eval`. With `end="actor"` the episode continues until it is truncated, and
+    `info` has `success` for the present tick.
 
-    Each thing has a pose, `<role>_pose_world` (4, 4), and `<role>_joints` where it has some. Things are called by their
-    roles, so the keys are the same whichever objects a trial draws; joints that an object lacks are 0. Where no weld
-    holds things, an action's welds have no effect. `info` has `prompt` and `goal`: what the goal asks for -> its
-    margin now, which is zero or more where it holds.
+    Each thing has a pose, `<role>_pose_world` (4, 4), and `<role>_joints` for its moving parts. Things are named by
+    their roles, so the keys do not depend on the objects that a trial draws; joints that an object lacks are 0. Where
+    no weld holds things, an action's welds have no effect. `info` has `prompt` and `goal`: predicate -> its present
+    margin, which is zero or more where the predicate holds.
 
-    `reset(seed=S)` starts from trial 0 of seed S, `reset(seed=S, options={"trial": k})` from trial k, the layout that
-    `yamsim trials --seed S` has there, and every further `reset()` from the next one.
+    `reset(seed=S)` starts trial 0 of seed S, `reset(seed=S, options={"trial": k})` trial k, with the layout of
+    `yamsim trials --seed S`, and each further `reset()` the next trial.
 
     Environments that render in processes of their own (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`.
     Linux's default up to Python 3.13 is to fork, and a process forked from one that has rendered cannot: rendering
     there is a `ResourceError`.
 
     Args:
-        observation: "state" holds the objects' poses, and renders nothing; "images" holds pictures instead.
+        observation: "state" has the objects' poses, and renders nothing; "images" has pictures instead.
         size: width and height of images, px.
         render_mode: None or "rgb_array", the scene camera's image.
         max_ticks: ticks after which the episode is truncated; by default as many as the task may take.
@@ -49,7 +48,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
-    # gymnasium declares it as an attribute of instances, and reads that of the class.
+    # gymnasium declares an attribute of instances, and reads that of the class.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "render_modes": ["rgb_array"],
         "render_fps": 31,
@@ -79,7 +78,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if self._images or render_mode is not None:
             session = PROGRAM.open(config, parallel=False, **given)
         else:
-            # OpenGL is left as it is: another environment of this process may render.
+            # OpenGL is not set up, since another environment of this process may render.
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
@@ -113,11 +112,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Return key of an observation -> thing whose pose it is."""
+        """Key of an observation -> thing whose pose it is."""
         return {f"{role}_pose_world": thing for role, thing in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Return key of an observation -> thing whose joints it holds, and how many those are at most."""
+        """Key of an observation -> thing whose joints it has, and their largest number."""
         task = self._config.task
         cast = task.typical_cast
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
@@ -129,7 +128,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         }
 
     def _roles(self) -> dict[str, str]:
-        """Return the name of each thing in observations -> thing: its role, if no other thing plays that."""
+        """Name of a thing in observations -> thing: its role, if no other thing has the same role."""
         things = self._config.task.typical_cast.things
         return {role if len(names) == 1 else name: name for role, names in things.items() for name in names}
 

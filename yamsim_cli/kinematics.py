@@ -32,32 +32,30 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# Searches from other joints for those that come nearest to a pose. An arm without a closed solution needs them to find
-# what it reaches, too: for 1,000 poses of joints sampled evenly from their ranges, 29 starts were the most.
+# Searches from random joints, of an arm without a closed solution: of 1,000 poses of joints sampled evenly from their
+# ranges, 29 starts were the most that one pose needed.
 _RESTARTS = 50
-# The same of an arm that has a closed solution: of 25 poses beyond its reach, 50 brought no more within tolerance.
+# Searches of an arm with a closed solution: of 25 poses out of reach, 50 starts brought no more within tolerance.
 _RESTARTS_EXACT = 10
-# Cost of an error of one rad about each axis, where one of a metre costs 10: so 1 rad weighs as much as 0.1 m, which is
-# about the hand's length. Where the arm cannot reach the whole pose, the position decides.
+# Cost of an error of 1 rad about each axis; 1 m costs 10, so 1 rad counts as 0.1 m, about the hand's length. Where the
+# arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
-# Real arms report, and simulated ones reach, joints beyond their stops by up to this, rad.
-_SLACK = 0.1
-# An R whose R^T R differs from the identity by more than this, in any element, is no rotation.
-_ORTHONORMAL = 1e-4
+_SLACK = 0.1  # rad, by which real and simulated arms may report joints beyond the stops
+_ORTHONORMAL = 1e-4  # an R with a larger element of |R^T R - 1| is no rotation
 
 
 class Kinematics:
-    """Where one arm's hand is for given joints, and which joints bring it to a pose.
+    """Forward and inverse kinematics of one arm.
 
-    Joints are (dof,) in rad, six of a YAM's, without the gripper, whose opening changes nothing here. Poses are (4, 4),
-    in m, of `site` in the arm's own base (x forward, y left, z up).
+    Joints are (dof,) in rad, six of a YAM, without the gripper, whose opening has no effect. Poses are (4, 4), in m, of
+    `site` in the arm's own base (x forward, y left, z up).
 
     Args:
         rig: a name from `configs/rigs/`, or a YAML file.
-        arm: "left" or "right"; may be left out of a rig with one arm.
-        site: "pinch_site", where the finger tips meet, or "grasp_site", on the gripper's axis, whose pose observations
-            (`ee_pose_world`) and datasets (`ee_pose`) hold. In both, z points where the fingers do, and y is the
-            direction in which they close.
+        arm: "left" or "right"; optional for a rig with one arm.
+        site: "pinch_site", where the finger tips meet, or "grasp_site", on the gripper's axis, the site of
+            `ee_pose_world` in observations and of `ee_pose` in datasets. In both, z points along the fingers, and y is
+            the direction in which they close.
 
     Raises:
         ConfigError: there is no such rig, or it is not valid.
@@ -95,12 +93,12 @@ class Kinematics:
 
     @property
     def T_base_in_world(self) -> Array:
-        """Pose (4, 4) of the arm's base, so that `T_site_in_world = T_base_in_world @ fk(joints)`."""
+        """Pose (4, 4) of the arm's base: `T_site_in_world = T_base_in_world @ fk(joints)`."""
         return self._T_base_in_world.copy()
 
     @property
     def joint_range(self) -> Array:
-        """Each joint's lowest and highest angle (dof, 2), rad."""
+        """Each joint's range (dof, 2), rad."""
         return self._range.copy()
 
     def fk(self, joints: ArrayLike) -> Array:
@@ -121,25 +119,25 @@ class Kinematics:
     ) -> Array:
         """Joints (dof,), within their range, that bring the site to a pose (4, 4) in the arm's base.
 
-        The same arguments give the same answer. Every YAM has a closed solution: of all joints that reach the pose, the
-        answer is the nearest to `start`, exact to 1e-6 m and rad; give the joints as they are now. Where there are
-        none, the pose is out of reach, and searches look for joints within the tolerances. An arm of one's own without
-        a closed solution (see `core.planning.closed_form.closed_form`) is searched only, first from `start`.
+        The same arguments give the same result. Every YAM has a closed solution: of all joints that reach the pose, the
+        result is the nearest to `start`, exact to 1e-6 m and rad. If no joints reach the pose, searches find joints
+        within the tolerances. An arm without a closed solution (see `core.planning.closed_form.closed_form`) is only
+        searched, first from `start`.
 
         Args:
-            start: joints (dof,), rad; home unless given.
-            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. A larger rotation
-                tolerance lets the hand lean where the arm is too short for the exact pose, and keeps the position.
+            start: present joints (dof,), rad; by default home.
+            position_tolerance, rotation_tolerance: m and rad. With a larger rotation tolerance the hand leans where the
+                arm is too short for the exact pose, and keeps the position.
 
         Raises:
-            UsageError: `T_site_in_base` is no pose, or `start` holds no valid joints.
-            OutOfReachError: no joints reach the pose, and no search found any within the tolerances. Its `nearest`
-                holds those that come nearest, and by how much they miss the pose.
+            UsageError: `T_site_in_base` is no pose, or `start` has no valid joints.
+            OutOfReachError: no joints reach the pose, and no search found any within the tolerances. Its `nearest` has
+                the nearest joints found, and their errors.
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        # The nearest rotation: what other programs pass on has often gone through fewer digits.
+        # The nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")
@@ -152,7 +150,7 @@ class Kinematics:
         return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
-        """Joints to search from: first the given ones, within the range, then random ones, the same every time."""
+        """Joints to search from: first the given ones, clipped to the range, then random ones with a fixed seed."""
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Scenes of a public benchmark, where a task's name belongs: `--task kitchenbench/stack/cups`."""
+"""Scenes of KitchenBench as names of tasks, such as `--task kitchenbench/stack/cups`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _PREFIX = "kitchenbench/"
 
 
 def task_of(name: str) -> str | dict[str, Any]:
-    """The task that a name stands for: of a scene of the benchmark its config, and any other name is one already.
+    """The config of a task that is a scene of the benchmark; any other name as it is.
 
     Raises:
-        UsageError: the benchmark has no such scene, or it cannot be recorded.
+        UsageError: the benchmark has no such scene, or the scene cannot be recorded.
         ResourceError: the benchmark is not installed.
     """
     if not name.startswith(_PREFIX):

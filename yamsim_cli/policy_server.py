@@ -1,4 +1,4 @@
-"""Serve a policy to `yamsim eval --policy http://HOST:PORT`, from any process that can import yamsim.
+"""Serve a policy to `yamsim eval --policy http://HOST:PORT` from any process that can import yamsim.
 
     from yamsim_cli.policy_server import PolicyServer
 
@@ -6,8 +6,8 @@
         print(server.url)
         server.serve_forever()
 
-Needs only numpy and msgpack. Every client gets a policy of its own, made by the function that is given. Calls are made
-one at a time, for all clients together. It listens on 127.0.0.1 unless told otherwise, and asks for no password.
+Needs numpy and msgpack alone. The given function makes a policy for each client. The policies of all clients are called
+one at a time. The server listens on 127.0.0.1 by default, and asks for no password.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from typing import Any
 from .core.errors import ResourceError
 from .core.page_origin import refusal
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
+from .core.policies.policy_client import require_library
 from .core.policies.policy_faults import fault_of
-from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
 from .core.workers.serving import forks_end_here
+from .core.policies.remote import PROTOCOL, UnsendableError, WireError, pack, sendable, unpack
 
 LOOPBACK = "127.0.0.1"
 
-# Bytes of the largest message that is read. Two pictures of 1920 x 1080 take a fifth of it.
-_LARGEST = 64_000_000
-_MOST_SESSIONS = 256
+_MAX_BYTES = 64_000_000  # of a message that is read; two pictures of 1920 x 1080 take a fifth
+_MAX_SESSIONS = 256
 
 
 class PolicyServer(ThreadingHTTPServer):
     """Answers clients until `shutdown`; leaving it as a context manager closes the port.
 
     Args:
-        make_policy: makes a policy, see `core.policies.base.Policy`; called for every client.
-        host: address to listen on; beyond 127.0.0.1, anybody who reaches it can use it.
+        make_policy: makes a policy, see `core.policies.base.Policy`; called for each client.
+        host: address to listen on; beyond 127.0.0.1, anybody who reaches the port can use it.
         port: 0 takes a free one.
 
     Raises:
@@ -50,10 +50,10 @@ class PolicyServer(ThreadingHTTPServer):
     allow_reuse_address = True
 
     def __init__(self, make_policy: Callable[[], Any], host: str = LOOPBACK, port: int = 8080) -> None:
-        require_msgpack()
+        require_library("a policy in another process", "msgpack")
         self._make, self.host = make_policy, host
         self._sessions: dict[str, Any] = {}
-        # Most models must not be called from two threads at once, and a GPU would not be faster by it.
+        # Most models must not be called from two threads at once.
         self._one_at_a_time = threading.Lock()
         try:
             super().__init__((host, port), _Handler)
@@ -67,18 +67,18 @@ class PolicyServer(ThreadingHTTPServer):
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
     def answer(self, what: str, message: Any) -> bytes:
-        """The answer to a message, as bytes; an error is an answer too."""
+        """The answer to a message, as bytes; an error too becomes an answer."""
         with self._one_at_a_time:
             try:
-                # A fork that the policy makes would answer the client a second time.
+                # A fork by the policy would answer the client a second time.
                 with forks_end_here():
                     return pack(self._answer(what, message))
-            # The policy may raise anything; the client is told, and the server goes on.
+            # The policy may raise any exception, which is sent to the client.
             except Exception as error:  # noqa: BLE001
                 return _fault(error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore clients that vanish, as workers do that are ended: nothing is lost with them."""
+        """Ignore lost connections, such as those of workers that were ended."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -86,7 +86,7 @@ class PolicyServer(ThreadingHTTPServer):
         if what == "session":
             if message["protocol"] != PROTOCOL:
                 raise WireError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
-            if len(self._sessions) >= _MOST_SESSIONS:
+            if len(self._sessions) >= _MAX_SESSIONS:
                 self._sessions.pop(next(iter(self._sessions)))
             policy = check_policy(self._make(), "of the server")
             session = secrets.token_hex(8)
@@ -106,32 +106,32 @@ class PolicyServer(ThreadingHTTPServer):
 
 
 def _fault(error: Exception) -> bytes:
-    """What went wrong, as an answer."""
+    """The answer that reports an exception."""
     if isinstance(error, WireError):
-        told: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
+        report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
         fault = fault_of(error, Path.cwd())
-        told = {"error": fault.text, "traceback": fault.traceback}
-        # Names of files may hold bytes that are no valid text.
-        told = {key: text.encode(errors="backslashreplace").decode() for key, text in told.items()}
-    return pack(told)
+        report = {"error": fault.text, "traceback": fault.traceback}
+        # File names may hold bytes that are no valid text.
+        report = {key: text.encode(errors="backslashreplace").decode() for key, text in report.items()}
+    return pack(report)
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: PolicyServer
-    # Keeps the connection open: a new one for every action would take longer than the action itself.
+    # HTTP/1.1 keeps the connection open: a new one for each action would take longer than the action.
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
     def do_POST(self) -> None:
-        """One message, and its answer; a web page of another site is refused."""
+        """Answer one message; requests of web pages from other sites are refused."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if refusal(hosts, origins, self.server.host) is not None:
             self.send_error(403)
             self.close_connection = True
             return
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > _LARGEST:
+        if not length.isdecimal() or int(length) > _MAX_BYTES:
             self.send_error(413)
             return
         try:
@@ -145,4 +145,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: there are thirty requests a second."""
+        """Log nothing, since there are thirty requests a second."""

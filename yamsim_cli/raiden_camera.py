@@ -1,11 +1,11 @@
-"""A camera of raiden's that sees the arms which `yamsim serve-robot --cameras` simulates.
+"""A raiden camera with the pictures of `yamsim serve-robot --cameras`.
 
     camera = YamsimCamera("right_wrist_camera", "right")
     camera.open()
     camera.grab()
     frame = camera.get_frame()
 
-raiden has to be importable: this is one of its `raiden.cameras.base.Camera`.
+raiden has to be importable, since the class is a `raiden.cameras.base.Camera`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ from .core.errors import YamsimError
 
 __all__ = ["YamsimCamera"]
 
-# Those hang upside down at a real station, and raiden turns their pictures. Source: TRI-ML/raiden 2353b10, server.py.
+# Mounted upside down on a real station; raiden turns the pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
-_GRAB_S = 5.0
+_GRAB_S = 5.0  # s, that `grab` waits for a picture
 
 
 class YamsimCamera(Camera):
-    """What one of the served cameras sees, as raiden's real cameras give it: BGR, and without depth.
+    """A served camera with the interface of raiden's real ones: BGR pictures, no depth.
 
-    Pictures of `right_wrist_camera` are turned by half a turn, as those of the real one: raiden turns them back.
+    Pictures of `right_wrist_camera` are turned by half a turn, as those of the real camera, since raiden turns them
+    back.
 
     Args:
-        name: raiden's for the camera, such as "left_wrist_camera".
-        camera: the name that `serve-robot` prints, such as "left".
-        folder: that `serve-robot` was given with `--folder`; its default unless given.
+        name: raiden's name of the camera, such as "left_wrist_camera".
+        camera: a name that `serve-robot` prints, such as "left".
+        folder: the value of `serve-robot --folder`; by default its default.
     """
 
     def __init__(self, name: str, camera: str, folder: str | None = None) -> None:
@@ -48,24 +49,24 @@ class YamsimCamera(Camera):
 
     @property
     def name(self) -> str:
-        """What raiden calls it."""
+        """Raiden's name of the camera."""
         return self._name
 
     @property
     def serial_number(self) -> str:
-        """Its name at the server, which no other camera there has."""
+        """A serial number made of the camera's name at the server."""
         return f"yamsim-{self._camera}"
 
     @property
     def recording_extension(self) -> str:
-        """Of files that `start_recording` writes: see there."""
+        """The extension of files that `start_recording` writes."""
         return "rgb"
 
     def open(self) -> None:
-        """Find the camera.
+        """Connect to the server.
 
         Raises:
-            RuntimeError: nothing is served, or not this camera.
+            RuntimeError: nothing is served, or there is no such camera.
         """
         try:
             self._reader = CameraReader(self._camera, self._folder)
@@ -73,21 +74,21 @@ class YamsimCamera(Camera):
             raise RuntimeError(str(error)) from error
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection and the file."""
         self.stop_recording()
         if self._reader is not None:
             self._reader.close()
         self._reader = self._picture = None
 
     def start_recording(self, path: Path) -> None:
-        """Write what is grabbed from now on into a file: of each picture a line of JSON, and its RGB bytes.
+        """Write the grabbed pictures into a file: a line of JSON and the RGB bytes of each.
 
-        raiden's converter reads no such files; its camera server and its calibration need none.
+        raiden's converter cannot read these files; its camera server and its calibration need none.
         """
         self._file = path.open("wb")
 
     def stop_recording(self) -> None:
-        """Finish the file."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -102,15 +103,15 @@ class YamsimCamera(Camera):
             return False
         if self._file is not None:
             height, width, _ = self._picture.image.shape
-            told = {"time_ns": self._picture.time_ns, "width": width, "height": height}
-            self._file.write(json.dumps(told).encode() + b"\n" + self._turned(self._picture.image).tobytes())
+            header = {"time_ns": self._picture.time_ns, "width": width, "height": height}
+            self._file.write(json.dumps(header).encode() + b"\n" + self._turned(self._picture.image).tobytes())
         return True
 
     def get_frame(self) -> CameraFrame:
         """The picture that was grabbed last.
 
         Raises:
-            RuntimeError: none was.
+            RuntimeError: no picture was grabbed.
         """
         if self._picture is None:
             raise RuntimeError(f"camera {self._name}: grab comes first")
@@ -125,7 +126,7 @@ class YamsimCamera(Camera):
         """Intrinsics (3, 3), no distortion (5,), and width and height in px.
 
         Raises:
-            RuntimeError: it is not open.
+            RuntimeError: the camera is not open.
         """
         if self._reader is None:
             raise RuntimeError(f"camera {self._name}: open comes first")

@@ -1,4 +1,4 @@
-"""A station in simulation, as a program meets a real one: rows of joints, pictures and commands, a frame at a time.
+"""A simulated station for programs of real ones: rows of joints, pictures and commands, frame by frame.
 
     from yamsim_cli.station import Station, StationSettings
 
@@ -8,7 +8,7 @@
         station.advance()
         pictures = station.pictures()
 
-Rows and cameras are called as `yamsim export lerobot` calls them, and have the same units.
+Rows and cameras have the names and units of `yamsim export lerobot`.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ Row = NDArray[np.float32]
 
 
 class Station(Closing):
-    """The arms of a rig with a task's things, simulated. Close it, or use it as a context manager.
+    """The simulated arms of a rig with a task's things. Close it, or use it as a context manager.
 
-    Nothing moves by itself: time passes in `advance`. Until something else is commanded, arms stay where they began.
+    Time passes only in `advance` and `tick`. Until the first command, arms hold their start.
 
     Attributes:
-        form: what its rows and pictures are.
+        form: names and shapes of its rows and pictures.
 
     Args:
-        pictures: whether there are any; without, OpenGL is left as it is.
-        end: who ends a trial: "success" ends it once its goal has held for its hold time, "actor" leaves it to whoever
-            acts.
+        pictures: whether pictures can be rendered; otherwise OpenGL is not set up.
+        end: who ends a trial: with "success" the trial ends once its goal has held for its hold time, with "actor" only
+            the caller ends it.
 
     Raises:
         ConfigError, UsageError: a setting is not valid.
-        ResourceError: nothing can render here.
+        ResourceError: nothing can be rendered here.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Station(Closing):
         self.form = StationForm.of_config(config)
         self._timing = config.task.timing
         self._rows, self._task = Rows.of(config), SteppedTask(session, EndRule(end))
-        self._told: Row = np.zeros(len(self.form.action), np.float32)
+        self._command: Row = np.zeros(len(self.form.action), np.float32)
 
     @property
     def trial(self) -> int:
@@ -82,22 +82,22 @@ class Station(Closing):
 
     @property
     def prompt(self) -> str:
-        """The task in words, as the trial says it."""
+        """The trial's task in words."""
         return self._task.attempt.phrasing or self.form.prompt
 
     @property
     def tick_s(self) -> float:
-        """Length of a control tick, s; a frame is one or several of them."""
+        """Duration of a control tick, s; a frame has one or more ticks."""
         return self._timing.tick
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Put everything to the start of a trial, that of `yamsim trials --seed SEED`.
+        """Put everything to the start of a trial, as in `yamsim trials --seed SEED`.
 
         Returns:
-            Its number: the first from `trial` on that has a start.
+            The trial's number: the first from `trial` on that has a start.
 
         Raises:
-            SimulationError: none of many has one.
+            SimulationError: none of many trials has a start.
         """
         from .core.types import EpisodeJob
 
@@ -106,13 +106,13 @@ class Station(Closing):
         return self.trial
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Put everything to the start of an episode as `yamsim record --seed SEED` has it, see `trial` for its number.
+        """Put everything to the start of an episode, as in `yamsim record --seed SEED`; `trial` has its number then.
 
         Returns:
-            What the task's expert commands in each frame, (frames, numbers of a command).
+            The commands of the task's expert, (frames, numbers of a command).
 
         Raises:
-            SimulationError: its expert succeeds in none of many.
+            SimulationError: the expert succeeds in none of many trials.
         """
         from .core.types import EpisodeJob
 
@@ -123,18 +123,18 @@ class Station(Closing):
         return np.array([self._rows.action(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
 
     def state(self) -> Row:
-        """Joints and grippers now, (numbers of a state,)."""
+        """Present joints and grippers, (numbers of a state,)."""
         return self._rows.state(self._task.episode.readings(self._task.attempt.job))
 
     def environment(self) -> Row:
-        """Where things are now, (numbers of `form.environment`,), in the base of the only arm, or of the left one.
+        """Present poses of things, (numbers of `form.environment`,), in the base of the only arm, or of the left one.
 
-        Of each thing come its position (m), the first two axes of its frame, and its joints (m, rad) if it has some.
+        A thing has its position (m), the first two axes of its frame, and the joints (m, rad) of its moving parts.
 
         Raises:
-            SimulationError: things of this trial have other joints than those that the task usually has.
+            SimulationError: this trial's things have other joints than the task's typical ones.
         """
-        from .core.policies.environment_state import state_row, things_told
+        from .core.policies.environment_state import object_pose_keys, state_row
 
         simulator = self._task.simulator
         replica, config = simulator.replica, simulator.config
@@ -143,7 +143,7 @@ class Station(Closing):
         row = state_row(
             [
                 (replica.T_object_in_base(name), replica.object_joints(moving[name]) if name in moving else ())
-                for name in things_told(config)
+                for name in object_pose_keys(config)
             ]
         )
         if len(row) != len(self.form.environment):
@@ -154,42 +154,42 @@ class Station(Closing):
         return row.astype(np.float32)
 
     def command(self, row: NDArray[np.floating] | Sequence[float]) -> None:
-        """Tell the arms what to do from now on.
+        """Set the command that acts from now on.
 
         Raises:
-            UsageError: it is not a finite number for each of `form.action`.
+            UsageError: the row is not a finite number for each of `form.action`.
         """
         values = np.asarray(row, dtype=np.float32)
         if values.shape != (len(self.form.action),) or not np.isfinite(values).all():
             raise UsageError(f"a command is {len(self.form.action)} finite numbers, not {values.shape} {values}")
-        self._told = values
+        self._command = values
 
     def advance(self) -> bool:
-        """Let a frame's time pass, or what of it is left until the trial is a success, and say whether it is one."""
+        """Let a frame's time pass; whether the trial is a success. Time stops when the trial ends."""
         for _ in range(self._timing.ticks_per_frame):
             self.tick()
         return self._task.succeeded
 
     def tick(self) -> None:
-        """Let one control tick pass; a trial that has ended stands still."""
-        self._task.episode.step(*self._rows.command(self._told))
+        """Let one control tick pass, unless the trial has ended."""
+        self._task.episode.step(*self._rows.command(self._command))
 
     def judge(self) -> str:
-        """Return why the trial is no success as it stands, in words; empty if it is one."""
+        """Why the trial is no success at present, in words; empty if it is a success."""
         return self._task.why_not()
 
     def positions(self) -> Array:
-        """MuJoCo's positions (nq,) now, a copy, from which pictures can be drawn later."""
+        """A copy of MuJoCo's present positions (nq,), from which `pictures` can render later."""
         positions: Array = self._task.episode.data.qpos.copy()
         return positions
 
     def pictures(
         self, cameras: Sequence[str] | None = None, positions: NDArray[np.float64] | None = None
     ) -> dict[str, Image]:
-        """Camera -> RGB picture (height, width, 3) now, or at MuJoCo's positions (nq,) in this trial.
+        """Camera -> RGB picture (height, width, 3) of the present state, or of MuJoCo's positions (nq,) in this trial.
 
         Args:
-            cameras: which; all of `form.cameras` unless given.
+            cameras: by default all of `form.cameras`.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -197,11 +197,11 @@ class Station(Closing):
         return self._task.render(tuple(self.form.cameras) if cameras is None else cameras, positions)
 
     def close(self) -> None:
-        """Free what renders."""
+        """Free the renderers."""
         self._task.close()
 
     def _hold(self) -> None:
-        """Command what the arms do now: where their joints are, whatever encoders read."""
+        """Command the present joints, without encoders' errors."""
         replica = self._task.simulator.replica
         replica.show(self._task.episode.data.qpos)
-        self._told = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))
+        self._command = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))

@@ -1,4 +1,4 @@
-"""What a station is, by settings, and what its rows and pictures are: known from configs alone, before it is built."""
+"""Settings of a station, and the form of its rows and pictures, which follows from configs alone."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from .core.opener import Opener
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
-# Name of a setting where sessions are opened -> its name here.
+# Name of a setting of a session -> its name in `StationSettings`.
 _SPELT = {"camera": "cameras"}
 
 
 @dataclass(frozen=True)
 class StationSettings:
-    """What a station is, as the flags of `yamsim record` say it; None for what the config says.
+    """Settings of a station, as the flags of `yamsim record`; None for the config's value.
 
     Attributes:
         action: "drives" for rad and m and then each arm's weld, "joints" for rad and grippers as shares, without welds.
         fps: frames a second.
         size: width and height of pictures, px, or `640x480`.
-        cameras: which to show, in order; the scene's and those of the wrists unless given, or all of the rig's own.
+        cameras: in order; by default the scene's and the wrists', or all of the rig's own.
         config: a name from `configs/record/`, or a YAML file.
-        spelling: how messages write a setting, such as "--env.{}".
+        spelling: the form of a setting's name in messages, such as "--env.{}".
     """
 
     task: str | None = None
@@ -45,12 +45,12 @@ class StationSettings:
 
     @property
     def opener(self) -> Opener:
-        """What opens a session with them."""
+        """The opener of sessions, whose messages spell the settings."""
         return dataclasses.replace(PROGRAM, spell=lambda name: self.spelling.format(_SPELT.get(name, name)))
 
     @property
     def given(self) -> dict[str, Any]:
-        """Setting -> value, as sessions are opened with; without the config's name."""
+        """Setting of a session -> value, without the config's name."""
         apart = ("config", "spelling")
         given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
         return given | {"camera": given.pop("cameras"), "wrist": True}
@@ -58,16 +58,16 @@ class StationSettings:
 
 @dataclass(frozen=True)
 class StationForm:
-    """What a station's rows and pictures are, which is known before it is built.
+    """Names and shapes of a station's rows and pictures, known before the station is built.
 
     Attributes:
         state: names of the numbers of a state.
         action: names of the numbers of a command.
-        environment: names of the numbers that say where things are, see `Station.environment`.
+        environment: names of the numbers of the things' poses, see `Station.environment`.
         cameras: camera -> shape of its pictures (height, width, 3).
         fps: frames a second.
-        most_frames: how many a trial may take.
-        prompt: the task in words; a trial of a task that has several ways to say it may say it otherwise.
+        most_frames: limit of a trial's frames.
+        prompt: the task in words; trials of a task with several phrasings may use another one.
     """
 
     state: tuple[str, ...]
@@ -80,7 +80,7 @@ class StationForm:
 
     @classmethod
     def of(cls, settings: StationSettings) -> StationForm:
-        """That of the station with these settings; reads configs alone.
+        """The form of a station with these settings; reads configs alone.
 
         Raises:
             ConfigError, UsageError: a setting is not valid.
@@ -90,9 +90,9 @@ class StationForm:
 
     @classmethod
     def of_config(cls, config: RecordConfig) -> StationForm:
-        """That of a record config."""
+        """The form of a station with a record config."""
         from .core.dataset.rows import Rows
-        from .core.policies.environment_state import state_names, things_told
+        from .core.policies.environment_state import object_pose_keys, state_names
 
         joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
         rows, timing = Rows.of(config), config.task.timing
@@ -100,7 +100,7 @@ class StationForm:
         return cls(
             rows.drives,
             rows.actions,
-            state_names(tuple(things_told(config)), joints),
+            state_names(tuple(object_pose_keys(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
             round(1 / (timing.tick * timing.ticks_per_frame), 6),
             config.task.most_ticks // timing.ticks_per_frame,

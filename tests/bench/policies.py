@@ -18,15 +18,15 @@ import numpy as np
 from tests.core.policies.servers import act_server, openpi_server
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
-from yamsim_cli.core.evaluate.elsewhere import _CONFIGS
+from yamsim_cli.core.evaluate.policy_factory import _CONFIGS
 from yamsim_cli.core.policies.act import ActClient
-from yamsim_cli.core.policies.mapped import Client, MappedPolicy, Station
+from yamsim_cli.core.policies.mapped import MappedPolicy, PolicyClient, PolicyStation
 from yamsim_cli.core.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 from yamsim_cli.core.resources import Locations
 
 QUESTIONS = 300
 ANSWER = {"actions": np.zeros((30, 14))}
-STATION = Station(
+STATION = PolicyStation(
     "station", ("left", "right"), 7, (0.0475, 0.0475),
     {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"},
 )  # fmt: skip
@@ -55,7 +55,7 @@ def main() -> None:
     observation |= {
         f"{name}_rgb": rng.integers(0, 255, (480, 640, 3), dtype=np.uint8) for name in ("top", "left", "right")
     }
-    clients: dict[str, Callable[[str, float], Client]] = {"act": ActClient, "ws": OpenpiClient}
+    clients: dict[str, Callable[[str, float], PolicyClient]] = {"act": ActClient, "ws": OpenpiClient}
     for scheme, make in clients.items():
         ours, theirs = multiprocessing.Pipe()
         process = multiprocessing.get_context("spawn").Process(target=serve, args=(scheme, theirs), daemon=True)

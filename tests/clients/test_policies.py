@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import SCRIPTS, Interpreter, yamsim_beside
-from tests.core.evaluate.test_elsewhere import expert_plans
+from tests.core.evaluate.test_external_policies import expert_plans
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
+from yamsim_cli.core.policies.act import dump_json, load_json
 from yamsim_cli.core.policies.chunks import Chunking
-from yamsim_cli.core.policies.json_arrays import dump_json, load_json
-from yamsim_cli.core.policies.mapped import MappedPolicy, Station
+from yamsim_cli.core.policies.mapped import MappedPolicy, PolicyStation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 
@@ -125,7 +125,7 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
     theirs = load_json((tmp_path / "sent.json").read_bytes())
 
     cameras = {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"}
-    station = Station("station", ("left", "right"), 7, (0.0475, 0.0475), cameras)
+    station = PolicyStation("station", ("left", "right"), 7, (0.0475, 0.0475), cameras)
     config = load_config(PolicyConfig, "policies", "molmoact2_yam", locations)
     joints = state.copy()
     joints[[6, 13]] *= 0.0475

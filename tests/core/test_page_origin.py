@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from yamsim_cli.core.page_origin import refusal
-from yamsim_cli.core.policies.wire import pack
+from yamsim_cli.core.policies.remote import pack
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.bodies_page import _serve
 from yamsim_cli.policy_server import PolicyServer

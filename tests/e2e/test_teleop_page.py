@@ -27,7 +27,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import task_viewpoint
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
-from yamsim_cli.core.teleop.loop import open_seat, run_page
+from yamsim_cli.core.teleop.loop import open_teleop, run_page
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.target_fields import heading_of
@@ -71,9 +71,9 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
     stop = Stop()
 
     def serve() -> None:
-        with open_seat(Session(config, locations), out, OpenMode.NEW, print) as seat:
-            scenes.append(seat.scene)
-            print(run_page(seat, config, PageAddress(), urls.append, stop).jitter)
+        with open_teleop(Session(config, locations), out, OpenMode.NEW, print) as session:
+            scenes.append(session.scene)
+            print(run_page(session, config, PageAddress(), urls.append, stop).jitter)
 
     thread = threading.Thread(target=serve)
     thread.start()

@@ -23,12 +23,11 @@ from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.kitchenbench.catalog import COMPARTMENT
 from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment
+from yamsim_cli.kitchenbench.judges import KitchenWorld
 from yamsim_cli.kitchenbench.motion import Motion
-from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
 from yamsim_cli.kitchenbench.policy import YamsimExpert
-from yamsim_cli.kitchenbench.scene import KINDS, realize
-from yamsim_cli.kitchenbench.world import KitchenWorld
+from yamsim_cli.kitchenbench.scene import KINDS, open_base, realize
 
 REALIZED = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery", "fold_cloth")
 SCENES = {scene.id: scene for name in REALIZED for scene in tasks.TASK_FACTORIES[name]().scenes}

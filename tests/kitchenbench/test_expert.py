@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Iterator
 
 import mujoco
@@ -35,14 +37,12 @@ from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.motion import Motion, hands, told_opening, told_share
-from yamsim_cli.kitchenbench.opening import open_base
-from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
+from yamsim_cli.kitchenbench.judges import KitchenWorld
+from yamsim_cli.kitchenbench.motion import Motion, commanded_opening, commanded_share, fingers_of
+from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
-from yamsim_cli.kitchenbench.scene import realize
-from yamsim_cli.kitchenbench.slide import Slide
-from yamsim_cli.kitchenbench.sorting import Sort
-from yamsim_cli.kitchenbench.world import KitchenWorld
+from yamsim_cli.kitchenbench.scene import open_base, realize
+from yamsim_cli.kitchenbench.sorting import Slide, Sort
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
@@ -52,9 +52,9 @@ SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene
 def expert_bench() -> Iterator[Bench]:
     scene = SCENES["stack-tight-spacing"]
     realized = realize(build_blueprint(scene, 0), open_base("64x48", images=False))
-    twin = Twin(realized, 0, 10)
-    yield twin.bench
-    twin.close()
+    planning = PlanningScene(realized, 0, 10)
+    yield planning.bench
+    planning.close()
 
 
 def test_larger_things_are_stacked_first() -> None:
@@ -118,18 +118,18 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
 
 
 @pytest.fixture
-def tray_twin() -> Iterator[Twin]:
+def tray_scene() -> Iterator[PlanningScene]:
     """Cutlery that lies in the cells of a tray, a fork beside the wall on its left."""
     scene = SCENES["sort-cutlery-overlapping"]
     seed = derive_seed(0, scene.init_seed, 0)
-    twin = Twin(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
-    yield twin
-    twin.close()
+    planning = PlanningScene(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
+    yield planning
+    planning.close()
 
 
-def test_beside_a_wall_fingers_come_nearer_than_arms(tray_twin: Twin) -> None:
+def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) -> None:
     """A fork for which there is no grip otherwise."""
-    bench = tray_twin.bench
+    bench = tray_scene.bench
     hand, T = bench.hands[0], bench.world.pose("cutlery_2")
 
     def free(grip: Grip, beside: float | None) -> bool:
@@ -142,20 +142,20 @@ def test_beside_a_wall_fingers_come_nearer_than_arms(tray_twin: Twin) -> None:
     assert not free(first, None)
 
 
-def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_twin: Twin) -> None:
+def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_scene: PlanningScene) -> None:
     """The fork is 30 mm wide, and lies with its middle 22 mm from the wall."""
-    bench = tray_twin.bench
+    bench = tray_scene.bench
     room = [bench.obstacles.room(bench.qpos, "cutlery_2", np.array((0.0, side)), 0.04) for side in (1.0, -1.0)]
     assert room == pytest.approx([0.008, 0.026], abs=0.003)
 
 
-def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_twin: Twin) -> None:
-    before = tray_twin.bench.world.pose("cutlery_2")[1, 3]
+def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene) -> None:
+    before = tray_scene.bench.world.pose("cutlery_2")[1, 3]
     cast = Cast({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
-    tray_twin.do([Slide(thing="cutlery_2")], cast)
-    while len(tray_twin.next_actions()) > 1:
+    tray_scene.do([Slide(thing="cutlery_2")], cast)
+    while len(tray_scene.next_actions()) > 1:
         pass
-    assert before - tray_twin.bench.world.pose("cutlery_2")[1, 3] > 0.002
+    assert before - tray_scene.bench.world.pose("cutlery_2")[1, 3] > 0.002
 
 
 def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
@@ -174,13 +174,28 @@ def test_a_gripper_is_told_what_its_share_says() -> None:
     embodiment = YamsimEmbodiment(images=False)
     scene = SCENES["handoff-cup-upright"]
     embodiment.reset(scene, seed=0)
-    fingers = hands(embodiment.world.scene.arms)[0]
+    fingers = fingers_of(embodiment.world.scene.arms)[0]
     shares = np.linspace(0.0, 1.0, 41)
-    told = [told_opening(fingers, share) for share in shares]
+    told = [commanded_opening(fingers, share) for share in shares]
     assert told[0] == fingers.ctrl_range[0] and told[-1] == pytest.approx(fingers.stroke)
     assert np.diff(told).min() > 0
-    assert [told_share(fingers, opening) for opening in told] == pytest.approx(shares)
+    assert [commanded_share(fingers, opening) for opening in told] == pytest.approx(shares)
     embodiment.close()
+
+
+def test_a_closed_planning_scene_is_freed_without_the_garbage_collector() -> None:
+    scene = SCENES["place-cutlery-from-drawer"]
+    planning = PlanningScene(realize(build_blueprint(scene, 0), open_base("64x48", images=False)), 0, 10)
+    planning.next_actions()
+    bench = weakref.ref(planning.bench)
+    gc.collect()
+    gc.disable()
+    try:
+        planning.close()
+        del planning
+        assert bench() is None
+    finally:
+        gc.enable()
 
 
 def test_actions_that_were_changed_are_noticed() -> None:

@@ -19,12 +19,11 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import edges
 from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
-from yamsim_cli.kitchenbench.folding import asked_area, block_area, ways_to_fold
+from yamsim_cli.kitchenbench.folding import block_area, possible_folds, required_area
+from yamsim_cli.kitchenbench.judges import KitchenWorld
 from yamsim_cli.kitchenbench.motion import Motion
-from yamsim_cli.kitchenbench.opening import open_base
-from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert
-from yamsim_cli.kitchenbench.scene import Realization, realize
-from yamsim_cli.kitchenbench.world import KitchenWorld
+from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert
+from yamsim_cli.kitchenbench.scene import Realization, open_base, realize
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
 
@@ -52,7 +51,7 @@ def folded(points: Array) -> Array:
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, 77.0])
 def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> None:
     points = sheet(turned_deg)
-    whole = [way for way in ways_to_fold(points, single=True) if len(way.corners) == 2 and way.share > 0.49]
+    whole = [way for way in possible_folds(points, single=True) if len(way.corners) == 2 and way.share > 0.49]
     assert len(whole) == 4 and all(way.layers == way.beneath == 0 for way in whole)
     corners = {point for way in whole for point, _ in way.corners}
     assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
@@ -67,7 +66,7 @@ def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> No
 
 
 def test_of_several_layers_all_are_counted() -> None:
-    ways = ways_to_fold(folded(sheet()), single=False)
+    ways = possible_folds(folded(sheet()), single=False)
     halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.share > 0.49}
     crease, opening = halves[frozenset({(6, 0), (6, 8)})], halves[frozenset({(0, 0), (0, 8)})]
     assert (crease.layers, crease.beneath) == (1, 0)
@@ -81,7 +80,7 @@ def test_layers_are_laid_farther_than_what_has_a_wrinkle() -> None:
 
     def farther(single: bool) -> list[float]:
         """How much farther along y than its mirrored points each end of a whole side is laid."""
-        ways = [way for way in ways_to_fold(wrinkled, single) if way.points == ((0, 0), (0, 8)) and way.share > 0.49]
+        ways = [way for way in possible_folds(wrinkled, single) if way.points == ((0, 0), (0, 8)) and way.share > 0.49]
         return [float(to[1] - wrinkled[12, 0, 1]) for way in ways for _, to in way.corners]
 
     assert farther(single=True) == pytest.approx([0.02, 0.02])
@@ -104,7 +103,7 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
         assert cloth is not None
         world = KitchenWorld(scene, Motion(scene, 10))
         checker = make_success_checker(scene.blueprint, world)
-        area = asked_area(scene.blueprint, item, cloth)
+        area = required_area(scene.blueprint, item, cloth)
         said = checker(_Square(world, math.sqrt(area) + 2 * cloth.radius))
         assert said.success, said.explanation
         assert not checker(_Square(world, 1.03 * math.sqrt(area) + 2 * cloth.radius)).success
@@ -160,18 +159,18 @@ def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
     """By the benchmark's checker, within its 120 actions."""
     scene = realized("fold-cloth-crumpled-start", epoch=1)
     seed = derive_seed(0, SCENES["fold-cloth-crumpled-start"].init_seed, 1)
-    twin = Twin(scene, seed, 10)
+    planning = PlanningScene(scene, seed, 10)
     try:
-        world = KitchenWorld(scene, twin.motion)
+        world = KitchenWorld(scene, planning.motion)
         checker = make_success_checker(scene.blueprint, world)
         assert not checker(world).success
         actions = 0
         while actions < 120 and not checker(world).success:
-            actions += len(twin.next_actions())
+            actions += len(planning.next_actions())
         assert checker(world).success and actions <= 120
         (cloth,) = scene.simulator.scene.cloths.values()
-        points, ends = cloth.points(twin.motion.data.qpos), edges(*cloth.grid)
+        points, ends = cloth.points(planning.motion.data.qpos), edges(*cloth.grid)
         lengths, rest = (np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1) for x in (points, cloth.rest))
         assert (lengths / rest).max() < 1.08
     finally:
-        twin.close()
+        planning.close()

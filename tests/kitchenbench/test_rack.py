@@ -19,9 +19,9 @@ from yamsim_cli.core.skills.base import Skill
 from yamsim_cli.core.skills.place import Place
 from yamsim_cli.kitchenbench.catalog import thing_of
 from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
-from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import YamsimExpert
 from yamsim_cli.kitchenbench.programs import program_of
+from yamsim_cli.kitchenbench.scene import open_base
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["place_in_rack"]().scenes}
 

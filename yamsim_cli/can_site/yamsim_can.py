@@ -1,7 +1,7 @@
-"""A bus of python-can's that `yamsim serve-robot` serves, for the one program that `yamsim can-run` starts.
+"""A python-can bus to the sockets of `yamsim serve-robot`, for programs that `yamsim can-run` starts.
 
-python-can finds it as it finds any other of its plugins, by the entry point beside this file, under the name that its
-own bus for Linux has. It needs nothing of yamsim. A channel that is not served is the machine's own.
+python-can finds the class by the entry point beside this file, which has the name of python-can's own bus for Linux.
+The module needs nothing of yamsim. A channel that is not served is opened on the machine itself.
 """
 
 import os
@@ -24,7 +24,7 @@ def _place(channel):
 
 
 class Bus(can.BusABC):
-    """A connection to a simulated bus; of another channel, python-can's own `SocketcanBus`."""
+    """A connection to a simulated bus; for another channel, python-can's own `SocketcanBus`."""
 
     def __new__(cls, channel, **kwargs):
         """The bus of a channel."""
@@ -101,10 +101,10 @@ class Bus(can.BusABC):
         return can.BusState.ACTIVE
 
     def fileno(self):
-        """What to wait for until there may be a message."""
+        """The file descriptor to select for reading."""
         return self._socket.fileno()
 
     def shutdown(self):
-        """Leave the bus."""
+        """Close the connection."""
         super().shutdown()
         self._socket.close()

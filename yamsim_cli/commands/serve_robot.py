@@ -20,10 +20,10 @@ from .can_run import Folder, bus_folder
 
 if TYPE_CHECKING:
     from yamsim_cli.core.serve.arms import Served
+    from yamsim_cli.core.serve.can_bus import KernelBus, UnixBus
     from yamsim_cli.core.serve.loop import Port
     from yamsim_cli.core.serve.pictures import PictureProcess
     from yamsim_cli.core.serve.policy_robot import PolicyRobot
-    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
     from yamsim_cli.core.session import Session
 
 # What two frames of 130 bits at 1 Mbit/s and the adapter's way through USB take: with seven motors 4 ms, the
@@ -149,7 +149,7 @@ def serve_robot(
 
 def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[UnixBus | KernelBus]:
     """A socket for each bus, in a folder; without one, the kernel's."""
-    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
+    from yamsim_cli.core.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
     for side, bus in zip(served.sides, served.plant.buses, strict=True):
@@ -176,7 +176,7 @@ def _pictures(stack: ExitStack, session: Session, served: Served, fps: float) ->
     from yamsim_cli.core.serve.arms import served_cameras
     from yamsim_cli.core.serve.pictures import PictureProcess
 
-    source = PictureProcess(session, served_cameras(session.config), fps, served.moment, time.time_ns)
+    source = PictureProcess(session, served_cameras(session.config), fps, served.state, time.time_ns)
     stack.callback(source.close)
     return source
 

@@ -84,7 +84,7 @@ def teleop(
     )
     quiet_page()
 
-    from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream
+    from yamsim_cli.core.teleop.loop import check_page, open_teleop, run_page, run_stream
     from yamsim_cli.core.teleop.stream import read_stream
 
     commands = None if stream is None else read_stream(stream, session.config)
@@ -99,13 +99,13 @@ def teleop(
 
     with (
         stoppable(_ENDING) as stop,
-        open_seat(session, out, mode, note, time_limit=time_limit) as seat,
+        open_teleop(session, out, mode, note, time_limit=time_limit) as driven,
     ):
         if page is None:
             assert commands is not None
-            report = run_stream(seat, commands, stop, realtime=realtime)
+            report = run_stream(driven, commands, stop, realtime=realtime)
         else:
-            report = run_page(seat, session.config, page, ready, stop)
+            report = run_page(driven, session.config, page, ready, stop)
     _show(report, json)
 
 

@@ -1,4 +1,4 @@
-"""KitchenBench's rigid tasks on the station with two arms, as an embodiment of Inspect Robots, and an expert for them.
+"""The station with two arms as an embodiment of Inspect Robots, for KitchenBench's tasks and yamsim's, with an expert.
 
 Needs `yamsim[inspect]`. `inspect-robots` finds `yamsim` and `yamsim_expert` by their entry points.
 """

@@ -29,16 +29,14 @@ from ..core.errors import UsageError
 from ..core.types import Attempt, EpisodeJob
 from .judges import Judge, KitchenJudge, OwnJudge
 from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
-from .opening import open_base
 from .own import BENCHMARK, GOAL_KIND, realize_own
-from .scene import KINDS, TICK_HZ, realize
+from .scene import KINDS, TICK_HZ, open_base, realize
 
-#: State keys: what a real station tells, and the number from which a realization follows, which only an expert may use.
+#: State keys: the joints of a real station, and the seed of a realization, which only an expert may use.
 JOINTS, SEED = "joint_pos", "realization_seed"
 CAMERAS = ("top", "left", "right")
 
-#: Actions a second of simulated time, unless asked otherwise.
-CONTROL_HZ = 3.0
+CONTROL_HZ = 3.0  # Hz, of actions in simulated time, by default
 
 LABELS = tuple(
     f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(ARM_JOINTS)), "gripper")
@@ -55,7 +53,7 @@ def action_space(config: RecordConfig, period: float) -> Box:
     """Joint targets of both arms.
 
     Args:
-        period: how long an action lasts, s; motors go only so far in it.
+        period: duration of an action, s, which limits the steps of the joints.
     """
     low, high, most = list[float](), list[float](), list[float]()
     for number in config.rig.recorded:
@@ -70,10 +68,10 @@ def action_space(config: RecordConfig, period: float) -> Box:
 
 
 def ticks_of(control_hz: float) -> int:
-    """How many control ticks an action lasts.
+    """Control ticks of an action.
 
     Raises:
-        UsageError: not a whole number of them.
+        UsageError: their number is not whole.
     """
     ticks = round(TICK_HZ / control_hz) if control_hz > 0 else 0
     if not 1 <= ticks <= TICK_HZ or abs(TICK_HZ / control_hz - ticks) > 1e-9:
@@ -83,23 +81,23 @@ def ticks_of(control_hz: float) -> int:
 
 
 class YamsimEmbodiment:
-    """The station `yam_station_linear_4310_d405` before a table with the things of a KitchenBench scene, or of ours.
+    """The station `yam_station_linear_4310_d405` with the things of a KitchenBench scene or of a yamsim task.
 
-    Success is judged by the benchmark's own checker alone, after every action, or by our task's own goal.
+    The benchmark's own checker alone judges its scenes, after each action. A yamsim task is judged by its goal.
 
     Attributes:
-        info: what it is, for whoever checks whether a policy fits.
-        world: of the KitchenBench scene that was reset last, what checkers ask.
+        info: the description for compatibility checks.
+        world: of the KitchenBench scene that was reset last, for checkers' queries.
 
     Args:
         control_hz: actions a second of simulated time; each lasts a whole number of control ticks of 1/30 s.
-        images: whether observations have pictures of the three cameras; they take most of the time.
+        images: whether observations have pictures of the three cameras; pictures take most of the time.
         size: of pictures, WIDTHxHEIGHT, px.
         quality: of pictures, see `configs/quality`.
 
     Raises:
         UsageError: a value is not valid.
-        ResourceError: images are wanted, and nothing can render here.
+        ResourceError: images are requested, and nothing can be rendered here.
     """
 
     def __init__(
@@ -128,11 +126,11 @@ class YamsimEmbodiment:
         self._simulator: Simulator | None = None
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
-        """Put a scene's things onto the table, at rest, and the arms where they start.
+        """Put a scene's things onto the table, at rest, and the arms to their start.
 
         Raises:
-            LookupError: it is no scene of the benchmark's or of ours, or one that is not realized.
-            SimulationError: it cannot be compiled.
+            LookupError: the scene is not KitchenBench's or yamsim's, or is not realized.
+            SimulationError: the scene cannot be compiled.
         """
         self.close()
         self._seed = 0 if seed is None else seed
@@ -158,7 +156,7 @@ class YamsimEmbodiment:
         return self._observe(self._simulator)
 
     def step(self, action: Action) -> StepResult:
-        """Let an action (14,) act, and have the scene's judge look at what came of it."""
+        """Let an action (14,) act, and judge the new state."""
         assert self._simulator is not None, "reset comes first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.look()

@@ -1,4 +1,4 @@
-"""Folding as the benchmark asks for it: until the block around a cloth is small enough, seen from above."""
+"""A skill that folds cloth until its bounding box, seen from above, is as small as the benchmark requires."""
 
 from __future__ import annotations
 
@@ -27,54 +27,44 @@ from ..core.skills.moves import idle, recover
 from ..core.types import Cause
 from .places import T_in_world
 
-# So much smaller than asked for is surely small enough.
-_SURELY = 0.96
+_SURELY = 0.96  # share of the required area at which a fold counts as sufficient
 
-# Creases lie so far from a side or a corner, as a share of what is seen of the cloth: half of it at most.
-_FIRST, _LAST = 0.15, 0.52
-# Lines of points are apart by more than this, seen along the crease, m.
-_LINE = 0.008
+_FIRST, _LAST = 0.15, 0.52  # distance of creases from a side or a corner, as a share of the cloth across the crease
+_LINE = 0.008  # m, between lines of points along a crease
 
-# A fold has to make the block smaller by this share at least, and there are so many of them at most, and slides before.
-_WORTH, _FOLDS = 0.06, 5
-_SLIDES = 2
-# So many times hands may miss what is to be folded: other points are taken then.
-_MISSES = 2
+_MIN_GAIN = 0.06  # share by which a fold must reduce the area
+_MAX_FOLDS = 5
+_MAX_SLIDES = 2  # of crumpled cloth, before the first fold
+_MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
-# What has several layers is laid so much farther, as a multiple of their height, and by a share of the way at most: the
-# outer ones have the longer way. And so much farther what has one: that takes up a wrinkle.
-_TAUT, _FARTHER = 2.0, 0.08
-_EVENED = 1.0
+_TAUT = (
+    2.0  # times the height of the layers, by which several layers are laid farther: outer layers have the longer path
+)
+_MAX_FARTHER = 0.08  # share of the path, limit of both
+_EVENED = 1.0  # times the height, by which a single layer is laid farther, which takes up a wrinkle
 
-# Of hands with cloth, m/s: there are only so many actions. Several layers come apart where they are hurried.
-_SPEED, _SLOWLY = 0.2, 0.08
+_SPEED = 0.2  # m/s, of hands with cloth: the number of actions is limited
+_SLOWLY = 0.08  # m/s, with several layers, which slip at a higher speed
 
-# A first third is less than this of the whole. A cloth is pulled nearer so that it ends before `_FAR`, and begins after
-# `_NEAR`, ahead of the arms' bases, m.
-_THIRD, _FAR, _NEAR = 0.36, 0.60, 0.16
+_THIRD = 0.36  # share of the cloth, limit of a first third
+_FAR, _NEAR = 0.60, 0.16  # m ahead of the arms' bases, limits of a cloth that is pulled nearer
 
-# Crumpled cloth is spread out until it is no more layers high than this, and no point of it farther from where it
-# belongs than this share of its side.
-_EVEN, _AMISS = 8.0, 0.2
-# There is only time for so many pulls, and for so many more where a slide left it uneven.
-_PULLS, _PULLS_AFTER = 4, 2
+_EVEN = 8.0  # layers, limit of the height of cloth that is spread out
+_AMISS = 0.2  # share of the side, limit of a point's distance from its place in a flat cloth
+_PULLS, _PULLS_AFTER = 4, 2  # limits of the pulls that spread the cloth, at first and after a slide
 
-# About what a layer is high, m.
-_LAYER = 0.005
-
-# Points that are as near to a corner, m: the uppermost of them is taken.
-_AS_NEAR = 0.006
+_LAYER = 0.005  # m, height of a layer
+_AS_NEAR = 0.006  # m; of the points this near to a corner, the uppermost is grasped
 
 
 class FoldSmall(Skill):
-    """Fold a cloth, as often as it takes, until the block around it is small enough.
+    """Fold a cloth repeatedly, until the bounding box around it is small enough.
 
     Attributes:
-        thing: a role, which cloth plays.
-        area: of the block along the axes of `world`, seen from above, at most, m2.
-        thirds: whether its first third is folded over first, and it is pulled nearer then, so that hands reach the
-            last one.
-        crumpled: whether it is spread out first, and slid to where hands reach what has to be done.
+        thing: a role, of cloth.
+        area: limit of the box along the axes of `world`, seen from above, m2.
+        thirds: whether the first third is folded first, and the cloth is then pulled nearer for the last third.
+        crumpled: whether the cloth is spread out first, and slid to where hands reach a sufficient fold.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -91,7 +81,7 @@ class FoldSmall(Skill):
             yield from spread(bench, thing, _EVEN, _AMISS, _PULLS)
         folds = slides = 0
         missed: list[tuple[Point, ...]] = []
-        while folds < _FOLDS:
+        while folds < _MAX_FOLDS:
             points = bench.world.points(thing)
             before = block_area(points)
             if before <= self.area:
@@ -99,11 +89,11 @@ class FoldSmall(Skill):
             if self.thirds and folds == 1 and (pulled := _nearer(bench, thing)):
                 yield from carry(bench, thing, pulled, arch=0.0, speed=_SPEED)
                 points = bench.world.points(thing)
-            ways = [way for way in self._ordered(points, first=not folds) if way.points not in missed]
-            way, taken = _reached(bench, thing, points, ways)
-            if self.crumpled and not folds and slides < _SLIDES and not self._surely(way):
+            candidates = [fold for fold in self._ordered(points, first=not folds) if fold.points not in missed]
+            fold, grasps = _reached(bench, thing, points, candidates)
+            if self.crumpled and not folds and slides < _MAX_SLIDES and not self._is_sufficient(fold):
                 if idle(bench):
-                    # Hands that are over the cloth yet are in each other's way.
+                    # Hands that are still over the cloth block each other.
                     yield from recover(bench)
                     continue
                 slide = slid(bench, thing, _turns(points), partial(self._foldable, bench, thing))
@@ -112,14 +102,14 @@ class FoldSmall(Skill):
                     slides += 1
                     yield from spread(bench, thing, _EVEN, _AMISS, _PULLS_AFTER)
                     continue
-            if way is None or taken is None:
+            if fold is None or grasps is None:
                 break
             try:
-                yield from carry(bench, thing, taken, speed=_SLOWLY if folds and way.layers else _SPEED)
+                yield from carry(bench, thing, grasps, speed=_SLOWLY if folds and fold.layers else _SPEED)
             except SkillFailedError:
-                # Begun anew, all of it would be spread out again.
-                missed.append(way.points)
-                if len(missed) > _MISSES:
+                # A new run of the skill would spread the cloth out again.
+                missed.append(fold.points)
+                if len(missed) > _MAX_MISSES:
                     raise
                 yield from recover(bench)
                 continue
@@ -128,65 +118,65 @@ class FoldSmall(Skill):
             raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
     def _ordered(self, points: Array, first: bool) -> list[Fold]:
-        """Ways to fold a cloth. What makes it small enough comes first, then what has few layers, whole sides, and what
-        makes it smallest.
-        """
+        """Folds of a cloth: first sufficient ones, then those with few layers, of whole sides, with a small area."""
         before = block_area(points)
-        ways = [way for way in ways_to_fold(points, first) if way.area < (1 - _WORTH) * before]
+        folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_GAIN) * before]
         if self.thirds and first:
-            ways = [way for way in ways if way.share < _THIRD and len(way.corners) > 1]
-        return sorted(
-            ways, key=lambda way: (not self._surely(way), way.layers, len(way.corners) < 2, way.beneath, way.area)
-        )
+            folds = [fold for fold in folds if fold.share < _THIRD and len(fold.corners) > 1]
 
-    def _surely(self, way: Fold | None) -> bool:
-        """Whether a way makes it small enough."""
-        return way is not None and way.area <= _SURELY * self.area
+        def order(fold: Fold) -> tuple[bool, int, bool, int, float]:
+            return not self._is_sufficient(fold), fold.layers, len(fold.corners) < 2, fold.beneath, fold.area
+
+        return sorted(folds, key=order)
+
+    def _is_sufficient(self, fold: Fold | None) -> bool:
+        """Whether a fold makes the cloth small enough."""
+        return fold is not None and fold.area <= _SURELY * self.area
 
     def _foldable(self, bench: Bench, thing: str, points: Array) -> bool:
-        """Whether hands make a cloth small enough at once if its points are there (along y, along x, 3), m."""
-        ways = [way for way in self._ordered(points, first=True) if self._surely(way)]
-        return _reached(bench, thing, points, ways) != (None, None)
+        """Whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
+        folds = [fold for fold in self._ordered(points, first=True) if self._is_sufficient(fold)]
+        return _reached(bench, thing, points, folds) != (None, None)
 
 
 def _reached(
-    bench: Bench, thing: str, points: Array, ways: Sequence[Fold]
+    bench: Bench, thing: str, points: Array, folds: Sequence[Fold]
 ) -> tuple[Fold, list[Taken]] | tuple[None, None]:
-    """The first way that hands reach of a cloth with points (along y, along x, 3), and how."""
-    tried = ((way, reached(bench, thing, way.lays, points)) for way in ways)
-    return next(((way, taken) for way, taken in tried if taken), (None, None))
+    """The first fold that hands reach, of a cloth with points (along y, along x, 3), and the grasps for it."""
+    tried = ((fold, reached(bench, thing, fold.lays, points)) for fold in folds)
+    return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
 
 
 def _turns(points: Array) -> list[float]:
-    """By what angles a cloth may be turned so that its block becomes smaller, rad."""
+    """Angles by which a cloth may be turned so that its bounding box shrinks, rad."""
     heading = _heading(points)
     return [-heading, -1.2 * heading, 0.0]
 
 
 def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
-    """How hands pull a cloth nearer, at the side that is nearest; None where it is near, or they do not reach it."""
+    """Grasps with which hands pull a cloth nearer by its nearest side; None if it is near, or out of reach."""
     points = bench.world.points(thing)
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
     ends = [_at_corner(points, np.array([low[0], y]))[0] for y in (low[1], high[1])]
     for share in (1.0, 0.75, 0.5):
-        way = np.array([share * min(high[0] - _FAR, low[0] - _NEAR), 0.0, 0.0])
-        if way[0] <= 0:
+        shift = np.array([share * min(high[0] - _FAR, low[0] - _NEAR), 0.0, 0.0])
+        if shift[0] <= 0:
             break
-        if taken := reached(bench, thing, [Lay(point, at(points[point] - way)) for point in ends]):
-            return taken
+        if grasps := reached(bench, thing, [Lay(point, at(points[point] - shift)) for point in ends]):
+            return grasps
     return None
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """A way to fold a cloth over a straight crease.
+    """A fold of a cloth over a straight crease.
 
     Attributes:
-        corners: the points that are taken, by row and column, and where they are to lie (3,), in `world`, m.
-        area: of the block around the cloth afterwards, if all goes well, m2.
-        layers: how many more than one are folded over.
-        beneath: how many points lie under those that are taken, which hands may miss.
-        share: of what is seen of the cloth, across the crease.
+        corners: the grasped points, by row and column, and their target positions (3,) in `world`, m.
+        area: expected area of the bounding box after the fold, m2.
+        layers: number of folded layers beyond one.
+        beneath: number of points under the grasped ones, which hands may miss.
+        share: folded part of the cloth, across the crease.
     """
 
     corners: tuple[tuple[Point, Array], ...]
@@ -197,26 +187,26 @@ class Fold:
 
     @property
     def points(self) -> tuple[Point, ...]:
-        """The points that are taken."""
+        """The grasped points."""
         return tuple(point for point, _ in self.corners)
 
     @property
     def lays(self) -> list[Lay]:
-        """The same for hands."""
+        """The grasped points and their targets, for `reached`."""
         return [Lay(point, at(to)) for point, to in self.corners]
 
 
 def block_area(points: Array) -> float:
-    """Of the block along the axes of `world` around points (..., 3), seen from above, m2."""
+    """Area of the box along the axes of `world` around points (..., 3), seen from above, m2."""
     return float(np.prod(np.ptp(points.reshape(-1, 3)[:, :2], axis=0)))
 
 
-def ways_to_fold(points: Array, single: bool) -> list[Fold]:
-    """The ways to fold a cloth as it lies: each side of it over, or each corner, more or less far.
+def possible_folds(points: Array, single: bool) -> list[Fold]:
+    """The possible folds of a cloth: of each side or corner, over creases at several distances.
 
     Args:
         points: of the cloth (along y, along x, 3), in `world`, m.
-        single: whether it has one layer yet, so that it is high only where it is uneven.
+        single: whether the cloth has a single layer, so that only wrinkles are higher.
     """
     turned = _heading(points)
     axes = np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
@@ -236,7 +226,7 @@ def ways_to_fold(points: Array, single: bool) -> list[Fold]:
 
 
 def _creased(points: Array, corners: Sequence[Array], normal: Array, single: bool) -> list[Fold]:
-    """Folds of corners (2,) over creases with a normal (2,), through lines of points: a sheet bends nowhere else."""
+    """Folds of corners (2,) over creases with a normal (2,), through lines of points, where alone a sheet bends."""
     along = np.sort((points.reshape(-1, 3)[:, :2] - corners[0]) @ normal)
     lines = [float(line.mean()) for line in np.split(along, np.flatnonzero(np.diff(along) > _LINE) + 1)]
     lines = [line for line in lines if 0 < _FIRST * along[-1] < line < _LAST * along[-1]]
@@ -244,29 +234,29 @@ def _creased(points: Array, corners: Sequence[Array], normal: Array, single: boo
 
 
 def _fold(points: Array, corners: Sequence[Array], normal: Array, depth: float, single: bool) -> Fold:
-    """What lies less than `depth` (m) from given corners (2,), along the crease's normal (2,), is folded over."""
+    """The fold of the part less than `depth` (m) from given corners (2,), along the crease's normal (2,)."""
     flat = points.reshape(-1, 3)
     beyond = depth - (flat[:, :2] - corners[0]) @ normal
     mirrored = flat[:, :2] + 2 * np.maximum(beyond, 0.0)[:, None] * normal
     moves = beyond > 0.0
-    # What is folded over comes to lie on the rest with all its layers.
+    # The folded part comes to lie on the rest with all its layers.
     thick = float(np.ptp(flat[moves, 2])) if moves.any() else 0.0
     top = float(flat[~moves, 2].max() + thick)
-    taken, beneath = [], 0
+    grasped, beneath = [], 0
     for corner in corners:
         point, under = _at_corner(points, corner)
         end = mirrored.reshape(*points.shape[:2], 2)[point]
-        way = float(np.linalg.norm(end - points[point][:2]))
-        farther = min((_EVENED if single else _TAUT) * thick, _FARTHER * way)
-        taken.append((point, np.array([*(end + farther * normal), top])))
+        length = float(np.linalg.norm(end - points[point][:2]))
+        farther = min((_EVENED if single else _TAUT) * thick, _MAX_FARTHER * length)
+        grasped.append((point, np.array([*(end + farther * normal), top])))
         beneath += under
     layers = round(thick / _LAYER)
     share = depth / float(((flat[:, :2] - corners[0]) @ normal).max())
-    return Fold(tuple(taken), float(np.prod(np.ptp(mirrored, axis=0))), layers, beneath, share)
+    return Fold(tuple(grasped), float(np.prod(np.ptp(mirrored, axis=0))), layers, beneath, share)
 
 
 def _at_corner(points: Array, corner: Array) -> tuple[Point, int]:
-    """The uppermost point of a cloth at a corner (2,), by row and column, and how many lie under it."""
+    """The uppermost point of a cloth at a corner (2,), by row and column, and the number of points under it."""
     apart = np.linalg.norm(points[..., :2] - corner, axis=-1)
     near = np.argwhere(apart < apart.min() + _AS_NEAR)
     row, column = max(near, key=lambda one: float(points[tuple(one)][2]))
@@ -274,14 +264,14 @@ def _at_corner(points: Array, corner: Array) -> tuple[Point, int]:
 
 
 def _heading(points: Array) -> float:
-    """How a sheet's sides lie, as an angle up to quarter turns, rad: however often it is folded along them."""
+    """The angle of a sheet's sides, modulo quarter turns, rad; folds along the sides do not change it."""
     sides = np.concatenate([np.diff(points, axis=k)[..., :2].reshape(-1, 2) for k in (0, 1)])
     whole = (sides[:, 0] + 1j * sides[:, 1]) ** 4
     return float(np.angle((whole / np.maximum(np.abs(whole), 1e-12) ** 0.5).sum()) / 4)
 
 
-def asked_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
-    """How large the block around a cloth may be at the end, by the benchmark's checker, m2."""
+def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
+    """The largest bounding box of a folded cloth that the benchmark's checker accepts, m2."""
     given = blueprint.success_params
     if given.get("baseline") == "nominal":
         asset = ASSETS[item.asset]
@@ -290,7 +280,7 @@ def asked_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> fl
         R = np.abs(T_in_world(item, blueprint)[:2, :2])
         whole = float(np.prod(R @ np.array(cloth.size) + 2 * cloth.radius))
     folds, slack = int(float(given.get("fold_count", 1))), float(given.get("slack", 0.0))
-    asked = FOLD_RATIO_PER_FOLD**folds * (1 + slack) * whole
-    # The checker counts what the cloth is thick, on all sides.
-    side = math.sqrt(asked) - 2 * cloth.radius
+    required = FOLD_RATIO_PER_FOLD**folds * (1 + slack) * whole
+    # The checker includes the cloth's thickness, on all sides.
+    side = math.sqrt(required) - 2 * cloth.radius
     return float(side**2) * 0.98

@@ -1,25 +1,31 @@
-"""Who says whether a scene in motion has come to its goal: the benchmark's checker, or a goal of ours."""
+"""Verdicts on a scene in motion: by the benchmark's checker, or by a task's own goal."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
+import numpy as np
 from kitchenbench.sim import make_success_checker
 
 from ..core.episode.rules import EndRule
+from ..core.geometry.se3 import Array
+from ..core.scene.compiled import Kind
+from ..core.sim.shapes import geom_bounds
+from ..core.sim.world import SimWorld
 from .motion import Motion
 from .own import OwnRealization
 from .scene import Realization
-from .world import KitchenWorld
+
+_GRIPPER = "gripper_"  # before a side, name of that arm's two fingers in the checkers' queries
 
 
 class Judge(Protocol):
-    """Looks at a scene in motion.
+    """Judges a scene in motion.
 
     Attributes:
-        instruction: what is said at the beginning.
-        unrealized: what the scene asks for and does not get, as sentences.
-        noted: what every step's `info` has besides.
+        instruction: the task in words.
+        unrealized: requirements of the scene that are not realized, as sentences.
+        noted: further values for the `info` of each step.
     """
 
     instruction: str
@@ -27,14 +33,14 @@ class Judge(Protocol):
     noted: dict[str, Any]
 
     def look(self) -> tuple[bool, str]:
-        """Whether the goal is reached now, and how it stands, for a person."""
+        """Whether the goal is reached now, and an explanation for a person."""
 
 
 class KitchenJudge:
-    """The benchmark's own checker, asked after every action, and nothing else. See `Judge`.
+    """The benchmark's own checker, called after each action. See `Judge`.
 
     Attributes:
-        world: what it asks.
+        world: answers the checker's queries.
     """
 
     def __init__(self, realized: Realization, motion: Motion) -> None:
@@ -44,13 +50,13 @@ class KitchenJudge:
         self._checker = make_success_checker(realized.blueprint, self.world)
 
     def look(self) -> tuple[bool, str]:
-        """What the checker says."""
+        """The checker's verdict."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
 
 
 class OwnJudge:
-    """A task's goal, which the episode itself judges after every control tick. See `Judge`."""
+    """A task's own goal, which the episode evaluates after each control tick. See `Judge`."""
 
     def __init__(self, realized: OwnRealization, motion: Motion) -> None:
         self.instruction = realized.instruction
@@ -59,5 +65,59 @@ class OwnJudge:
         self._episode = motion.episode
 
     def look(self) -> tuple[bool, str]:
-        """How the goal stands."""
+        """The goal's verdict."""
         return self._episode.succeeds, self._episode.status
+
+
+class KitchenWorld:
+    """The state of a scene in motion, for the checkers' queries.
+
+    Names are those of the blueprint's objects, `gripper_left` and `gripper_right`; other names raise `KeyError`.
+    Lengths are in m, in `world`: x ahead of the arms, y to their left, z up.
+
+    Attributes:
+        scene: the state for yamsim's own goals and skills.
+    """
+
+    def __init__(self, realization: Realization, motion: Motion) -> None:
+        simulator = realization.simulator
+        compiled = simulator.scene
+        self._model, self._data = compiled.model, motion.data
+        names = list(compiled.things)
+        self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
+        self.scene: SimWorld = motion.episode.world
+        self._names = {*names, *realization.regions}
+        fingers = np.isin(compiled.geom_kind, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)) & (
+            compiled.model.geom_contype != 0
+        )
+        self._grippers = {
+            _GRIPPER + side: np.flatnonzero(fingers & (compiled.geom_arm == k))
+            for k, side in enumerate(realization.sides)
+        }
+
+    def aabb(self, name: str) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) of an object's colliding geoms; of a gripper, those of its two fingers."""
+        if name in self._grippers:
+            corners = np.array([geom_bounds(self._model, self._data, int(geom)) for geom in self._grippers[name]])
+            return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        return self.scene.bounds(self._known(name))
+
+    def contained_fraction(self, item: str, container: str) -> float:
+        """The share, 0..1, of an item's volume in the bounding box of a container, or in a compartment."""
+        return self.scene.share_in_block(self._known(item), self._known(container))
+
+    def contained_mass_g(self, substance: str, container: str) -> float:
+        """Mass of a thing in a container, g. Nothing is poured here, so a substance is a thing."""
+        if substance not in self._masses:
+            raise KeyError(substance)
+        return self._masses[substance] * self.contained_fraction(substance, container)
+
+    def opening_fraction(self, name: str) -> float:
+        """0: no realized object has a part that opens."""
+        self._known(name)
+        return 0.0
+
+    def _known(self, name: str) -> str:
+        if name not in self._names:
+            raise KeyError(name)
+        return name

@@ -1,4 +1,4 @@
-"""A realized scene in motion, by actions as YAM stations take them: joint targets and shares of the grippers."""
+"""A realized scene in motion, by actions of a YAM station: joint targets and shares of the grippers."""
 
 from __future__ import annotations
 
@@ -13,17 +13,15 @@ from ..core.episode.rules import EndReason
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import SceneArm, SceneFingers
 
-#: Joints of a YAM arm. In actions and states they come first, then its gripper; the left arm before the right one.
+# In actions and states, an arm's joints come before its gripper, and the left arm before the right one.
 ARM_JOINTS = 6
 _ARM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM
 
-#: Fingers cross all of their way in so many seconds.
-CLOSING = 0.35
-# What is slower than this is at rest, rad/s and m/s; fingers, which close slowly, m/s.
-_SLOW, _FINGERS_SLOW = 0.15, 0.01
-# Below this share, a gripper that closes on something presses: at 0 with all that its drive gives.
-_PRESSES = 0.05
+CLOSING = 0.35  # s, in which fingers move through their whole range
+_SLOW = 0.15  # rad/s and m/s; slower joints and things are at rest
+_FINGERS_SLOW = 0.01  # m/s; slower fingers are at rest
+_PRESSES = 0.05  # share of a gripper below which it presses, at 0 with its drive's full force
 
 
 class Realized(Protocol):
@@ -31,21 +29,20 @@ class Realized(Protocol):
 
     @property
     def simulator(self) -> Simulator:
-        """With the compiled scene."""
+        """The simulator of the compiled scene."""
 
     def episode(self) -> Episode:
-        """Return a new episode, at its start."""
+        """A new episode, at its start."""
 
 
 class Motion:
     """A scene in motion. The same actions from the same realization give the same bits.
 
-    An action lasts some control ticks of 1/30 s. Over these, each joint's reference goes evenly from where the last
-    action left it to the new target, or as far towards it as its motor's speed allows; fingers likewise.
+    An action lasts some control ticks of 1/30 s. In these, each joint's reference moves evenly from the last target to
+    the new one, or as far as its motor's speed allows; fingers likewise.
 
     Attributes:
-        episode: which it lets act.
-        data: MuJoCo's present state, poses and contacts up to date.
+        data: MuJoCo's present state, with current poses and contacts.
 
     Args:
         ticks: control ticks an action.
@@ -56,7 +53,7 @@ class Motion:
         self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick
         self.episode = realization.episode()
         self.data = self.episode.data
-        # Cloth sways for long, and its own speed says little of it.
+        # Cloth sways long after all else is at rest.
         cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
         self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
         self._reference = self.state()
@@ -65,21 +62,21 @@ class Motion:
         )
 
     def state(self) -> Array:
-        """Joints (14,) in rad, and how far each gripper is open: 0 closed .. 1 open; the left arm's first."""
+        """Joints in rad and openings of the grippers, 0 closed .. 1 open, (14,); the left arm's first."""
         parts = []
-        for arm, fingers in zip(self._scene.arms, hands(self._scene.arms), strict=True):
+        for arm, fingers in zip(self._scene.arms, fingers_of(self._scene.arms), strict=True):
             opening = float(self.data.qpos[fingers.qpos[0]] * fingers.sign[0])
             parts += [self.data.qpos[arm.joint_qpos], [np.clip(opening / fingers.stroke, 0.0, 1.0)]]
         return np.concatenate(parts)
 
     @property
     def reference(self) -> Array:
-        """Where the last action left the references (14,), as in `state`."""
+        """The references (14,) at the end of the last action, as in `state`."""
         return self._reference.copy()
 
     def at_rest(self) -> bool:
-        """Whether arms, fingers and things are as good as still."""
-        fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in hands(self._scene.arms))
+        """Whether arms, fingers and stiff things are almost still."""
+        fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in fingers_of(self._scene.arms))
         return float(np.abs(self.data.qvel[self._stiff]).max()) <= _SLOW and fingers <= _FINGERS_SLOW
 
     def act(self, action: Array) -> None:
@@ -89,44 +86,44 @@ class Motion:
         goal = start + np.clip(np.asarray(action, dtype=float) - start, -most, most)
         for tick in range(self._ticks):
             before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
-            self.episode.step(self._told(before, after), (False,) * len(scene.arms))
+            self.episode.step(self._ctrl(before, after), (False,) * len(scene.arms))
         self._reference = goal
 
     def broken(self) -> str | None:
-        """Return what went wrong in physics itself, if anything did."""
+        """How physics broke down; None if it did not."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
-    def _told(self, before: Array, after: Array) -> Array:
-        """What the drives (arms, joints and gripper) are told on a tick, in which the references (14,) go so far."""
+    def _ctrl(self, before: Array, after: Array) -> Array:
+        """Commands to the drives (arms, joints and gripper) on a tick, from the references (14,) at both its ends."""
         rows = []
-        for k, (arm, fingers) in enumerate(zip(self._scene.arms, hands(self._scene.arms), strict=True)):
+        for k, (arm, fingers) in enumerate(zip(self._scene.arms, fingers_of(self._scene.arms), strict=True)):
             gripper = _ARM * k + ARM_JOINTS
             here = slice(_ARM * k, gripper)
             middle, speed = (before[here] + after[here]) / 2, (after[here] - before[here]) / self._tick
-            # A drive damps all motion: this makes up for it.
-            rows.append([*(middle + arm.kv / arm.kp * speed), told_opening(fingers, float(after[gripper]))])
+            # The term of the speed compensates the drive's damping.
+            rows.append([*(middle + arm.kv / arm.kp * speed), commanded_opening(fingers, float(after[gripper]))])
         return np.array(rows)
 
 
-def told_opening(fingers: SceneFingers, share: float) -> float:
-    """What a gripper's drive is told for a share, 0 closed .. 1 open: the opening of one finger, m."""
+def commanded_opening(fingers: SceneFingers, share: float) -> float:
+    """The command to a gripper's drive for a share, 0 closed .. 1 open: the opening of one finger, m."""
     low = fingers.ctrl_range[0]
     if share >= _PRESSES:
         return share * fingers.stroke
     return float(low + share / _PRESSES * (_PRESSES * fingers.stroke - low))
 
 
-def told_share(fingers: SceneFingers, opening: float) -> float:
-    """The share for which a gripper's drive is told an opening (m): the other way round."""
+def commanded_share(fingers: SceneFingers, opening: float) -> float:
+    """The share whose command to a gripper's drive is an opening (m); the inverse of `commanded_opening`."""
     low = fingers.ctrl_range[0]
     if opening >= _PRESSES * fingers.stroke:
         return float(min(1.0, opening / fingers.stroke))
     return float(max(0.0, _PRESSES * (opening - low) / (_PRESSES * fingers.stroke - low)))
 
 
-def hands(arms: Sequence[SceneArm]) -> list[SceneFingers]:
-    """The fingers of each arm; the station's have some."""
+def fingers_of(arms: Sequence[SceneArm]) -> list[SceneFingers]:
+    """The fingers of each arm of the station."""
     found = [arm.fingers for arm in arms if arm.fingers is not None]
     assert len(found) == len(arms), "the station's arms have fingers"
     return found

@@ -1,4 +1,4 @@
-"""Our own tasks as scenes: a trial's things at rest on the station's table, and our goal looked at as they move."""
+"""Tasks of yamsim as scenes of the station, each judged by its own goal."""
 
 from __future__ import annotations
 
@@ -18,26 +18,21 @@ from ..core.skills.program import program_of
 from ..core.types import Attempt, EpisodeJob
 from .scene import TICK_HZ
 
-#: The benchmark that scenes say they are of, and the kind of their goals.
+#: Name of the benchmark in the scenes' metadata, and the kind of their goals.
 BENCHMARK = "yamsim"
 GOAL_KIND = "yamsim_goal"
 
 
 @dataclass(frozen=True)
 class OwnRealization:
-    """A trial of one of our tasks, compiled and at rest. Close its simulator when it is not needed any more.
-
-    Attributes:
-        simulator: with the compiled scene and the cast.
-        attempt: with everything at rest.
-    """
+    """A trial of a yamsim task, compiled and at rest. Close its simulator after use."""
 
     simulator: Simulator
     attempt: Attempt
 
     @property
     def instruction(self) -> str:
-        """What is said."""
+        """The trial's task in words."""
         return self.attempt.phrasing or self.task.language_prompt
 
     @property
@@ -51,22 +46,22 @@ class OwnRealization:
         return self.simulator.config.task
 
     def episode(self) -> Episode:
-        """Return a new episode, which ends once the goal has held for its hold time."""
+        """A new episode, which ends once the goal has held for its hold time."""
         return open_episode(self.simulator, self.attempt, EpisodeRules(EndRule.SUCCESS))
 
     def program(self) -> list[Skill]:
-        """The skills that are to bring it to its goal, in order."""
+        """The expert's skills, in order."""
         return program_of(self.task, self.simulator.cast)
 
 
 def realize_own(session: Session, seed: int) -> OwnRealization:
-    """The first trial of a seed, as `yamsim trials --seed SEED --n 1` has it, by the station's control ticks.
+    """The first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
 
     Args:
         session: of the station and the task.
 
     Raises:
-        SimulationError: the scene cannot be compiled, or there is no room for its things.
+        SimulationError: the scene cannot be compiled, or its things have no room.
     """
     task = session.config.task
     steps = task.timing.physics_steps_per_tick

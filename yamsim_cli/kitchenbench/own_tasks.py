@@ -1,4 +1,4 @@
-"""Our own tasks as tasks of Inspect Robots: `yamsim/tower` and all others."""
+"""Tasks of yamsim as tasks of Inspect Robots, such as `yamsim/tower`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from functools import partial
 
 from inspect_robots import Epochs, Scene, Target, Task
 
-from .opening import open_base
 from .own import BENCHMARK, GOAL_KIND
+from .scene import open_base
 
-# Trials unless `--epochs` says otherwise: as many as KitchenBench asks of a scene.
-_TRIALS = 5
+_TRIALS = 5  # without `--epochs`; KitchenBench has as many of a scene
 
 
 def own_task(name: str) -> Task:
-    """One of our tasks: a scene whose trials differ by their seeds, and our own goal.
+    """A yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
 
     Raises:
         ConfigError: there is no such task.

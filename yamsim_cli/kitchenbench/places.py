@@ -1,4 +1,4 @@
-"""Where a scene of the benchmark asks for its things in our world, and where those go that cannot be there."""
+"""Places of a benchmark scene's things in `world`, and other places for things that cannot be there."""
 
 from __future__ import annotations
 
@@ -13,33 +13,30 @@ from ..core.attempt.simulator import Simulator
 from ..core.geometry.se3 import Array, inverse, pose, rotation_z
 from ..core.sim.world import world_of
 from ..core.tasks.casting import gap, outline
-from .catalog import COMPARTMENT
-from .linen import FOLD
+from .catalog import COMPARTMENT, FOLD
 
-#: The bench's origin lies so far ahead of the middle between the arms' bases, and so far to its left, m. Its scenes
-#: begin there, and go on to the right: so both arms' bases are where most of the things are, each on its side of x = 0.
+#: Position of the blueprints' origin in `world`: ahead and to the left of the middle between the arms' bases, m. Scenes
+#: extend from there to the right, so this centres most things before the arms.
 AHEAD, BESIDE = 0.35, 0.25
-#: Of scenes with cloth, which lies around the origin and takes both arms, in the middle between them.
+#: The same for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
-# What gives way to something does so in such steps, to a rack until it is so far beside it, m.
-_STEP, _BESIDE = 0.002, 0.005
-# The walls of a tray; and so much room beside them, for fingers, has what would lie on one, if there is as much; m.
-_WALL, _FINGERS = 0.005, (0.010, 0.003)
-# So much farther it may lie from where it was asked for, if it lies on nothing else there, m.
-_ALONE = 0.02
+_STEP = 0.002  # m, in which a thing is displaced
+_BESIDE = 0.005  # m, between a rack and a displaced thing
+_WALL = 0.005  # m, thickness of a tray's walls
+_FINGERS = (0.010, 0.003)  # m, room for fingers between a wall and a displaced thing; the second if the first fails
+_ALONE = 0.02  # m of further displacement that are accepted to avoid another thing
 
 
 def origin(blueprint: SceneBlueprint) -> tuple[float, float]:
-    """Where the origin of a scene's bench lies in `world`, m."""
+    """Position of a blueprint's origin in `world`, m."""
     return (CLOTH_AHEAD, CLOTH_BESIDE) if blueprint.target_kind == FOLD else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
-    """Where a blueprint asks for an object: pose (4, 4) in `world`, at the height of the bench's frame.
+    """The required pose (4, 4) of a blueprint's object in `world`, with z = 0 at the height of the table.
 
-    The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases and
-    `BESIDE` the middle between them, or where cloth is to be folded in the middle.
+    A blueprint's frame has x to the right, y ahead and z up; its origin is that of `origin`.
     """
     T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
     if item.parent is None:
@@ -49,8 +46,9 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
 
 def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """Where a blueprint asks for its things (4, 4), but of those that would stand in a rack's wire, or lie on a tray's
-    wall: these are beside it. Large things come first, since others may lie on them.
+    """The poses (4, 4) of a blueprint's things: the required ones, but for things in a rack's wire or on a tray's wall.
+
+    These are placed beside the wire or the wall. Large things come first, since others may lie on them.
 
     Args:
         simulator: of a scene with the same things.
@@ -73,7 +71,7 @@ def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Ar
             free = [] if name == tray else _beside_walls(places[name], room[name], places[tray], room[tray], middles)
             if free:
                 others = [outline(room[other], places[other]) for other in places if other not in (name, tray)]
-                places[name] = min(free, key=partial(_trouble, places[name], room[name], others))
+                places[name] = min(free, key=partial(_cost, places[name], room[name], others))
                 _make_room(name, places, wanted, room, tray)
     return places
 
@@ -81,7 +79,7 @@ def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Ar
 def _make_room(
     name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
 ) -> None:
-    """Move those beside a tray that would now lie under a thing, and were not asked to, until they lie beside it."""
+    """Displace the things beside a tray that would lie under a thing, unless the blueprint requires the overlap."""
     for other, T in places.items():
         if other in (name, tray) or gap(outline(room[other], T), outline(room[tray], places[tray])) < 0:
             continue
@@ -94,19 +92,19 @@ def _make_room(
             _make_room(other, places, wanted, room, tray)
 
 
-def _trouble(T_asked: Array, block: Array, others: Sequence[Array], T: Array) -> float:
-    """How far a thing at (4, 4) is from where it was asked for, m, and more for each other thing that it lies on."""
+def _cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
+    """The cost of a pose (4, 4): its distance from the required one, m, and `_ALONE` for each overlap."""
     overlaps = sum(gap(outline(block, T), other) < 0 for other in others)
-    return float(np.linalg.norm(T[:2, 3] - T_asked[:2, 3])) + _ALONE * overlaps
+    return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _ALONE * overlaps
 
 
 def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
-    """Where a thing (4, 4) can lie that would lie on a wall of a tray: in its cells, or beside it; the nearest first.
+    """Poses (4, 4) of a thing in a tray's compartments or beside the tray, the nearest first.
 
     Args:
-        T: where it is asked for (4, 4). Where that is beside all walls, there is no need for others.
-        block, tray: corners (2, 3) of the blocks around both, in their frames, m.
-        middles: of the tray's cells, x in its frame, m.
+        T: required pose (4, 4). If it overlaps no wall, there are no other poses.
+        block, tray: corners (2, 3) of both bounding boxes, in their own frames, m.
+        middles: of the tray's compartments, x in its frame, m.
     """
     T_in_tray = inverse(T_tray) @ T
     half = np.abs(T_in_tray[:2, :2]) @ ((block[1] - block[0])[:2] / 2)

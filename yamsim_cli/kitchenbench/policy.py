@@ -1,4 +1,4 @@
-"""An expert for the benchmark's tasks and our own: it knows which realization it is in, and plans in its twin."""
+"""An expert for the benchmark's tasks and yamsim's, which plans in its own simulation of the same realization."""
 
 from __future__ import annotations
 
@@ -30,67 +30,62 @@ from ..core.skills.program import RecoveryLog, run_program
 from ..core.tasks.randomness import Stream, generator
 from ..core.types import EpisodeJob
 from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
-from .motion import Motion, hands, told_share
-from .opening import open_base
+from .motion import Motion, commanded_share, fingers_of
 from .own import BENCHMARK, OwnRealization, realize_own
 from .programs import program_of
-from .scene import TICK_HZ, Realization, realize
+from .scene import TICK_HZ, Realization, open_base, realize
 
-# Nothing but what follows from rounding may differ between the twin and what is observed, rad and shares.
-_SAME = 1e-6
-
-# So far may a joint come off its path between two actions, rad: at an arm's length, 5 mm.
-_OFF_PATH = 0.01
-
-# After a motion, what still moves is waited for by so many actions at most.
-_WAITS = 2
+_SAME = 1e-6  # rad and shares, by which the observed state may differ from the expert's simulation: rounding
+_OFF_PATH = 0.01  # rad, by which a joint may leave its path between two actions: 5 mm at an arm's length
+_MAX_WAITS = 2  # actions after a motion, until everything is at rest
 
 _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Does the benchmark's tasks, and our own, by skills, planned in a twin of the scene, by its number.
+    """Plans skills for the benchmark's tasks and yamsim's in a simulation of the realization, by the observed seed.
 
-    That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
-    left; after three times, the arms stay where they are.
+    The seed is privileged: no other policy may use it. A skill that fails is tried again from the state that it left.
+    After three failures the arms stay where they are.
     """
 
     def __init__(self) -> None:
         self.config = PolicyConfig()
         self._base = open_base("64x48", images=False)
         self._scene: Scene | None = None
-        self._twin: Twin | None = None
+        self._planning: PlanningScene | None = None
         self._bind(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
-        """Take over how long the embodiment's actions last."""
+        """Set the duration of actions to that of the embodiment."""
         self._bind(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
-        """Begin a scene; which realization of it is told by its first observation."""
+        """Begin a scene; its first observation has the seed of the realization."""
         self.close()
         self._scene = scene
 
     def act(self, observation: Observation) -> ActionChunk:
-        """The actions of the next motion; when there is none any more, one that stays.
+        """The actions of the next motion; after the last motion, an action that holds the joints.
 
         Raises:
-            RuntimeError: the scene is not where its twin is, so that actions were changed on their way.
+            RuntimeError: the observed joints differ from the expert's simulation, so that actions were changed.
         """
         assert self._scene is not None, "reset comes first"
-        if self._twin is None:
+        if self._planning is None:
             seed = int(observation.state[SEED][0])
-            self._twin = Twin(self._realize(self._scene, seed), seed, self._ticks)
-        off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
+            self._planning = PlanningScene(self._realize(self._scene, seed), seed, self._ticks)
+        planning = self._planning
+        off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.state()).max())
         if off > _SAME:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
-        return ActionChunk([Action(action) for action in self._twin.next_actions()], control_hz=self.info.control_hz)
+        return ActionChunk([Action(action) for action in planning.next_actions()], control_hz=self.info.control_hz)
 
     def close(self) -> None:
-        """Free the twin."""
-        if self._twin is not None:
-            self._twin.close()
-            self._twin = None
+        """Free the expert's simulation."""
+        if self._planning is not None:
+            self._planning.close()
+            self._planning = None
 
     def _realize(self, scene: Scene, seed: int) -> Realization | OwnRealization:
         if scene.metadata.get("benchmark") == BENCHMARK:
@@ -107,16 +102,16 @@ class YamsimExpert:
         )
 
 
-class Twin:
-    """The same realization, moved by the same actions, in which skills find what they plan from.
+class PlanningScene:
+    """A second simulation of a realization, moved by the same actions, whose state skills plan from.
 
     Attributes:
         motion: of the realization.
         bench: what skills plan with.
 
     Args:
-        seed: the realization's number, for searches.
-        ticks: control ticks an action.
+        seed: of the realization, for random searches.
+        ticks: control ticks of an action.
     """
 
     def __init__(self, realized: Realization | OwnRealization, seed: int, ticks: int) -> None:
@@ -135,19 +130,19 @@ class Twin:
         self.do(program, simulator.cast)
 
     def do(self, program: Sequence[Skill], cast: Cast) -> None:
-        """Begin a program: the next actions are those of its motions."""
+        """Begin a program, whose motions give the next actions."""
         self._segments = chain(run_program(program, self.bench, cast, RecoveryLog()), park_free(self.bench))
 
     def next_actions(self) -> list[Array]:
-        """The actions of the next motion, which have already acted in the twin."""
+        """The actions of the next motion, which have already acted in this simulation."""
         segment = self._next_segment()
         while segment is not None and is_still(segment) and self.motion.at_rest():
             segment = self._next_segment()
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
-        # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
-        most = len(actions) + (_WAITS if segment is None or segment.arrives else 0)
+        # Arms lag behind the references, and the next skill plans from a state at rest.
+        most = len(actions) + (_MAX_WAITS if segment is None or segment.arrives else 0)
         while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
@@ -161,47 +156,47 @@ class Twin:
             return None
 
     def close(self) -> None:
-        """Free the scene."""
+        """Free the simulation and what the skills have kept."""
+        self.bench.forget()
         self._simulator.close()
 
 
 def is_still(segment: Segment) -> bool:
-    """Whether it but waits for what moves to come to rest."""
+    """Whether a segment only waits for things to come to rest."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip)
     )
 
 
 def _straight_until(joints: Array, first: int, last: int) -> int:
-    """The last tick, up to `last`, to which a straight line keeps to a path (n + 1, dof) from its tick `first` on."""
+    """The last tick, up to `last`, to which a straight line from tick `first` follows a path (n + 1, dof)."""
     while last > first + 1:
-        way = joints[last] - joints[first]
+        chord = joints[last] - joints[first]
         between = joints[first + 1 : last] - joints[first]
-        share = np.clip(between @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-        if np.abs(between - share[:, None] * way).max() <= _OFF_PATH:
+        share = np.clip(between @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
+        if np.abs(between - share[:, None] * chord).max() <= _OFF_PATH:
             break
         last -= 1
     return last
 
 
 def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
-    """The actions (14,) that make the arms follow a segment: what is told them after every so many of its ticks.
+    """The actions (14,) that make the arms follow a segment.
 
-    Between two actions references go straight. So where a path has a bend, they come closer together, and the arm is
-    slower there.
+    Between two actions references move straight. Where a path bends, actions are closer together, and the arm slower.
     """
-    fingers_of_both = hands([hand.arm for hand in bench.hands])
+    fingers_of_both = fingers_of([hand.arm for hand in bench.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
         for hand, fingers, path in zip(bench.hands, fingers_of_both, segment.paths, strict=True):
-            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.
-            # What it takes to speed up or slow down is none of that: it would stay when the motion is over.
+            # A drive is a spring towards its command, which therefore includes the deflection by the weight that the
+            # arm bears. Accelerations are not compensated: their deflection would remain after the motion.
             arm = hand.arm
             joints = path.joints[tick] + bench.bearing(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
-            told = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
-            share = told_share(fingers, float(np.clip(told, *fingers.ctrl_range)))
+            opening = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
+            share = commanded_share(fingers, float(np.clip(opening, *fingers.ctrl_range)))
             parts += [np.clip(joints, arm.joint_range[:, 0], arm.joint_range[:, 1]), [share]]
         yield np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""What an expert does in a scene of the benchmark: skills, by the kind of its goal."""
+"""The expert's skills for a scene of the benchmark, by the kind of its goal."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from ..core.skills.base import Skill
 from ..core.skills.handover import Handover
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
-from .folding import FoldSmall, asked_area
-from .linen import CRUMPLED, in_thirds
+from .catalog import CRUMPLED, in_thirds
+from .folding import FoldSmall, required_area
 from .places import T_in_world
 from .sorting import Sort
 
-# Between a dish and the bow at an end of the rack, so much is left free, m.
-_BOW = 0.008
-# A thing that is stacked falls so far: fingers around its rim are lower than it, m.
-_DROP = 0.02
-# Cutlery is let go so high over a plate, m: about as high as its rim, which is what the benchmark calls its top.
-_LET_FALL = 0.015
-# Before the kind of cutlery that a compartment is for.
-_FOR = "compartment_"
+_BOW = 0.008  # m, between a dish and the bow at an end of the rack
+_DROP = 0.02  # m, that a stacked thing falls, since the fingers around its rim reach below it
+_LET_FALL = 0.015  # m over a plate, where cutlery is released: the height of the rim, the plate's top in the benchmark
+_FOR = "compartment_"  # before the kind of cutlery in a compartment's name
 
 
 def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]) -> list[Skill]:
-    """The skills that are to bring a scene to its goal, in order.
+    """The skills for a scene's goal, in order.
 
     Args:
-        items: what the blueprint's objects are here, by their names.
-        bases: where the arms stand (2,), in `world`, m.
+        items: name of a blueprint's object -> its config.
+        bases: positions (2,) of the arms' bases in `world`, m.
 
     Raises:
         LookupError: there is no expert for goals of its kind.
@@ -63,8 +59,8 @@ def _folded(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth:
     sheet = items[cloth].cloth
     assert sheet is not None, "folds are of cloth"
     item = next(one for one in blueprint.objects if one.name == cloth)
-    asked, thirds = asked_area(blueprint, item, sheet), in_thirds(blueprint, item)
-    return [FoldSmall(thing=cloth, area=asked, thirds=thirds, crumpled=CRUMPLED in blueprint.conditions)]
+    area, thirds = required_area(blueprint, item, sheet), in_thirds(blueprint, item)
+    return [FoldSmall(thing=cloth, area=area, thirds=thirds, crumpled=CRUMPLED in blueprint.conditions)]
 
 
 def _put(thing: str, placing: Skill) -> list[Skill]:
@@ -72,21 +68,22 @@ def _put(thing: str, placing: Skill) -> list[Skill]:
 
 
 def _in_its_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
-    """Upright over the middle of the slot that a scene asks for, or of the nearest one where it fits between the bows.
+    """Place a dish upright in the required slot, or in the nearest one where it fits between the bows.
+
     Slots are counted from the left.
     """
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
     room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
-    asked = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
+    required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
     fitting = slots[np.abs(slots) <= room]
-    x = min(fitting, key=lambda slot: abs(slot - asked), default=0.0)
+    x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
     return Place(thing=item, on=rack, at=(float(x), 0.0))
 
 
 def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
-    """By the arm that does not receive it, where the scene says which one does."""
+    """Pick by the other arm than the receiving one, if the scene names one, and hand over."""
     height = float(blueprint.conditions.get("handoff_height_cm", 22.0)) / 100
     match str(blueprint.success_params.get("receiving_arm", "either")):
         case "left":
@@ -97,14 +94,14 @@ def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
 
 
 def _stacked(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
-    """Onto the largest; of equal ones, onto the one for which arms have to reach least far. The larger come first."""
+    """Stack onto the largest thing, or of equal ones onto the one with the shortest reach; larger things first."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
     def farthest(below: str) -> float:
-        """How far an arm has to reach at most, where each thing is brought by the one that suits it."""
-        ways = ((places[name], places[below]) for name in names if name != below)
-        return max(min(max(float(np.linalg.norm(end - base)) for end in way) for base in bases) for way in ways)
+        """The longest reach of an arm, m, if the nearer arm brings each thing."""
+        paths = ((places[name], places[below]) for name in names if name != below)
+        return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 
     below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
     others.sort(key=lambda name: (-_width(items[name]), _apart(places, name, below)))

@@ -1,4 +1,4 @@
-"""The benchmark's scenes as tasks of ours: for recordings, which then need the benchmark no more."""
+"""Scenes of the benchmark as yamsim tasks, for recordings that do not need the benchmark."""
 
 from __future__ import annotations
 
@@ -19,32 +19,26 @@ from ..core.errors import UsageError, suggest
 from ..core.goals.world import TABLE
 from ..core.skills.base import Skill
 from ..core.skills.program import SKILLS
-from .opening import STATION, open_base
 from .places import free_places
 from .programs import program_of
-from .scene import realize, table_of
+from .scene import STATION, open_base, realize, table_of
 
-# A task has at most so many of a scene's realizations, among so many of the benchmark's epochs.
-_MOST, _EPOCHS = 100, 600
-
-# The goal has to hold so long at the end, s; the benchmark's checkers ask for one moment.
-_FOR_S = 0.5
-
-# Goals that recordings know. Sorting asks for compartments, which are no things.
-_KINDS = ("place_on", "stack", "place_in", "handoff")
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # realizations of a scene in a task, out of this many epochs
+_FOR_S = 0.5  # s, hold time of the goal; the benchmark's checkers require a single state
+_KINDS = ("place_on", "stack", "place_in", "handoff")  # kinds of goals; sorting needs compartments, which are no things
 
 
 def task_of(name: str) -> dict[str, Any]:
-    """The task of a scene, as a task's YAML has it.
+    """The task of a scene, as the data of a task's YAML.
 
-    Its things, their sizes, what is said and the program are those of one realization of the scene; its arrangements
-    are all realizations among the first ones that have the very same things.
+    Things, sizes, the phrasing and the expert are those of one realization of the scene. The arrangements are the
+    realizations with the same things among the first epochs.
 
     Args:
         name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
 
     Raises:
-        UsageError: there is no such scene, or none that can be recorded.
+        UsageError: there is no such scene, or it cannot be recorded.
     """
     scene, epoch = _scene(name)
     first = _blueprint(scene, epoch)
@@ -66,7 +60,7 @@ def task_of(name: str) -> dict[str, Any]:
             if _things(blueprint) == _things(first):
                 places = free_places(realized.simulator, blueprint)
                 arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
-            if len(arrangements) == _MOST:
+            if len(arrangements) == _MAX_ARRANGEMENTS:
                 break
     finally:
         realized.simulator.close()
@@ -105,7 +99,7 @@ def _epochs(first: int) -> Iterator[int]:
 
 
 def _seed(scene: Scene, epoch: int) -> int:
-    """As Inspect Robots derives it of its seed 0."""
+    """The seed of an epoch that Inspect Robots derives from its seed 0."""
     return int(derive_seed(0, scene.init_seed, epoch))
 
 
@@ -119,7 +113,7 @@ def _things(blueprint: SceneBlueprint) -> tuple[object, ...]:
 
 
 def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
-    """Thing, and where its origin lies in `world`: x and y to 0.01 mm, its heading to 0.01 degrees."""
+    """A thing's name, and its origin in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
     name, T = place
     turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
     return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
@@ -134,7 +128,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """What the benchmark's own checker asks for."""
+    """The goal that is equivalent to the benchmark's own checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

@@ -1,10 +1,13 @@
-"""A scene of the benchmark as one of ours: its things on the station's table, at rest."""
+"""The station's session, and scenes of the benchmark realized on its table, with all things at rest."""
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
@@ -18,52 +21,72 @@ from ..core.config.things.thing import ObjectConfig
 from ..core.episode.episode import Episode
 from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.goals.cast import Cast
+from ..core.opener import Opener, parse_size
 from ..core.planning.arm_tools import start_stands
 from ..core.scene.compiled import CompiledScene
 from ..core.session import Session
 from ..core.sim.settle import settle
 from ..core.sim.world import Region, SimWorld
 from ..core.types import Layout
-from .catalog import COMPARTMENT, thing_of
-from .linen import CRUMPLED, FOLD, SHEETS, crumpled_start, laid, sheet_of
+from .catalog import COMPARTMENT, CRUMPLED, FOLD, SHEETS, crumpled_start, sheet_of, table_for_sheet, thing_of
 from .places import BESIDE, T_in_world, free_places, origin
+
+STATION = "yam_station_linear_4310_d405"
+TICK_HZ = 30  # Hz, of control ticks
 
 #: Kinds of goals that are realized.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
+_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another thing
 
-# The kind of goal for which a cup goes into nothing.
-_HANDED_OVER = "handoff"
+_ANY_TASK = "tower"  # a scene of the benchmark replaces the session's task
+_STEPS, _CLOTH_STEPS = 16, 8  # physics steps a tick, and in scenes with cloth
 
-#: The rate of control ticks, Hz.
-TICK_HZ = 30
-# Physics steps a tick, and of scenes with cloth.
-_STEPS, _CLOTH_STEPS = 16, 8
+_EDGE = 0.10  # m, from a scene's things to the edge of a table that is widened for them
+_OVER = 0.5  # m over the table, from where things are let down
+_AWAY = 2.0  # m, between things above the table until they are let down
+_GAP = 0.001  # m, that things fall at the end
+_TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
+_OFF = 5.0  # mm; a thing that rests farther from its required place is reported as unrealized
 
-# A table that a scene needs wider than it is ends so far beside its things, m.
-_EDGE = 0.10
-# Things are let down from so high over the table, wait for that so far apart above it, and fall the last bit, m.
-_OVER, _AWAY, _GAP = 0.5, 2.0, 0.001
-# The floor of our tray's compartments, m.
-_TRAY_FLOOR = 0.005
-
-# What a blueprint asks for that is a matter of how a policy does it, and what has a physics of its own here.
+# Conditions of a blueprint that depend on how a policy acts, and conditions that are realized.
 _UP_TO_THE_POLICY = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
 _REALIZED = frozenset({"slot_width_cm", CRUMPLED})
 
+_LOG = logging.getLogger("yamsim")
+_OPENER = Opener(os.environ, _LOG.warning, "{}=".format)
+
+
+def open_base(size: str, *, images: bool, quality: str = "fast", task: str = _ANY_TASK) -> Session:
+    """A session of the station.
+
+    Args:
+        task: a task of yamsim; scenes of the benchmark replace it.
+
+    Raises:
+        UsageError: the size, the quality or the task is not valid.
+        ResourceError: images are requested, and nothing can be rendered here.
+    """
+    given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
+    where = _OPENER.locations()
+    if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
+        # Actions of Inspect Robots have no magnet.
+        given["grasp"] = "contact"
+    if images:
+        return _OPENER.open("default", parallel=False, **given)
+    return Session(_OPENER.config("default", where, **given), where).without_meshes()
+
 
 @dataclass(frozen=True)
 class Realization:
-    """A scene of the benchmark, compiled and at rest. Close its simulator when it is not needed any more.
+    """A scene of the benchmark, compiled and at rest. Close its simulator after use.
 
     Attributes:
-        blueprint: what was asked for.
-        simulator: with the compiled scene.
         start: MuJoCo's positions (nq,) with everything at rest.
-        regions: name -> the part of a thing that a blueprint's object is.
-        offsets_mm: thing -> how far from where the blueprint asks for it it came to rest, seen from above.
-        unrealized: what the blueprint asks for that is not given, as sentences.
+        regions: name of a blueprint's object that is a part of a thing -> that part.
+        offsets_mm: thing -> horizontal distance from its required place to where it rests, mm.
+        unrealized: requirements of the blueprint that are not realized, as sentences.
     """
 
     blueprint: SceneBlueprint
@@ -75,21 +98,21 @@ class Realization:
 
     @property
     def items(self) -> dict[str, ObjectConfig]:
-        """What the blueprint's things are here, by their names."""
+        """Name of a blueprint's thing -> its config."""
         return {item.name: item for item in self.simulator.config.task.objects}
 
     @property
     def bases(self) -> list[Array]:
-        """Where the arms stand (2,), in `world`, m."""
+        """Positions (2,) of the arms' bases in `world`, m."""
         return [arm.T_base_in_world[:2, 3] for arm in self.simulator.scene.arms]
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Of the scene's arms."""
+        """The sides of the scene's arms."""
         return sides(self.simulator.config)
 
     def episode(self) -> Episode:
-        """Return a new episode, which the benchmark's checker judges."""
+        """A new episode, without a goal: the benchmark's checker judges."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
         return Episode(
             scene,
@@ -104,14 +127,14 @@ class Realization:
 
 
 def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
-    """The scene that a blueprint asks for.
+    """The scene of a blueprint.
 
     Args:
         base: a session of the station, whose task is replaced.
 
     Raises:
-        LookupError: the blueprint has something that is not realized.
-        SimulationError: its scene cannot be compiled.
+        LookupError: the blueprint has a kind of goal or an object that is not realized.
+        SimulationError: the scene cannot be compiled.
     """
     if blueprint.target_kind not in KINDS:
         raise LookupError(
@@ -142,7 +165,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
 
 
 def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
-    """Where the middle of a thing is (2,) at MuJoCo's positions (nq,), m."""
+    """Horizontal position (2,) of a thing at MuJoCo's positions (nq,), m."""
     if name in scene.cloths:
         middle: Array = scene.cloths[name].points(qpos)[:, :2].mean(axis=0)
         return middle
@@ -151,7 +174,7 @@ def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
 
 
 def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
-    """The scene as a task of ours. Its goal and its expert are never asked: the benchmark's checker judges."""
+    """The scene as a task. Its goal and its expert are placeholders: the benchmark's checker judges."""
     first = next(iter(objects))
     folds = objects[first].cloth is not None
     steps = _CLOTH_STEPS if any(item.cloth is not None for item in objects.values()) else _STEPS
@@ -173,20 +196,20 @@ def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str,
 
 
 def table_of(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
-    """The table, wide enough for all that a scene puts onto it: some ask for more than the arms reach."""
+    """The table, widened where a scene's things need that."""
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
     if blueprint.target_kind == FOLD:
         for item in things:
-            table = laid(table, item, origin(blueprint))
+            table = table_for_sheet(table, item, origin(blueprint))
         return table
     reach = (
         max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
         / 100
     )
-    wide = table.half_size[1] + config.rig.span / 2
-    return table.widened(max(0.0, 2 * (reach + _EDGE - wide)))
+    half_width = table.half_size[1] + config.rig.span / 2
+    return table.widened(max(0.0, 2 * (reach + _EDGE - half_width)))
 
 
 def _cast(blueprint: SceneBlueprint) -> Cast:
@@ -207,9 +230,9 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, Region]:
 
 
 def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
-    """MuJoCo's positions (nq,) with everything let down on what is below it, one thing after the other."""
+    """MuJoCo's positions (nq,) with all things let down, one after the other, onto what is below them."""
     scene, top = simulator.scene, simulator.config.table.top
-    # Until its turn comes, each thing is where nothing else is.
+    # Things that are not let down yet are far from all others.
     away = {name: pose((0.0, 0.0, top + _AWAY * (k + 1))) for k, name in enumerate(wanted)}
     qpos = scene.start_qpos(Layout(away), start_stands(simulator.config))
     for name, T_wanted in wanted.items():
@@ -224,21 +247,17 @@ def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
     return qpos
 
 
-# From here on, a thing does not lie where it was asked for, mm.
-_OFF = 5.0
-
-
 def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
-    """What a blueprint asks for, and is not given: sentences for a log."""
-    said = []
+    """The requirements of a blueprint that are not realized, as sentences for a log."""
+    lines = []
     for name, value in blueprint.conditions.items():
         if name in _UP_TO_THE_POLICY:
-            said.append(f"{name}={value}: up to the policy; nothing holds it to that")
+            lines.append(f"{name}={value}: up to the policy; nothing holds it to that")
         elif name not in _REALIZED:
-            said.append(f"{name}={value}: not realized")
+            lines.append(f"{name}={value}: not realized")
     for item in blueprint.objects:
         if item.amount_g is not None:
-            said.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
+            lines.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
         if (off := offsets.get(item.name, 0.0)) > _OFF:
-            said.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
-    return tuple(said)
+            lines.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
+    return tuple(lines)

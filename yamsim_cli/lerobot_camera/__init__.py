@@ -1,6 +1,6 @@
-"""Cameras of LeRobot's that see the arms which `yamsim serve-robot --cameras` simulates: `type: yamsim`.
+"""LeRobot cameras with the pictures of `yamsim serve-robot --cameras`: `type: yamsim`.
 
-Importing this makes the type known to LeRobot.
+Importing the package registers the type with LeRobot.
 """
 
 from .camera import YamsimCamera

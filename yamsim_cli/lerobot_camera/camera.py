@@ -1,4 +1,4 @@
-"""A simulated camera as LeRobot reads cameras."""
+"""A simulated camera with the interface of LeRobot's cameras."""
 
 from __future__ import annotations
 
@@ -15,31 +15,29 @@ from ..camera_reader import CameraReader, Picture, served_cameras
 from ..core.errors import ResourceError, YamsimError
 from .config import YamsimCameraConfig
 
-# How long `read` waits, s.
-_READ_S = 5.0
+_READ_S = 5.0  # s, that `read` waits for a picture
 
 
 class YamsimCamera(Camera):
-    """What one of the cameras sees of the arms that `yamsim serve-robot --cameras` simulates."""
+    """A camera of `yamsim serve-robot --cameras`."""
 
     def __init__(self, config: YamsimCameraConfig) -> None:
         super().__init__(config)
         self.config = config
         self._reader: CameraReader | None = None
-        # Number of the picture that was read last.
-        self._last = -1
+        self._last = -1  # number of the picture that was read last
 
     def __str__(self) -> str:
         return f"YamsimCamera({self.config.camera})"
 
     @property
     def is_connected(self) -> bool:
-        """Whether it is."""
+        """Whether the camera is connected."""
         return self._reader is not None
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """The cameras that are served in the usual folder."""
+        """The cameras that are served in the default folder."""
         try:
             found = served_cameras()
         except ResourceError:
@@ -55,12 +53,12 @@ class YamsimCamera(Camera):
         ]
 
     def connect(self, warmup: bool = True) -> None:
-        """Find the camera, and with `warmup` wait for a picture.
+        """Connect to the server, and with `warmup` wait for a picture.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
-            ConnectionError: nothing is served, or not this camera.
-            ValueError: its pictures are not what the config expects.
+            DeviceAlreadyConnectedError: the camera is connected.
+            ConnectionError: nothing is served, or there is no such camera.
+            ValueError: the served pictures differ from the config.
         """
         if self._reader is not None:
             raise DeviceAlreadyConnectedError(f"{self} is already connected")
@@ -85,28 +83,28 @@ class YamsimCamera(Camera):
         """The next picture (height, width, 3) that was not read yet; waits for it.
 
         Raises:
-            DeviceNotConnectedError: it is not connected, or the server has ended.
-            TimeoutError: no picture came.
+            DeviceNotConnectedError: the camera is not connected, or the server has ended.
+            TimeoutError: no picture arrived in time.
         """
         return self._new(_READ_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
-        """The newest picture (height, width, 3) if it was not read yet, else the next one. Raises as `read`."""
+        """The newest picture (height, width, 3) that was not read yet; waits for it. Raises as `read`."""
         return self._new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
-        """The newest picture (height, width, 3), read or not. Raises as `read`, also for one that is older."""
-        picture = self._ask(-1, _READ_S)
+        """The newest picture (height, width, 3), read or not. Raises as `read`, also for an older picture."""
+        picture = self._picture_after(-1, _READ_S)
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:
             raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms} ms")
         return self._coloured(picture)
 
     def disconnect(self) -> None:
-        """Hang up.
+        """Close the connection.
 
         Raises:
-            DeviceNotConnectedError: it is not connected.
+            DeviceNotConnectedError: the camera is not connected.
         """
         if self._reader is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
@@ -114,11 +112,11 @@ class YamsimCamera(Camera):
         self._reader = None
 
     def _new(self, timeout: float) -> NDArray[Any]:
-        picture = self._ask(self._last, timeout)
+        picture = self._picture_after(self._last, timeout)
         self._last = picture.number
         return self._coloured(picture)
 
-    def _ask(self, after: int, timeout: float) -> Picture:
+    def _picture_after(self, after: int, timeout: float) -> Picture:
         if self._reader is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
         try:

@@ -1,4 +1,4 @@
-"""What LeRobot is told of a simulated camera."""
+"""The LeRobot config of a simulated camera."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ class YamsimCameraConfig(CameraConfig):
     """A camera of `yamsim serve-robot --cameras`.
 
     Attributes:
-        camera: its name there, such as "top".
-        folder: that `serve-robot` was given with `--folder`; its default unless given.
-        color_mode: of pictures.
-        fps, width, height: what is expected of them; what is served unless given.
+        camera: a name that `serve-robot` prints, such as "top".
+        folder: the value of `serve-robot --folder`; by default its default.
+        fps, width, height: expected values; by default the served ones.
     """
 
     camera: str

@@ -1,4 +1,4 @@
-"""yamsim's tasks as environments of LeRobot, which imports this package to find them: `--env.type=yamsim`."""
+"""yamsim's tasks as environments of LeRobot, which finds them by this package's name: `--env.type=yamsim`."""
 
 from .config import YamsimEnvConfig
 from .environment import YamsimEnv

@@ -1,4 +1,4 @@
-"""What `--env.type=yamsim` takes, and the environments that come of it."""
+"""The config of `--env.type=yamsim`, which makes the environments."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from .environment import ENVIRONMENT, STATE, YamsimEnv, read_settings
 @EnvConfig.register_subclass("yamsim")
 @dataclass
 class YamsimEnvConfig(EnvConfig):
-    """One or several of yamsim's tasks. What is left out is as `yamsim record` has it.
+    """One or several yamsim tasks. The default of each setting is that of `yamsim record`.
 
-    Observations and actions are called and measured as `yamsim export lerobot` has them, so that a policy that was
-    trained on an export fits. Seed `s` of LeRobot's is trial `s` of the seed `trials_of`: the start that `yamsim eval
-    --seed` of that seed has there.
+    Observations and actions have the names and units of `yamsim export lerobot`, so a policy that was trained on an
+    export fits. LeRobot's seed `s` is trial `s` of the seed `trials_of`, with the start of `yamsim eval --seed` of that
+    seed.
 
     Attributes:
-        task: a task of yamsim's, or several with commas between them.
-        fps: frames a second, of which each has one action: those of the recordings that a policy was trained on.
+        task: a yamsim task, or several with commas between them.
+        fps: frames a second, each with one action: the rate of the recordings that a policy was trained on.
         action: "drives", which ends in each arm's weld, or "joints", with grippers as shares.
         size: width and height of pictures, px.
-        cameras: which to show, in order.
-        pictures: whether policies are shown any; videos are made in any case.
-        environment_state: whether policies are told where things are.
+        cameras: in order.
+        pictures: whether observations have pictures; videos are made in any case.
+        environment_state: whether observations have the poses of things.
         trials_of: seed of the trials.
-        max_frames: a trial's longest; as long as the task's `time_limit_s`, unless given.
+        max_frames: limit of a trial's frames; by default that of the task's `time_limit_s`.
         rig, arm, grasp, quality, randomize, config: as the flags of `yamsim record`.
     """
 
@@ -56,10 +56,10 @@ class YamsimEnvConfig(EnvConfig):
     max_frames: int | None = None
 
     def __post_init__(self) -> None:
-        """Fill in what policies are shown, from the configs alone.
+        """Set the features of observations and actions, from configs alone.
 
         Raises:
-            ValueError: a setting is not valid, or one policy cannot do all the tasks.
+            ValueError: a setting is not valid, or the tasks need different policies.
         """
         forms = {task: read_settings(settings) for task, settings in self._settings().items()}
         first, form = next(iter(forms.items()))
@@ -76,7 +76,7 @@ class YamsimEnvConfig(EnvConfig):
             self.features[key] = PolicyFeature(type=kind, shape=(len(names),))
             self.features_map[key] = theirs
         for camera, shape in form.cameras.items() if self.pictures else ():
-            # Of pictures, recordings of trials know them by this name alone.
+            # Recordings of trials know pictures by this name alone.
             key = f"{OBS_IMAGES}.{camera}"
             self.features[key] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)
             self.features_map[key] = key
@@ -87,9 +87,9 @@ class YamsimEnvConfig(EnvConfig):
         return {}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
-        """Task -> 0 -> so many environments of it, in processes of their own if that is asked for.
+        """Task -> 0 -> `n_envs` environments, in separate processes if requested.
 
-        A task's processes start when its first trial does, so that those of several tasks do not run all at once.
+        A task's processes start with its first trial, so that the processes of several tasks do not run at once.
         """
         made: dict[str, dict[int, VectorEnv]] = {}
         for task, settings in self._settings().items():
@@ -109,7 +109,7 @@ class YamsimEnvConfig(EnvConfig):
         return made
 
     def _shown(self, form: StationForm) -> tuple[object, ...]:
-        """What of a station a policy depends on."""
+        """The parts of a station's form that a policy depends on."""
         return (
             form.state,
             form.action,
@@ -118,7 +118,7 @@ class YamsimEnvConfig(EnvConfig):
         )
 
     def _settings(self) -> dict[str, StationSettings]:
-        """Task -> the station where it is done."""
+        """Task -> settings of its station."""
         tasks = [task.strip() for task in (self.task or "").split(",") if task.strip()]
         if not tasks:
             raise ValueError("--env.task is empty: give a task, such as pickplace; `yamsim tasks list` shows them")

@@ -1,8 +1,9 @@
-"""A task of yamsim's as a gymnasium environment with the observations that LeRobot knows."""
+"""A yamsim task as a gymnasium environment with LeRobot's observations."""
 
 from __future__ import annotations
 
 import logging
+from fractions import Fraction
 from typing import Any
 
 import gymnasium
@@ -13,9 +14,7 @@ from numpy.typing import NDArray
 from yamsim_cli import UsageError, YamsimError
 from yamsim_cli.station import Station, StationForm, StationSettings
 
-from .rate import rate_of
-
-# Keys by which LeRobot knows an observation's parts.
+# LeRobot's keys of an observation.
 STATE, PICTURES, ENVIRONMENT = "agent_pos", "pixels", "environment_state"
 
 Observation = dict[str, Any]
@@ -23,11 +22,34 @@ Observation = dict[str, Any]
 _log = logging.getLogger(__name__)
 
 
+class Rate(float):
+    """A frame rate with a numerator and a denominator: LeRobot hands rates to JSON, and to PyAV, which needs both."""
+
+    @property
+    def numerator(self) -> int:
+        """Of the nearest fraction with a small denominator."""
+        return self._fraction.numerator
+
+    @property
+    def denominator(self) -> int:
+        """Of the same fraction."""
+        return self._fraction.denominator
+
+    @property
+    def _fraction(self) -> Fraction:
+        return Fraction(self).limit_denominator(10_000)
+
+
+def rate_of(fps: float) -> int | Rate:
+    """A rate as an integer if it is whole."""
+    return int(fps) if fps == int(fps) else Rate(fps)
+
+
 def read_settings(settings: StationSettings) -> StationForm:
-    """What a station with these settings will be.
+    """The form of a station with these settings.
 
     Raises:
-        ValueError: one of them is not valid.
+        ValueError: a setting is not valid.
     """
     try:
         return StationForm.of(settings)
@@ -39,20 +61,20 @@ class YamsimEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Trials of one task; a step is a frame. The simulation is built when the first trial begins.
 
     An observation has `agent_pos`, a row of joints and grippers; `pixels`, camera -> picture (height, width, 3); and
-    `environment_state`, where things are, if that is asked for. The reward is 1 on success, which ends the trial, else
-    0; `info` has `is_success`. `reset(seed=S)` begins trial S, and `reset()` the next one. An action that is not a
-    finite number for each drive costs the trial.
+    `environment_state`, the poses of things, if requested. The reward is 1 on success, which ends the trial, else 0;
+    `info` has `is_success`. `reset(seed=S)` begins trial S, and `reset()` the next trial. An action that is not a
+    finite number for each drive fails the trial.
 
     Attributes:
         task: its name.
-        task_description: what is to be done, in words; of the trial, once there is one.
+        task_description: the task in words; of the trial, once there is one.
 
     Args:
         settings: of the station.
-        pictures: whether observations have any.
-        environment_state: whether observations tell where things are.
+        pictures: whether observations have pictures.
+        environment_state: whether observations have the poses of things.
         trials_of: seed of the trials.
-        max_frames: after so many a trial is over.
+        max_frames: limit of a trial's frames.
     """
 
     def __init__(
@@ -66,12 +88,12 @@ class YamsimEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         form = read_settings(settings)
         self._settings, self._form, self._seed = settings, form, trials_of
-        self._shows = pictures
-        self._tells = environment_state
+        self._has_pictures = pictures
+        self._has_environment = environment_state
         self._station: Station | None = None
         self._pictures: dict[str, Any] = {}
         self._frames = 0
-        # LeRobot asks for it by this name.
+        # LeRobot reads this attribute.
         self._max_episode_steps = max_frames or form.most_frames
         self.task, self.task_description = settings.task, form.prompt
         self.render_mode = "rgb_array"
@@ -132,17 +154,17 @@ class YamsimEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return picture
 
     def close(self) -> None:
-        """Free what renders."""
+        """Free the renderers."""
         if self._station is not None:
             self._station.close()
             self._station = None
 
     def _observe(self, station: Station) -> Observation:
-        self._pictures = station.pictures() if self._shows else {}
+        self._pictures = station.pictures() if self._has_pictures else {}
         seen: Observation = {STATE: station.state()}
-        if self._tells:
+        if self._has_environment:
             seen[ENVIRONMENT] = station.environment()
-        return seen | {PICTURES: dict(self._pictures)} if self._shows else seen
+        return seen | {PICTURES: dict(self._pictures)} if self._has_pictures else seen
 
     def _info(self, station: Station, success: bool) -> dict[str, Any]:
         return {"is_success": success, "trial": station.trial}

@@ -13,7 +13,7 @@ from lerobot.configs import FeatureType
 from lerobot.envs import make_env, make_env_config
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 from lerobot_env_yamsim import YamsimEnv, YamsimEnvConfig
-from lerobot_env_yamsim.rate import Rate, rate_of
+from lerobot_env_yamsim.environment import Rate, rate_of
 
 from yamsim_cli.station import Station
 

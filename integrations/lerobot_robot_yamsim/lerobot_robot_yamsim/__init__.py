@@ -1,7 +1,7 @@
-"""yamsim's arms as a robot of LeRobot, which imports this package to find it: `--robot.type=yamsim`.
+"""yamsim's arms as a robot of LeRobot, which finds it by this package's name: `--robot.type=yamsim`.
 
-An expert that drives them comes with it: `--teleop.type=yamsim_expert`. So do the cameras of `yamsim serve-robot
---cameras`, for any other robot: the camera type `yamsim`.
+The package also has an expert that drives the arms, `--teleop.type=yamsim_expert`, and for other robots the camera type
+`yamsim` of `yamsim serve-robot --cameras`.
 """
 
 from yamsim_cli.lerobot_camera import YamsimCamera, YamsimCameraConfig

@@ -1,4 +1,4 @@
-"""What `--robot.type=yamsim` and `--teleop.type=yamsim_expert` take."""
+"""The configs of `--robot.type=yamsim` and `--teleop.type=yamsim_expert`."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ class YamsimRobotConfig(RobotConfig):
     """Simulated arms with a task's things. Joints are in rad, grippers shares from 0, closed, to 1, open.
 
     Attributes:
-        fps: control ticks a second: the `--dataset.fps` of what is recorded.
+        fps: control ticks a second, equal to `--dataset.fps`.
         size: width and height of pictures, px.
-        cameras: names of those that are shown, in order.
-        seed, trial: where things start: as in that trial of `yamsim trials --seed SEED`, and in the next ones.
-        by_clock: whether time passes by the clock; otherwise a frame passes with each action, so that a busy machine
-            changes nothing in what happens.
-        episode_time_s, reset_time_s: how long LeRobot records an episode, and lets people set up the next one: at the
-            beginning of that, the scene is set up. Unless given, they are what the command line says in
-            `--dataset.episode_time_s` and `--dataset.reset_time_s`. Where it says nothing, the scene is never set up
-            again.
+        cameras: names, in order.
+        seed, trial: the first trial, as in `yamsim trials --seed SEED`; the next episodes have the next trials.
+        by_clock: whether time passes by the clock; otherwise a frame passes with each action, independent of the
+            machine's load.
+        episode_time_s, reset_time_s: durations of LeRobot's episodes and of its phases to set up the next episode, at
+            whose beginning the scene is set up. By default those of the command line's `--dataset.episode_time_s` and
+            `--dataset.reset_time_s`; without them, the scene is set up only once.
         rig, arm, grasp, quality, randomize, config: as the flags of `yamsim record`.
     """
 
@@ -51,13 +50,13 @@ class YamsimRobotConfig(RobotConfig):
         """Look the settings up.
 
         Raises:
-            ValueError: one is not valid.
+            ValueError: a setting is not valid.
         """
-        # Not theirs, which asks for the sizes of cameras one by one.
+        # LeRobot's own method is not called, since it requires the sizes of cameras one by one.
         if self.episode_time_s is None:
-            self.episode_time_s = _said("dataset.episode_time_s")
+            self.episode_time_s = _seconds_of_flag("dataset.episode_time_s")
         if self.reset_time_s is None:
-            self.reset_time_s = _said("dataset.reset_time_s")
+            self.reset_time_s = _seconds_of_flag("dataset.reset_time_s")
         try:
             self.form = StationForm.of(self.settings)
         except YamsimError as error:
@@ -65,7 +64,7 @@ class YamsimRobotConfig(RobotConfig):
 
     @property
     def settings(self) -> StationSettings:
-        """Those of the station."""
+        """The settings of the station."""
         return StationSettings(
             task=self.task,
             rig=self.rig,
@@ -85,19 +84,19 @@ class YamsimRobotConfig(RobotConfig):
 @TeleoperatorConfig.register_subclass("yamsim_expert")
 @dataclass
 class YamsimExpertConfig(TeleoperatorConfig):
-    """The expert of the task, which knows where everything is. It drives the simulated robot of the same process.
+    """The task's expert, which drives the simulated robot of the same process.
 
     Attributes:
-        robot_id: that robot's `--robot.id`.
+        robot_id: the robot's `--robot.id`.
     """
 
     robot_id: str | None = None
 
 
-def _said(name: str) -> float | None:
-    """What the command line says of a number of seconds; None where it says nothing."""
+def _seconds_of_flag(name: str) -> float | None:
+    """The command line's value of a flag, s; None without the flag."""
     value = parser.parse_arg(name)
     try:
         return None if value is None else float(value)
     except ValueError:
-        return None  # LeRobot says so.
+        return None  # LeRobot reports the error.

@@ -8,24 +8,24 @@ from lerobot.teleoperators import Teleoperator
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from .config import YamsimExpertConfig
-from .desk import desk_of
+from .phases import link_of
 
 
 class YamsimExpert(Teleoperator):
-    """Does in each episode what yamsim's expert does from there; between episodes it waits."""
+    """Plays yamsim's expert in each episode, and holds the arms between episodes."""
 
     config_class = YamsimExpertConfig
     name = "yamsim_expert"
 
     def __init__(self, config: YamsimExpertConfig) -> None:
         super().__init__(config)
-        self._desk = desk_of(config.robot_id)
+        self._link = link_of(config.robot_id)
         self._robot_id = config.robot_id
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Those of the robot that it drives: name of a joint or gripper with `.pos` -> float."""
-        return dict.fromkeys(self._desk.keys, float)
+        """The robot's: name of a joint or gripper with `.pos` -> float."""
+        return dict.fromkeys(self._link.keys, float)
 
     @property
     def feedback_features(self) -> dict[str, type]:
@@ -34,12 +34,12 @@ class YamsimExpert(Teleoperator):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the robot knows that it is there."""
-        return self._desk.expert
+        """Whether the robot uses the expert."""
+        return self._link.expert
 
     def connect(self, calibrate: bool = True) -> None:
-        """Have the robot begin episodes that it can do."""
-        self._desk.expert = True
+        """Make the robot begin episodes that the expert can do."""
+        self._link.expert = True
 
     @property
     def is_calibrated(self) -> bool:
@@ -47,27 +47,27 @@ class YamsimExpert(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """There is nothing to calibrate."""
+        """Do nothing."""
 
     def configure(self) -> None:
-        """There is nothing to configure."""
+        """Do nothing."""
 
     def get_action(self) -> dict[str, Any]:
-        """What it does in this frame: name of a joint or gripper with `.pos` -> rad, or a share.
+        """The action for this frame: name of a joint or gripper with `.pos` -> rad, or a share.
 
         Raises:
-            DeviceNotConnectedError: no simulated robot is connected that it could drive.
+            DeviceNotConnectedError: the simulated robot of that id is not connected.
         """
-        if self._desk.action is None:
+        if self._link.action is None:
             raise DeviceNotConnectedError(
                 f"--teleop.type=yamsim_expert drives --robot.type=yamsim with --robot.id={self._robot_id}, and no such "
                 "robot is connected in this process; give --teleop.robot_id the id of the robot"
             )
-        return dict(self._desk.action)
+        return dict(self._link.action)
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """It feels nothing."""
+        """Do nothing."""
 
     def disconnect(self) -> None:
-        """Leave."""
-        self._desk.expert = False
+        """Stop driving the robot."""
+        self._link.expert = False

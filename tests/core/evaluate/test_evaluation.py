@@ -131,7 +131,7 @@ def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: C
 def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
     (tmp_path / "holder.py").write_text(
-        "from yamsim_cli.core.evaluate.builtin_policies import Scripted\n\n\nclass Holder(Scripted):\n"
+        "from yamsim_cli.core.evaluate.policy_factory import Scripted\n\n\nclass Holder(Scripted):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
         "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
     )
@@ -233,17 +233,6 @@ def test_failures_are_shown_and_successes_on_request() -> None:
     assert shown(results, 9, successes=True) == [results[0], *results[2:]]
     assert shown(results, 2, successes=True) == [results[0], results[2]]
     assert shown([results[0]], 9, successes=False) == [results[0]]
-
-
-def test_a_policy_that_cannot_be_loaded_stops_the_job(
-    make_config: Callable[..., RecordConfig], locations: Locations
-) -> None:
-    with pytest.raises(UsageError, match="it has no 'Stil'; did you mean 'Still'"):
-        evaluate(
-            Session(make_config({("episodes",): 2}), locations),
-            PolicyChoice("sample_policies.py:Stil", SAMPLES),
-            lambda *_: None,
-        )
 
 
 def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult]) -> None:

@@ -20,9 +20,9 @@ from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.evaluate.asking import Asker, TooSlowError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.observation import LazyObservation, Pictures
+from yamsim_cli.core.evaluate.observation import LazyObservation, ObservationRenderer
+from yamsim_cli.core.evaluate.policy_calls import PolicyCaller, TooSlowError
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
@@ -34,30 +34,30 @@ SAMPLES = Path(sample_policies.__file__).parent
 CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
 
 
-class Easel:
+class CountingRenderer:
     """Renders the first of the positions, and remembers of which cameras."""
 
     def __init__(self) -> None:
         self.rendered: list[str] = []
-        self.pictures = Pictures(self.render)
+        self.renderer = ObservationRenderer(self.render)
 
     def render(self, qpos: Array, camera: str) -> Image:
         self.rendered.append(camera)
         return np.full((2, 2, 3), qpos[0], np.uint8)
 
     def observe(self) -> LazyObservation:
-        return LazyObservation({"time": 0.5}, np.array([7.0]), CAMERAS, self.pictures)
+        return LazyObservation({"time": 0.5}, np.array([7.0]), CAMERAS, self.renderer)
 
 
 def test_a_picture_is_rendered_when_it_is_read_and_once() -> None:
-    easel = Easel()
-    seen = easel.observe()
+    source = CountingRenderer()
+    seen = source.observe()
     assert (list(seen), len(seen), "wrist_rgb" in seen, "left" in seen) == (["time", *CAMERAS], 3, True, False)
     assert (seen["time"], seen.get("left"), repr(seen)) == (0.5, None, "LazyObservation(time, scene_rgb, wrist_rgb)")
-    assert easel.rendered == []
+    assert source.rendered == []
     assert seen["wrist_rgb"][0, 0, 0] == 7
     assert seen.get("wrist_rgb") is seen["wrist_rgb"]
-    assert easel.rendered == ["right_wrist_camera"]
+    assert source.rendered == ["right_wrist_camera"]
     with pytest.raises(KeyError):
         seen["left"]
 
@@ -66,16 +66,16 @@ def test_a_picture_is_rendered_when_it_is_read_and_once() -> None:
     "make", [dict, lambda seen: {**seen}, copy.copy, copy.deepcopy, lambda seen: pickle.loads(pickle.dumps(seen))]
 )
 def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], object]) -> None:
-    easel = Easel()
-    made = make(easel.observe())
+    source = CountingRenderer()
+    made = make(source.observe())
     assert isinstance(made, dict)
     assert (made["time"], made["scene_rgb"].shape, made["wrist_rgb"].shape) == (0.5, (2, 2, 3), (2, 2, 3))
-    assert sorted(easel.rendered) == sorted(CAMERAS.values())
+    assert sorted(source.rendered) == sorted(CAMERAS.values())
 
 
 def test_what_can_no_longer_be_drawn_is_told() -> None:
-    easel = Easel()
-    seen = easel.observe()
+    source = CountingRenderer()
+    seen = source.observe()
     errors: list[Exception] = []
 
     def read() -> None:
@@ -89,23 +89,23 @@ def test_what_can_no_longer_be_drawn_is_told() -> None:
     thread.join()
     assert "scene_rgb cannot be rendered in another thread: read observation['scene_rgb']" in str(errors[0])
     kept = seen["wrist_rgb"]
-    easel.pictures.end()
+    source.renderer.end()
     assert seen["wrist_rgb"] is kept
     with pytest.raises(RuntimeError, match=r"scene_rgb cannot be rendered once its trial is over"):
         seen["scene_rgb"]
-    assert easel.pictures.failure is None
+    assert source.renderer.failure is None
 
 
 def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
-    asker = Asker(0.5, SAMPLES)
+    caller = PolicyCaller(0.5, SAMPLES)
 
     def look() -> str:
-        with asker.waits():
+        with caller.waits():
             time.sleep(0.8)
         return "seen"
 
-    assert asker.ask(look) == "seen"
-    assert asker.seconds < 0.3
+    assert caller.call(look) == "seen"
+    assert caller.seconds < 0.3
 
     def look_and_dawdle() -> None:
         look()
@@ -113,7 +113,7 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
 
     began = time.monotonic()
     with pytest.raises(TooSlowError):
-        asker.ask(look_and_dawdle)
+        caller.call(look_and_dawdle)
     assert time.monotonic() - began < 3
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from yamsim_cli.core.policies.json_arrays import dump_json, load_json
+from yamsim_cli.core.policies.act import dump_json, load_json
 
 Infer = Callable[[Mapping[str, Any]], Any]
 

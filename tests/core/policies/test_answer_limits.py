@@ -12,15 +12,12 @@ import numpy as np
 import pytest
 
 from tests.core.policies.servers import raw_server, read_request
-from yamsim_cli.core.policies.act import ActClient
+from yamsim_cli.core.policies.act import ActClient, load_json
 from yamsim_cli.core.policies.base import Chunk, InvalidActionError, read_chunk
-from yamsim_cli.core.policies.bounds import MOST_VALUES, DamagedError, rows_of
 from yamsim_cli.core.policies.chunks import Chunking, ChunkPlayer
-from yamsim_cli.core.policies.json_arrays import load_json
 from yamsim_cli.core.policies.openpi import unpack_openpi
-from yamsim_cli.core.policies.peer import RemoteError
-from yamsim_cli.core.policies.remote import RemotePolicy
-from yamsim_cli.core.policies.wire import WireError, pack, unpack
+from yamsim_cli.core.policies.policy_client import MAX_VALUES, DamagedError, RemoteError, rows_of
+from yamsim_cli.core.policies.remote import RemotePolicy, WireError, pack, unpack
 
 _MOST_MEMORY = 40_000_000  # Bytes while an answer is read: ten times the largest one that is read.
 
@@ -53,7 +50,7 @@ def test_small_containers_are_counted_while_msgpack_is_decoded(load: Callable[[b
 
     def work() -> None:
         for inner in (b"\x90", b"\x80"):
-            with pytest.raises((DamagedError, WireError), match=f"more than {MOST_VALUES} values"):
+            with pytest.raises((DamagedError, WireError), match=f"more than {MAX_VALUES} values"):
                 load(heads + inner * size)
 
     assert _peak(work) < _MOST_MEMORY
@@ -64,7 +61,7 @@ def test_small_containers_are_counted_before_json_is_decoded(inner: str) -> None
     data = f'{{"actions": [{",".join([inner] * 900_000)}]}}'.encode()
 
     def work() -> None:
-        with pytest.raises(DamagedError, match=f"more than {MOST_VALUES} values"):
+        with pytest.raises(DamagedError, match=f"more than {MAX_VALUES} values"):
             load_json(data)
 
     assert _peak(work) < _MOST_MEMORY

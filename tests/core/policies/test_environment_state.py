@@ -18,10 +18,10 @@ from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.episode.rules import EpisodeRules
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.evaluate.elsewhere import station
-from yamsim_cli.core.evaluate.observation import Observer, Pictures
+from yamsim_cli.core.evaluate.observation import ObservationRenderer, Observer
+from yamsim_cli.core.evaluate.policy_factory import policy_station
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.core.policies.environment_state import joints_key, state_names, state_row, things_told
+from yamsim_cli.core.policies.environment_state import joints_key, object_pose_keys, state_names, state_row
 from yamsim_cli.core.policies.lerobot import check_rows
 from yamsim_cli.core.policies.mapped import MappedPolicy
 from yamsim_cli.core.resources import Locations
@@ -71,25 +71,29 @@ def test_a_policy_is_told_what_an_export_would_hold(
 ) -> None:
     config = make_config({("rig",): rig, ("task",): task, ("grasp",): grasp})
     mapping = load_config(PolicyConfig, "policies", "lerobot_export", locations)
-    policy = MappedPolicy(Nobody(), mapping, station(config), ["observation.environment_state"])
+    policy = MappedPolicy(Nobody(), mapping, policy_station(config), ["observation.environment_state"])
     assert (policy.wants, policy.images) == (("objects",), ())
-    assert sorted(things_told(config)) == things
+    assert sorted(object_pose_keys(config)) == things
     with Simulators(Session(config, locations)) as simulators:
         job = EpisodeJob(0, 0)
         simulator = simulators.of(job)
         done = demonstrate(simulator, sample(simulator, job))
         (frame,) = frames(simulator, done.attempt, done.states[-1:])
         episode = open_episode(simulator, replace(done.attempt, start=done.states[-1].qpos), EpisodeRules())
-        seen = Observer(simulator, policy.images, policy.wants).observe(episode, done.attempt, Pictures(_nothing))
+        seen = Observer(simulator, policy.images, policy.wants).observe(
+            episode, done.attempt, ObservationRenderer(_nothing)
+        )
         told = policy.message(seen)["observation.environment_state"]
-    recorded = state_row([(frame[f"{name}_pose"], frame.get(joints_key(name), ())) for name in things_told(config)])
+    recorded = state_row(
+        [(frame[f"{name}_pose"], frame.get(joints_key(name), ())) for name in object_pose_keys(config)]
+    )
     assert (told.shape, told.dtype) == ((width,), np.float32)
     np.testing.assert_allclose(told, recorded, atol=1e-6)
 
 
 def test_a_checkpoint_that_does_not_ask_is_not_told(config: RecordConfig, locations: Locations) -> None:
     mapping = load_config(PolicyConfig, "policies", "lerobot_export", locations)
-    policy = MappedPolicy(Nobody(), mapping, station(config), ["observation.state"])
+    policy = MappedPolicy(Nobody(), mapping, policy_station(config), ["observation.state"])
     assert policy.wants == ()
     message = policy.message({"joints": np.zeros(7), "prompt": "do it", "time": 0.0})
     assert set(message) == {"observation.state", "task"}

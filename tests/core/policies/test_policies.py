@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.policies.base import InvalidActionError, read_chunk
 from yamsim_cli.core.policies.loading import load_policy, read_arguments, reset_policy, wanted_images, wanted_state
 from yamsim_cli.core.policies.policy_faults import fault_of
-from yamsim_cli.core.policies.wire import WireError, pack, unpack
+from yamsim_cli.core.policies.remote import WireError, pack, unpack
 
 HERE = Path(__file__).parent
 
@@ -79,7 +79,7 @@ def test_two_arms_have_two_of_everything() -> None:
 def test_a_policy_is_found_by_file_and_by_module(name: str) -> None:
     policy = load_policy(name, HERE)
     assert type(policy).__name__ == "Still"
-    assert wanted_images(policy) == ()
+    assert (wanted_images(policy), wanted_state(policy)) == ((), ())
 
 
 def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
@@ -121,11 +121,6 @@ def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path:
         load_policy(name, tmp_path)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_what_a_policy_wants_to_be_told_is_nothing_unless_it_says_so() -> None:
-    assert wanted_state(load_policy("sample_policies.py:Still", HERE)) == ()
-    assert wanted_state(load_policy("sample_policies.py:Knowing", HERE)) == ("objects", "velocities")
 
 
 class Unspeakable(Exception):  # noqa: N818

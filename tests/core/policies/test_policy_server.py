@@ -20,7 +20,7 @@ from yamsim_cli.core.evaluate.evaluation import evaluate, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
 from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.loading import load_policy
-from yamsim_cli.core.policies.peer import RemoteError
+from yamsim_cli.core.policies.policy_client import RemoteError
 from yamsim_cli.core.policies.remote import RemotePolicy
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
@@ -119,16 +119,6 @@ def test_an_answer_that_cannot_be_sent_is_told_and_the_server_goes_on(number: in
             policy({"time": number})
         assert len(policy({"time": len(Unsendable.ANSWERS)})["ctrl"]) == 7
         policy.close()
-
-
-def test_an_answer_that_cannot_be_sent_is_an_invalid_one(
-    make_config: Callable[..., RecordConfig], locations: Locations
-) -> None:
-    config = make_config({("episodes",): 1, ("workers",): 1})
-    with served("Unsendable") as url:
-        found = evaluate(Session(config, locations), PolicyChoice(url, HERE), lambda *_: None)
-    assert found.results[0].ended is Ended.INVALID
-    assert found.results[0].error.startswith("ctrl of the answer: object cannot be sent")
 
 
 def test_a_fork_of_the_server_answers_nobody() -> None:

@@ -19,9 +19,9 @@ from websockets.frames import Frame, Opcode
 from websockets.uri import parse_uri
 
 from tests.core.serve.shots import Shots
-from yamsim_cli.core.serve import chiral, chiral_wire
-from yamsim_cli.core.serve.chiral import ChiralServer
-from yamsim_cli.core.serve.chiral_wire import ChiralError, Observed, View
+from yamsim_cli.core.serve import chiral
+from yamsim_cli.core.serve.chiral import ChiralError, ChiralServer, read_message
+from yamsim_cli.core.serve.policy_robot import CameraView, RobotObservation
 
 
 class Robot:
@@ -53,9 +53,11 @@ class Robot:
     def stop(self, why: str) -> None:
         self.stopped = why
 
-    def observed(self, shot: Any) -> Observed:
-        view = View(shot.pictures["top"], np.eye(3), np.eye(4), shot.time_ns)
-        return Observed({"top": view}, {"follower_l_joint_pos": np.arange(7.0)}, 1.5, {"sim_time": shot.sim_time})
+    def observed(self, shot: Any) -> RobotObservation:
+        view = CameraView(shot.pictures["top"], np.eye(3), np.eye(4), shot.time_ns)
+        return RobotObservation(
+            {"top": view}, {"follower_l_joint_pos": np.arange(7.0)}, 1.5, {"sim_time": shot.sim_time}
+        )
 
 
 @pytest.fixture
@@ -216,7 +218,7 @@ def test_one_that_only_looks_may_go(server: ChiralServer, robot: Robot) -> None:
 )
 def test_what_is_not_taken_is_refused(wrong: bytes) -> None:
     with pytest.raises(ChiralError):
-        chiral_wire.read(wrong)
+        read_message(wrong)
 
 
 @pytest.mark.parametrize(
@@ -236,11 +238,11 @@ def test_a_wrong_message_costs_the_connection_alone(server: ChiralServer, robot:
 
 def test_a_message_that_is_too_long_is_hung_up_on(server: ChiralServer) -> None:
     one = Client(server)
-    one.send(bytes(chiral_wire.LARGEST + 1))
+    one.send(bytes(chiral.MAX_MESSAGE_BYTES + 1))
     turn(server)
     one.heard()
     assert one.code in (1006, 1009)  # It may be gone before it can be told.
-    assert not server._connections.programs
+    assert not server.clients
 
 
 @pytest.mark.parametrize("foreign", [{"Origin": "http://elsewhere"}, {"Origin": "null"}, {"Host": "elsewhere:80"}])
@@ -252,7 +254,7 @@ def test_web_pages_are_refused(server: ChiralServer, foreign: dict[str, str]) ->
 
 
 def test_one_that_never_greets_is_hung_up_on(server: ChiralServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chiral, "_GREETING_S", 0.05)
+    monkeypatch.setattr(chiral, "_HANDSHAKE_S", 0.05)
     one = socket.create_connection(("127.0.0.1", server.port), timeout=5)
     one.sendall(b"GET / HTTP/1.1\r\n")
     turn(server)
@@ -268,14 +270,14 @@ def test_one_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, 
     for _ in range(100):
         one.send(packed({"type": "obs_request"}))
     turn(server, times=50, wait=0.0)
-    waits = [len(program.waits) for program in server._connections.programs]
+    waits = [len(client.outgoing) for client in server.clients]
     assert waits and max(waits) < 2 * 3 * 640 * 480
 
 
 def test_a_flood_is_hung_up_on(server: ChiralServer, robot: Robot) -> None:
     one = Client(server)
     # No picture comes, so that the first of them is never answered.
-    for _ in range(chiral._MOST_WAITING + 50):
+    for _ in range(chiral._MAX_QUEUED + 50):
         one.send(packed({"type": "obs_request"}))
     turn(server, times=20)
     one.heard()
@@ -313,7 +315,3 @@ def test_random_messages_do_no_harm_and_fill_no_memory(server: ChiralServer, rob
     last.send(packed({"type": "metadata"}))
     turn(server)
     assert messages(last)
-
-
-def test_it_listens_on_loopback_alone(server: ChiralServer) -> None:
-    assert server.readers[0].getsockname()[0] == "127.0.0.1"

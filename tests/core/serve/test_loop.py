@@ -13,8 +13,8 @@ import pytest
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.serve.arms import serve_arms
+from yamsim_cli.core.serve.can_bus import UnixBus
 from yamsim_cli.core.serve.loop import ServeLoop
-from yamsim_cli.core.serve.sockets import UnixBus
 from yamsim_cli.core.session import Session
 
 ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")

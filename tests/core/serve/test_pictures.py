@@ -38,7 +38,7 @@ def served(session: Session) -> Served:
 
 @pytest.fixture
 def source(session: Session, served: Served) -> Iterator[PictureProcess]:
-    made = PictureProcess(session, ("top", "left"), 50.0, served.moment, itertools.count(1).__next__)
+    made = PictureProcess(session, ("top", "left"), 50.0, served.state, itertools.count(1).__next__)
     yield made
     made.close()
 
@@ -89,7 +89,7 @@ def test_wrists_are_drawn_that_a_recording_leaves_out(
     session = Session(config, locations).without_meshes()
     cameras = served_cameras(config)
     assert config.recorded_cameras == cameras[:1]
-    source = PictureProcess(session, cameras, 50.0, serve_arms(session).moment, itertools.count(1).__next__)
+    source = PictureProcess(session, cameras, 50.0, serve_arms(session).state, itertools.count(1).__next__)
     try:
         scene, wrist = next_shot(source).pictures.values()
         assert np.ptp(wrist) > 0 and not np.array_equal(scene, wrist)

@@ -11,6 +11,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions
 from tests.core.teleop.demonstrated import write_stream
+from tests.core.teleop.test_teleop import play
 from tests.core.teleop.tray import Tray
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.engine import demonstrate
@@ -19,7 +20,7 @@ from yamsim_cli.core.episode.rules import EndRule
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
-from yamsim_cli.core.teleop.stream import Player, read_stream
+from yamsim_cli.core.teleop.stream import read_stream
 from yamsim_cli.core.types import Cause
 
 TICK = 0.032
@@ -46,14 +47,6 @@ def lines(session: Session) -> list[dict[str, Any]]:
     return [*said, {"t": round((2 * len(actions.ctrl) + 15) * TICK, 6), "event": "stop"}]
 
 
-def play(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> None:
-    player = Player(read_stream(write_stream(folder / "stream.jsonl", lines), driven._config))
-    while not player.done:
-        player.act(driven, driven.time)
-        driven.tick()
-    driven.settle()
-
-
 def test_a_stream_that_reaches_the_goal_is_a_success(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -63,10 +56,11 @@ def test_a_stream_that_reaches_the_goal_is_a_success(
     said = driven.status.prompt
     assert said in ONTO_PLATE["phrasings"]["training"]
     play(driven, lines, tmp_path)
-    (handed_in,) = tray.attempts
-    assert handed_in.outcome.success, handed_in.outcome
-    assert [measure.what for measure in handed_in.outcome.measures] == ["on(cube, plate)"]
-    assert handed_in.attempt.phrasing == said
+    driven.settle()
+    (submitted,) = tray.attempts
+    assert submitted.outcome.success, submitted.outcome
+    assert [measure.what for measure in submitted.outcome.measures] == ["on(cube, plate)"]
+    assert submitted.attempt.phrasing == said
 
 
 def test_what_is_not_recorded_goes_on_once_the_goal_holds(
@@ -94,11 +88,11 @@ def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
         driven.stop()
         driven.settle()
         models[id(driven.model)] = driven.model
-    for handed_in in tray.attempts:
-        assert handed_in.attempt.cast is not None
-        kinds.add(handed_in.attempt.cast.kinds["cube"])
+    for submitted in tray.attempts:
+        assert submitted.attempt.cast is not None
+        kinds.add(submitted.attempt.cast.kinds["cube"])
     assert kinds == {"cube_red", "cube_blue"} and len(models) == 2
-    assert {handed_in.outcome.cause for handed_in in tray.attempts} == {Cause.GOAL}
+    assert {submitted.outcome.cause for submitted in tray.attempts} == {Cause.GOAL}
 
 
 def test_a_stop_lets_nothing_go_and_waits_as_long_as_the_goal_has_to_hold(session: Session) -> None:

@@ -36,9 +36,9 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.teleop.desk import Desk, DrivenRunner
+from yamsim_cli.core.teleop.attempt_writer import AttemptWriter, DrivenRunner
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
-from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
+from yamsim_cli.core.teleop.loop import Jitter, TickClock, open_teleop
 from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 
@@ -175,7 +175,7 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: DrivenScene, tray:
     run(driven, 0.2)
     driven.stop()
     driven.settle()
-    assert [handed_in.attempt.job.attempt for handed_in in tray.attempts] == [0]
+    assert [submitted.attempt.job.attempt for submitted in tray.attempts] == [0]
     assert not np.allclose(banana(), first)
     driven.stop()
     assert len(tray.attempts) == 1
@@ -238,8 +238,8 @@ def test_a_stream_takes_what_is_wide(
     driven = DrivenScene(Session(config, locations), tray)
     play(driven, planned_lines(config, locations, 0), tmp_path)
     driven.settle()
-    (handed_in,) = tray.attempts
-    assert handed_in.outcome.success, handed_in.outcome.detail
+    (submitted,) = tray.attempts
+    assert submitted.outcome.success, submitted.outcome.detail
 
 
 @pytest.fixture
@@ -261,10 +261,10 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
 
     play(driven, planned_lines(varied, locations, 0, began=driven.time), tmp_path)
     driven.settle()
-    (handed_in,) = tray.attempts
+    (submitted,) = tray.attempts
     with DrivenRunner(Session(varied, locations), render=False) as runner:
-        payload = runner.run(handed_in)
-        again = runner.run(handed_in)
+        payload = runner.run(submitted)
+        again = runner.run(submitted)
     assert payload.outcome.success, payload.outcome.detail
     variation = payload.attempt.variation
     assert variation == again.attempt.variation
@@ -274,45 +274,25 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
     assert (np.linalg.norm(places[:, :2], axis=1) > 0.2).all(), "not where the arm stands"
 
 
-def test_a_varied_demonstration_repeats_bit_for_bit(
-    varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
-) -> None:
-    """What was driven had the masses and the friction that it is judged with."""
-    driven = DrivenScene(Session(varied, locations), tray)
-    lines, seen = planned_lines(varied, locations, 0), list[Array]()
-    player = player_of(driven, lines, tmp_path)
-    while not player.done:
-        player.act(driven, driven.time)
-        seen.append(driven.data.qpos.copy())
-        driven.tick()
-    driven.settle()
-    (handed_in,) = tray.attempts
-    with Simulator(Session(varied, locations)) as simulator:
-        done = repeat(simulator, handed_in.attempt, tray.actions, REPEATED_RULES)
-    assert done.outcome == handed_in.outcome
-    every = varied.task.timing.ticks_per_frame
-    for state, qpos in zip(done.states, seen[::every], strict=False):
-        assert np.array_equal(state.qpos, qpos)
-
-
+@pytest.mark.parametrize("name", ["config", "varied"])
 def test_what_is_recorded_repeats_bit_for_bit(
-    driven: DrivenScene, tray: Tray, config: RecordConfig, locations: Locations, tmp_path: Path
+    name: str, request: pytest.FixtureRequest, locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:
-    """The recorded actions lead where the arm was driven, and to the same verdict."""
+    """The recorded actions lead to the same states and to the same verdict, also with varied masses and friction."""
+    config: RecordConfig = request.getfixturevalue(name)
+    driven = DrivenScene(Session(config, locations), tray)
     seen: list[Array] = []
-    lines = planned_lines(config, locations, 0)
-    player = player_of(driven, lines[:-1], tmp_path)
+    player = player_of(driven, planned_lines(config, locations, 0), tmp_path)
     while not player.done:
         player.act(driven, driven.time)
         seen.append(driven.data.qpos.copy())
         driven.tick()
-    driven.stop()
     driven.settle()
-    (handed_in,) = tray.attempts
+    (submitted,) = tray.attempts
     with Simulator(Session(config, locations)) as simulator:
-        done = repeat(simulator, handed_in.attempt, tray.actions, REPEATED_RULES)
+        done = repeat(simulator, submitted.attempt, tray.actions, REPEATED_RULES)
     assert done.outcome.success, done.outcome.detail
-    assert done.outcome == handed_in.outcome
+    assert done.outcome == submitted.outcome
     every = config.task.timing.ticks_per_frame
     for state, qpos in zip(done.states, seen[::every], strict=False):
         assert np.array_equal(state.qpos, qpos)
@@ -327,12 +307,7 @@ def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: DrivenScene, t
         driven.reset()
         began = driven.time
         play(driven, [{"t": began, "ee": ee}, {"t": began + 2.0}], tmp_path)
-        assert np.allclose(grasp_place(driven), T[:3, 3], atol=0.01), k
-
-
-def grasp_place(driven: DrivenScene) -> Array:
-    place: Array = driven.data.site("grasp_site").xpos.copy()
-    return place
+        assert np.allclose(driven.data.site("grasp_site").xpos, T[:3, 3], atol=0.01), k
 
 
 @pytest.mark.parametrize(
@@ -397,7 +372,7 @@ def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[J
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.monotonic", lambda: now[0])
     monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
-    pace, began = Pace(TICK), 0.0
+    pace, began = TickClock(TICK), 0.0
     for seconds in slow:
         pace.wait()
         began = now[0]
@@ -464,13 +439,13 @@ class Failing:
 
 def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config: RecordConfig) -> None:
     sink = Refusing()
-    with Desk(config, sink, Failing()) as desk:  # type: ignore[arg-type]
+    with AttemptWriter(config, sink, Failing()) as writer:  # type: ignore[arg-type]
         for number in range(2):
-            assert desk.next_attempt == number
-            desk.hand_in(Simulated(Attempt(EpisodeJob(0, number)), Outcome(False, Cause.OFF_TARGET), None))
-        wait(list(desk._futures))
+            assert writer.next_attempt == number
+            writer.submit(Simulated(Attempt(EpisodeJob(0, number)), Outcome(False, Cause.OFF_TARGET), None))
+        wait(list(writer._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
-            desk.news()
+            writer.next_written()
     assert sink.asked == [0]
 
 
@@ -487,8 +462,8 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
     for _ in range(2):
-        with open_seat(Session(config, locations), out, OpenMode.RESUME, said.append) as seat:
-            assert seat.desk.next_attempt == 4
+        with open_teleop(Session(config, locations), out, OpenMode.RESUME, said.append) as session:
+            assert session.attempts.next_attempt == 4
     assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
     assert said[1:] == [
         "the line of attempt 0 in attempts.jsonl is lost",

@@ -17,7 +17,7 @@ class Tray:
     def next_attempt(self) -> int:
         return len(self.attempts)
 
-    def hand_in(self, driven: Simulated) -> None:
+    def submit(self, driven: Simulated) -> None:
         self.attempts.append(driven)
 
     @property

@@ -1,4 +1,4 @@
-"""Which policy is evaluated, and how its answers are used."""
+"""The choice of a policy to evaluate, and of how its answers are used."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from pathlib import Path
 
 from ..episode.rules import EndRule
 from ..policies.chunks import Chunking
-from ..policies.loading import is_elsewhere, takes_keywords
+from ..policies.loading import is_external, takes_keywords
 
 
 @dataclass(frozen=True)
 class PolicyChoice:
-    """Which policy, how its answers are used, and how much time it has.
+    """A policy, how its answers are used, and its time limits.
 
     Attributes:
         name, folder: see `make_policy`.
-        call_seconds: for one answer, or a reset, of real time.
-        time_limit: for a trial, of simulated time, s; None for the task's own.
+        call_seconds: limit of real time for one answer or reset, s.
+        time_limit: limit of simulated time for a trial, s; None for the task's own.
         end: who ends a trial.
-        arguments: keywords that the user's own policy is made with.
-        mapping: name or file of a config of `policies`, for a policy from elsewhere; None for its protocol's own.
+        arguments: keywords for a class of the user.
+        mapping: name or file of a config of `policies`, for another program's policy; None for the protocol's own.
         chunking: how chunks of actions are used.
-        known_only: whether a class is made with only those of `arguments` that it takes.
+        known_only: whether a class gets only those of `arguments` that it has parameters for.
     """
 
     name: str
@@ -37,17 +37,15 @@ class PolicyChoice:
     known_only: bool = False
 
     def compared_with(self, name: str) -> PolicyChoice:
-        """Return the choice of another policy that is compared with this one, under the same conditions.
+        """The choice of another policy, by its name, under the same conditions.
 
-        A class of the user's gets those keywords that it takes, and a policy of another program the same config.
-
-        Args:
-            name: the other policy's, see `make_policy`.
+        A class of the user gets the keywords that it has parameters for. A policy of another program gets the same
+        config.
         """
         return replace(
             self,
             name=name,
             arguments=self.arguments if takes_keywords(name) else {},
-            mapping=self.mapping if is_elsewhere(name) else None,
+            mapping=self.mapping if is_external(name) else None,
             known_only=True,
         )

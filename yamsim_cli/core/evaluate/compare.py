@@ -1,4 +1,4 @@
-"""Two policies on the same starts: which trials only one of them can do, and whether that is more than chance."""
+"""Comparison of two policies on the same starts, with McNemar's test."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 
 from ..errors import UsageError
 
-# What has to be the same in two reports for their trials to be pairs.
-_SAME = ("task", "rig", "grasp", "arms", "seed")
-_MOST_BYTES = 500_000_000
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # equal in two reports whose trials are pairs
+_MAX_BYTES = 500_000_000  # of a report that is read
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The exact two-sided p-value of McNemar's test: so often a fair coin is at least as uneven on the trials in which
-    exactly one of two policies succeeded. 1 where there is no such trial.
+    """The exact two-sided p-value of McNemar's test, of the trials in which exactly one of two policies succeeded.
+
+    The probability that fair coins split at least as unevenly; 1 where there is no such trial.
     """
     n, fewer = only_first + only_second, min(only_first, only_second)
-    # Floats would overflow from a thousand trials on.
+    # Floats overflow from about a thousand trials on.
     as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
     return min(1.0, float(Fraction(as_uneven, 1 << n)))
 
@@ -30,10 +30,10 @@ def read_report(path: Path) -> dict[str, Any]:
     """A report that `yamsim eval --out` wrote.
 
     Raises:
-        UsageError: it cannot be read, or is none.
+        UsageError: the file cannot be read, or is no such report.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > _MAX_BYTES:
             raise UsageError(f"--compare {path}: {path.stat().st_size} bytes are no report of yamsim eval")
         report = json.loads(path.read_bytes())
         for trial in report["trials"]:
@@ -51,28 +51,28 @@ def read_report(path: Path) -> dict[str, Any]:
     return found
 
 
-def require_same(asked: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Make sure that a report's trials can be the same as others.
+def require_same(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
+    """Make sure that a report's trials can be paired with those of another job.
 
     Args:
-        asked: of those, what `what_ran` tells, or a report of them.
+        expected: of the other job, the result of `what_ran` or a report.
 
     Raises:
-        UsageError: they are of something else.
+        UsageError: the two differ in task, rig, grasp, arms or seed.
     """
     for key in _SAME:
-        if asked[key] != report[key]:
+        if expected[key] != report[key]:
             raise UsageError(
-                f"--compare {report['policy']}: its {key} is {report[key]}, and not {asked[key]}: no pairs of trials"
+                f"--compare {report['policy']}: its {key} is {report[key]}, and not {expected[key]}: no pairs of trials"
             )
 
 
 def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """How two reports differ, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
+    """The comparison of two reports, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
     only_second, neither, p_value (McNemar's exact test).
 
     Raises:
-        UsageError: they are not of the same trials.
+        UsageError: the reports are not of the same trials.
     """
     name = second["policy"]
     require_same(first, second)
@@ -96,7 +96,7 @@ def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, An
 
 
 def _same_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    # A trial whose worker was lost knows no layout.
+    # A trial whose worker was lost has no layout.
     if not one or not other:
         return True
     return one.keys() == other.keys() and all(list(one[name]) == list(other[name]) for name in one)

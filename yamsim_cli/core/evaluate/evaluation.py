@@ -1,4 +1,4 @@
-"""Evaluate a policy: many trials side by side, counted, and its failures on film."""
+"""Evaluation of a policy: trials in worker processes, their statistics, and films of failures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from ..session import Session
 from ..trials import FilmedTrial, TrialFilmer, TrialFilms, film_jobs, run_trials, tally, what_ran
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
-from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from .choice import PolicyChoice
 from .policy_trial import MEASURED, Ended, TrialResult, TrialRunner
@@ -29,10 +28,11 @@ from .policy_trial import MEASURED, Ended, TrialResult, TrialRunner
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All trials of a policy, in their order, and the real time they took, s.
+    """All trials of a policy, in their order.
 
     Attributes:
-        instances: who played which role in each trial, in a few words.
+        seconds: real time of all trials, s.
+        instances: which thing has which role in each trial, see `instance_of`.
     """
 
     choice: PolicyChoice
@@ -41,13 +41,8 @@ class Evaluation:
     instances: tuple[str, ...]
 
 
-def evaluate(
-    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
-) -> Evaluation:
-    """Run as many trials of a policy as the config has `episodes`, from the starts that a batch of the same seed has.
-
-    Args:
-        trial_seconds: real time after which a worker that is stuck in a trial is ended.
+def evaluate(session: Session, choice: PolicyChoice, progress: Progress) -> Evaluation:
+    """Run trials of a policy, as many as the config's `episodes`, from the starts of `trials` with the same seed.
 
     Raises:
         UsageError, ResourceError: the policy cannot be made.
@@ -57,7 +52,7 @@ def evaluate(
     config = session.config
     n = config.episodes
     factory = functools.partial(TrialRunner, session, choice)
-    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
+    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n)) as pool:
         results = run_trials(pool, config.seed, n, progress, _lost)
     results.sort(key=lambda result: result.attempt.job.attempt)
     instances = tuple(instance_of(session, result.attempt.job) for result in results)
@@ -65,7 +60,7 @@ def evaluate(
 
 
 def instance_of(session: Session, job: EpisodeJob) -> str:
-    """Return which things a trial is with, in a few words."""
+    """The kinds of a trial's things, such as "object banana, plate"."""
     kinds = cast_for(session, job).kinds
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
@@ -90,7 +85,7 @@ def by_instance(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    """What became of all actions: chunks, actions and stale ones, and how long the arm waited for one, s."""
+    """Counts of all trials: chunks, actions, stale actions, and the time without an action for it, s."""
     counts = [result.count for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -111,7 +106,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     """An evaluation as JSON-ready data: policy, stats, rig, task, grasp, arms, seed, seconds, trials.
 
     Args:
-        thresholds: in metres, by which the outcomes are scored beside the task's own.
+        thresholds: m, by which the outcomes are scored beside the task's own.
     """
     results, tick = evaluation.results, config.task.timing.tick
     calls = [seconds for result in results for seconds in result.seconds]
@@ -141,20 +136,20 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
 
 
 def require_run(report: Mapping[str, Any]) -> None:
-    """Make sure that an evaluation measured something.
+    """Make sure that an evaluation measured the policy's success.
 
     Args:
-        report: what `summary` returns.
+        report: of `summary`.
 
     Raises:
-        PartialJobError: not one trial came to its end.
+        PartialJobError: no trial came to its end.
     """
     ended = report["stats"]["ended"]
     if not any(Ended(how) in MEASURED for how in ended):
         first = report["trials"][0]
-        told = ", ".join(f"{how} {count}" for how, count in ended.items())
+        counts = ", ".join(f"{how} {count}" for how, count in ended.items())
         raise PartialJobError(
-            f"no trial of {report['policy']} came to its end ({told}), so its success was not measured; "
+            f"no trial of {report['policy']} came to its end ({counts}), so its success was not measured; "
             f"trial {first['trial']}: {first['error'] or first['outcome']['detail']}"
         )
 
@@ -180,7 +175,7 @@ class _FilmJob:
 
 
 class PolicyFilmer(TrialFilmer):
-    """Repeats what a policy did, and renders it."""
+    """Repeats a policy's actions, and renders them."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
@@ -204,15 +199,15 @@ def film(
     *,
     successes: bool = False,
 ) -> list[FilmedTrial]:
-    """Film trials, failures alone unless there are none; those in which nothing acted cannot be shown.
+    """Film trials in which something acted: the failures, or the successes if there are no failures.
 
     Args:
-        limit: of how many at most.
-        successes: film these as well, in the order of the trials.
+        limit: number of films at most.
+        successes: film failures and successes, in the order of the trials.
 
     Raises:
         InterruptedJobError: stopped by the user; finished films stay.
-        ResourceError: nothing can render here, or the films cannot be written.
+        ResourceError: nothing can be rendered here, or the films cannot be written.
     """
     config = session.config
     tick = config.task.timing.tick

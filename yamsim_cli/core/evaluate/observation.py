@@ -1,4 +1,4 @@
-"""What a policy is told of a trial: numbers at once, pictures when they are read."""
+"""A policy's observations, whose pictures are rendered when they are first read."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import Any
 
 from ..attempt.simulator import Simulator
 from ..config.recording import SCENE_CAMERA, RecordConfig
-from ..config.things.thing import ObjectConfig
 from ..episode.episode import Episode
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
-from ..policies.environment_state import joints_key, things_told
+from ..policies.environment_state import joints_key, object_pose_keys
 from ..types import Attempt
 
 # Renders what a camera sees at MuJoCo's positions (nq,).
@@ -22,7 +21,7 @@ Render = Callable[[Array, str], Image]
 
 
 def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
-    """What a policy may ask to see -> key in an observation -> camera."""
+    """Name of an image that a policy can request -> key in an observation -> camera."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
         side = f"{arm.side}_wrist"
@@ -37,10 +36,10 @@ def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Key in a policy's observation -> camera, of the images that it asks for.
+    """Key in a policy's observation -> camera, of the requested images.
 
     Raises:
-        UsageError: there is no such camera on this rig, in this task.
+        UsageError: this rig and task have no such camera.
     """
     there = offered_cameras(config)
     cameras: dict[str, str] = {}
@@ -54,11 +53,11 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
     return cameras
 
 
-class Pictures:
+class ObservationRenderer:
     """Renders for the observations of one trial.
 
     Attributes:
-        failure: what rendering raised, if it did: not the policy's fault, whatever the policy makes of it.
+        failure: the exception of a failed rendering, which is not the policy's fault even if the policy handles it.
     """
 
     def __init__(self, render: Render) -> None:
@@ -71,9 +70,9 @@ class Pictures:
         """The picture that an observation has under `key`.
 
         Raises:
-            RuntimeError: it is read in another thread, which OpenGL does not bear, or after its trial.
+            RuntimeError: the picture is read in another thread, where OpenGL cannot render, or after its trial.
         """
-        hint = f"read observation[{key!r}], or dict(observation) for all, while you are asked"
+        hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:
             raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and hand that on")
         if self._is_over:
@@ -85,28 +84,30 @@ class Pictures:
             raise
 
     def end(self) -> None:
-        """The trial is over: the next one may look different."""
+        """End the trial: pictures of its states can no longer be rendered."""
         self._is_over = True
 
 
 class LazyObservation(Mapping[str, Any]):
-    """An observation whose pictures are rendered when they are first read, as everything was when it was made.
+    """An observation whose pictures are rendered when they are first read, in the state of the observation.
 
-    `dict(observation)` is all of it. Its keys are known, and counted, without rendering.
+    `dict(observation)` renders all pictures. Listing and counting the keys renders nothing.
 
     Args:
-        numbers: all but the pictures.
-        qpos: MuJoCo's positions (nq,); not changed from now on.
+        numbers: all values but the pictures.
+        qpos: MuJoCo's positions (nq,), which the caller must not change.
         cameras: key -> camera of the pictures.
     """
 
-    def __init__(self, numbers: dict[str, Any], qpos: Array, cameras: Mapping[str, str], pictures: Pictures) -> None:
-        self._known, self._qpos, self._cameras, self._pictures = numbers, qpos, cameras, pictures
+    def __init__(
+        self, numbers: dict[str, Any], qpos: Array, cameras: Mapping[str, str], renderer: ObservationRenderer
+    ) -> None:
+        self._known, self._qpos, self._cameras, self._renderer = numbers, qpos, cameras, renderer
         self._keys = (*numbers, *cameras)
 
     def __getitem__(self, key: str) -> Any:
         if key not in self._known and key in self._cameras:
-            self._known[key] = self._pictures.render(key, self._qpos, self._cameras[key])
+            self._known[key] = self._renderer.render(key, self._qpos, self._cameras[key])
         return self._known[key]
 
     def __contains__(self, key: object) -> bool:
@@ -122,18 +123,18 @@ class LazyObservation(Mapping[str, Any]):
         return f"{type(self).__name__}({', '.join(self._keys)})"
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        # Copied, or sent to another process, it is a dictionary of everything.
+        # A copy is a plain dictionary with all pictures.
         return dict, (dict(self),)
 
 
 class Observer:
-    """Makes the observations that a policy asks for.
+    """Makes a policy's observations.
 
     Args:
-        images, wants: what it asks for, see `policies.base.IMAGES` and `STATE`.
+        images, wants: the policy's requests, see `policies.base.IMAGES` and `STATE`.
 
     Raises:
-        UsageError: it asks for a camera that there is not.
+        UsageError: a requested camera does not exist.
     """
 
     def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
@@ -143,23 +144,19 @@ class Observer:
 
     @property
     def drives(self) -> tuple[int, int]:
-        """How many arms there are, and how many drives each has."""
+        """The numbers of arms, and of drives of each arm."""
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
-    def joints(self, episode: Episode, attempt: Attempt) -> Array:
-        """What is read of each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
-        return episode.readings(attempt.job)
-
-    def observe(self, episode: Episode, attempt: Attempt, pictures: Pictures) -> LazyObservation:
-        """What the policy is told of a scene's state now."""
+    def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
+        """The observation of an episode's present state."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
         task = config.task
         replica.show(episode.data.qpos)
         T_base = scene.T_base_in_world
         joints = episode.readings(attempt.job)
         openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
-        told: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),
             "ee_pose_world": of_arms(T_base @ replica.T_grasp_in_base()),
@@ -169,12 +166,8 @@ class Observer:
             "prompt": attempt.phrasing or task.language_prompt,
         }
         if OBJECTS in self._wants:
-            told |= {key: T_base @ replica.T_object_in_base(name) for name, key in things_told(config).items()}
-            told |= {joints_key(item.name): replica.object_joints(item) for item in self._moving()}
+            numbers |= {key: T_base @ replica.T_object_in_base(name) for name, key in object_pose_keys(config).items()}
+            numbers |= {joints_key(item.name): replica.object_joints(item) for item in task.objects if item.links}
         if VELOCITIES in self._wants:
-            told["joint_velocities"] = episode.joint_velocities.ravel()
-        return LazyObservation(told, episode.data.qpos.copy(), self._cameras, pictures)
-
-    def _moving(self) -> list[ObjectConfig]:
-        """Return the things whose parts move."""
-        return [item for item in self._simulator.config.task.objects if item.links]
+            numbers["joint_velocities"] = episode.joint_velocities.ravel()
+        return LazyObservation(numbers, episode.data.qpos.copy(), self._cameras, renderer)

@@ -1,4 +1,4 @@
-"""One trial of a policy: from the start that `yamsim trials` makes of the same numbers, and judged as there."""
+"""One trial of a policy, with the start and the verdict of `yamsim trials` for the same numbers."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from ..policies.policy_faults import Fault
 from ..session import Session
 from ..types import Actions, Attempt, EpisodeJob
 from ..workers.serving import forks_end_here
-from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
-from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .choice import PolicyChoice
-from .observation import Observer, Pictures, policy_cameras
+from .observation import ObservationRenderer, Observer, policy_cameras
+from .policy_calls import PolicyCaller, PolicyFailedError, TooSlowError, output_on_stderr
+from .policy_factory import Privileged, Scripted, Trial, make_policy
 
 
 class Ended(StrEnum):
-    """What ended a trial. From `RAISED` on it is the policy's fault, and no success whatever the object does.
+    """What ended a trial. From `RAISED` on the policy is at fault, and the trial is no success.
 
-    `SUCCESS`: the goal had held for its hold time, under the rule that ends a trial then. `DONE`: the policy said so.
+    `SUCCESS`: the goal had held for its hold time, under the rule that ends a trial then. `DONE`: the policy's answer.
     """
 
     NOT_STARTED = "not_started"
@@ -50,7 +50,7 @@ class Ended(StrEnum):
 
 
 FAULTS = (Ended.RAISED, Ended.INVALID, Ended.SLOW, Ended.LOST)
-# The policy had its say to the end.
+# Ends of trials that measure the policy.
 MEASURED = (Ended.SUCCESS, Ended.DONE, Ended.TIME_LIMIT, Ended.UNSTABLE)
 
 _NO_FAULT = Fault("")
@@ -58,17 +58,17 @@ _NO_FAULT = Fault("")
 
 @dataclass(frozen=True)
 class TrialResult:
-    """How a trial went.
+    """The result of a trial.
 
     Attributes:
         attempt: as it began.
         ended: what ended it.
-        error: what the policy did wrong, for a person; empty if nothing.
-        traceback: of what it raised; empty if it raised nothing.
+        error: the policy's fault, for a person; empty if there is none.
+        traceback: of the policy's exception; empty if there is none.
         ticks: control ticks that passed.
-        seconds: how long each of the policy's answers took.
+        seconds: duration of each of the policy's answers, s.
         actions: what acted; None if nothing did.
-        count: what became of the actions that it answered with.
+        count: of the policy's actions.
     """
 
     attempt: Attempt
@@ -83,7 +83,7 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """Return the rules of a policy's trials: who ends them, and how many control ticks they may take."""
+    """The rules of a policy's trials: who ends them, and their time limit."""
     task = config.task
     ticks = task.most_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
@@ -98,9 +98,9 @@ class TrialRunner(Closing):
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
-        with talking_on_stderr(), forks_end_here():
+        with output_on_stderr(), forks_end_here():
             self._policy = make_policy(choice, session)
-        self._asker = Asker(choice.call_seconds, choice.folder)
+        self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         self._simulators = Simulators(session)
         self._wanted = wanted_images(self._policy), wanted_state(self._policy)
         execute = choice.chunking.execute or getattr(self._policy, "execute", None)
@@ -108,7 +108,7 @@ class TrialRunner(Closing):
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: EpisodeJob) -> TrialResult:
-        """One trial. Its attempt is planned only if the policy asks for the plan, or distractors have to leave room."""
+        """Run one trial. The expert runs first only if the policy is the expert, or distractors have to leave room."""
         simulator, policy = self._simulators.of(job), self._policy
         trial = Trial(simulator, sample(simulator, job))
         scripted = isinstance(policy, Scripted)
@@ -128,23 +128,25 @@ class TrialRunner(Closing):
         record = OutcomeRecord.of(outcome)
         if ended in FAULTS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
-        told = (fault.text, fault.traceback, episode.ticks, tuple(seconds))
-        return TrialResult(attempt, record, ended, *told, episode.actions if episode.ticks else None, count)
+        actions = episode.actions if episode.ticks else None
+        return TrialResult(
+            attempt, record, ended, fault.text, fault.traceback, episode.ticks, tuple(seconds), actions, count
+        )
 
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
     ) -> tuple[Episode, Ended, Fault, ChunkCount]:
-        """Let the policy act until the trial ends, or the policy says that it is done, or fails."""
+        """Let the policy act until the trial ends, or the policy is done or fails."""
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
-        pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
+        renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(episode, attempt))
+        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
         try:
-            ended, fault = self._play(player, episode, observer, attempt, pictures, seconds)
+            ended, fault = self._play(player, episode, observer, attempt, renderer, seconds)
         finally:
-            pictures.end()
+            renderer.end()
         return episode, ended, fault, player.count
 
     def _play(
@@ -153,16 +155,16 @@ class TrialRunner(Closing):
         episode: Episode,
         observer: Observer,
         attempt: Attempt,
-        pictures: Pictures,
+        renderer: ObservationRenderer,
         seconds: list[float],
     ) -> tuple[Ended, Fault]:
         try:
-            self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
+            self._caller.call(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
             while episode.end is None and not player.is_over(episode.ticks):
                 if player.is_due(episode.ticks):
-                    answer = self._ask(observer.observe(episode, attempt, pictures), pictures)
-                    seconds.append(self._asker.seconds)
-                    player.take(read_chunk(answer, *observer.drives), episode.ticks, self._asker.seconds)
+                    answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
+                    seconds.append(self._caller.seconds)
+                    player.take(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
                 ctrl, magnet = player.act(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
@@ -172,33 +174,33 @@ class TrialRunner(Closing):
         except PolicyFailedError as error:
             return Ended.RAISED, Fault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
         if episode.end is None:
-            # The policy is done: everything stands still, for as long as the goal would have to hold.
+            # The policy is done: the last command holds while things settle and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.succeeds:
                     episode.step(ctrl, magnet)
         return Ended.DONE if episode.end is None else Ended(episode.end.reason.value), _NO_FAULT
 
-    def _ask(self, observation: Observation, pictures: Pictures) -> object:
+    def _answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
         """The policy's answer to an observation."""
         try:
-            return self._asker.ask(lambda: self._policy(observation))
+            return self._caller.call(lambda: self._policy(observation))
         finally:
-            if pictures.failure is not None:
-                raise pictures.failure
+            if renderer.failure is not None:
+                raise renderer.failure
 
     def _render(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
-        with self._asker.waits():
+        with self._caller.waits():
             return render(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
-        """Let the policy close what it has open, and free the renderers."""
+        """Close the policy, and free the renderers."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, TooSlowError):
-                self._asker.ask(close)
+                self._caller.call(close)
         self._simulators.close()
 
 
 def _policy_seed(job: EpisodeJob) -> int:
-    """A seed of its own for every trial, of 32 bits, which every library takes."""
+    """A seed for each trial, of 32 bits, which every library accepts."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

@@ -1,4 +1,4 @@
-"""A task's trials, stepped tick by tick by whoever decides what acts: an environment, or a program of a real arm's."""
+"""A task's trials, stepped tick by tick by an environment or a simulated station."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from ..images.image import Image
 from ..session import Session
 from ..types import Actions, Attempt, EpisodeJob
 
-MAX_STARTS = 20  # trials in a row without a start after which a task is taken to have none
+MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
 
 
 class SteppedTask(Closing):
-    """The trials that `yamsim trials` has of the same numbers, one after the other. Close it, since it may render.
+    """A task's trials, which start as those of `yamsim trials` with the same numbers. Close it, since it may render.
 
     Attributes:
         config: of the task.
         rules: of its episodes.
         simulator: of the trial that was begun last.
-        attempt: the trial, as it was sampled.
+        attempt: the trial as it was sampled.
         episode: the trial in motion.
 
     Args:
         end: who ends a trial, see `EndRule`.
-        max_ticks: control ticks after which a trial ends; by default as many as the task allows.
+        max_ticks: control ticks after which a trial ends; by default the task's own limit.
     """
 
     attempt: Attempt
@@ -53,7 +53,7 @@ class SteppedTask(Closing):
         """Begin a trial, or the next one that has a start.
 
         Raises:
-            SimulationError: none of many has one.
+            SimulationError: none of `MAX_STARTS` trials has a start.
         """
         for attempt in self._sampled(job):
             if attempt.start is not None:
@@ -65,10 +65,10 @@ class SteppedTask(Closing):
         """Begin a trial, or the next one in which the task's expert succeeds, as an episode of `record` does.
 
         Returns:
-            What the expert does.
+            The expert's actions.
 
         Raises:
-            SimulationError: it succeeds in none of many.
+            SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
         """
         for attempt in self._sampled(job):
             done = demonstrate(self.simulator, attempt)
@@ -87,12 +87,12 @@ class SteppedTask(Closing):
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the trial has ended for want of time."""
+        """Whether the trial has ended by its time limit."""
         end = self.episode.end
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
     def why_not(self) -> str:
-        """Return why the trial is no success as it stands, in words; empty if it is one."""
+        """Why the trial is no success at present, in words; empty if it is a success."""
         if self.succeeded:
             return ""
         end = self.episode.end
@@ -107,7 +107,7 @@ class SteppedTask(Closing):
         self._simulators.close()
 
     def _sampled(self, job: EpisodeJob) -> Iterator[Attempt]:
-        """Yield the attempts from a job on; each one's simulator is used from then on."""
+        """The attempts from a job on; `self.simulator` is that of the attempt yielded last."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.of(one)

@@ -1,30 +1,46 @@
-"""The protocol of /act: one HTTP POST an answer, JSON with arrays. MolmoAct2's and GR00T's servers for YAM speak it."""
+"""The protocol /act of MolmoAct2's and GR00T's servers for YAM: an HTTP POST of JSON for each answer.
+
+Arrays are written as the package json_numpy writes them: base64 of the bytes, the dtype's name and the shape.
+"""
 
 from __future__ import annotations
 
+import base64
+import binascii
 import http.client
+import json
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from .bounds import DamagedError
-from .json_arrays import dump_json, load_json
-from .peer import RemoteError, address_of, answering, content_of, nobody
+import numpy as np
+
+from .policy_client import (
+    DamagedError,
+    RemoteError,
+    address_of,
+    answering,
+    array_of,
+    check_json,
+    content_of,
+    no_answer,
+)
 
 SCHEME = "act"
 _PATH = "/act"
+_ARRAY_KEY = "__numpy__"
 
 
 class ActClient:
-    """Asks a server over a connection that it keeps; one that is gone is made again for the next question.
+    """Asks a server over one connection, which is made again when it is lost.
 
     Args:
         url: `act://HOST:PORT`, or with a path other than `/act`.
-        timeout: seconds to wait for a part of an answer.
+        timeout: for a part of an answer, s.
 
     Raises:
         UsageError: the URL is not valid.
-        ResourceError: nobody listens there.
+        ResourceError: no server listens there.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -35,17 +51,17 @@ class ActClient:
         try:
             self._connection.connect()
         except OSError as error:
-            raise nobody(url, error) from error
+            raise no_answer(url, error) from error
 
     def begin(self, seed: int) -> None:
-        """Nothing to do: the server remembers no trial."""
+        """Do nothing: the server keeps no state of a trial."""
 
     def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """The server's answer.
 
         Raises:
-            RemoteError: it is gone, or answers with an error or something else than a message.
-            TimeoutError: there is none in time.
+            RemoteError: the server is gone, or answers with an error or with no message.
+            TimeoutError: the server did not answer in time.
         """
         with answering(self._url, self._connection.close):
             data, status = self._post(dump_json(message))
@@ -67,8 +83,45 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may end a connection that was idle meanwhile; a new one tells whether it is there.
+            # A server may close an idle connection, so the request is sent once more on a new one.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         return content_of(response), response.status
+
+
+def dump_json(message: Any) -> bytes:
+    """A message of plain containers, text, numbers and arrays."""
+    return json.dumps(message, default=_encode).encode()
+
+
+def load_json(data: bytes) -> Any:
+    """The message in bytes; arrays in it are read-only.
+
+    Raises:
+        DamagedError: the bytes are no JSON, hold too many values, or an array is damaged.
+    """
+    try:
+        check_json(data)
+        return json.loads(data, object_hook=_decode)
+    except (ValueError, RecursionError) as error:
+        text = str(error) if isinstance(error, DamagedError) else f"no JSON: {str(error)[:100]}"
+        raise DamagedError(text) from error
+
+
+def _encode(value: object) -> dict[str, Any]:
+    if isinstance(value, np.ndarray | np.generic):
+        content = base64.b64encode(value.tobytes()).decode("ascii")
+        return {_ARRAY_KEY: content, "dtype": value.dtype.str, "shape": list(value.shape)}
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def _decode(found: dict[str, Any]) -> Any:
+    if _ARRAY_KEY not in found:
+        return found
+    try:
+        content = base64.b64decode(found[_ARRAY_KEY], validate=True)
+    except (TypeError, ValueError, binascii.Error) as error:
+        raise DamagedError("an array whose content is no base64") from error
+    whole = array_of(content, found.get("dtype"), found.get("shape"))
+    return whole if whole.ndim else whole[()]

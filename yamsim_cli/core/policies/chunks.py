@@ -1,4 +1,4 @@
-"""What acts at each control tick, of chunks of actions that may overlap, come late, or run out."""
+"""The action at each control tick, from chunks of actions that can overlap, arrive late, or run out."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from ..geometry.se3 import Array
 from ..types import Holds
 from .base import Chunk
 
-# So much of a tick is rounding, and no part of the next one.
-_ROUNDING = 1e-6
-# The longest latency that is modelled, s.
-_LONGEST = 60.0
+_ROUNDING = 1e-6  # ticks: a smaller part of a tick is a rounding error
+_MAX_LATENCY = 60.0  # s, that is simulated
 
 
 @dataclass(frozen=True)
@@ -24,11 +22,11 @@ class Chunking:
     """How chunks of actions are used.
 
     Attributes:
-        execute: after how many actions of a chunk the next one is asked for; None for all of them.
-        ensemble: chunks that overlap are averaged, each weighing exp(-ensemble) as much as the one that was asked for
-            before it; None where the newest acts alone.
-        latency: simulated seconds from a question to when its answer acts, in which the arm goes on with what it has;
-            None for as long as the answer really took.
+        execute: actions of a chunk that act before the next chunk is requested; None for all.
+        ensemble: overlapping chunks are averaged, each with exp(-ensemble) times the weight of the chunk requested
+            before it; None for the newest chunk alone.
+        latency: simulated time from a request until the answer acts, s; meanwhile earlier chunks act. None for the
+            time that the answer really took.
     """
 
     execute: int | None = None
@@ -40,25 +38,25 @@ def read_latency(text: str) -> float | None:
     """Seconds of a time such as `80ms` or `0.08s`; None for `measured`.
 
     Raises:
-        UsageError: it is none, or beyond a minute.
+        UsageError: the text is no such time, or the time is more than a minute.
     """
     if text == "measured":
         return None
     found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?(ms|s)", text)
     seconds = float(found[1]) * (1e-3 if found[2] == "ms" else 1) if found else math.inf
-    if seconds > _LONGEST:
+    if seconds > _MAX_LATENCY:
         raise UsageError(f"--latency {text!r} is not valid: give a time such as 80ms or 0.08s, up to 60s, or measured")
     return seconds
 
 
 @dataclass(frozen=True)
 class ChunkCount:
-    """What became of a trial's actions.
+    """Counts of a trial's actions.
 
     Attributes:
         chunks, actions: how many were received.
         stale: actions whose time had passed when they arrived.
-        waited: control ticks on which no action was for then: the last one that there was stayed.
+        waited: control ticks for which there was no action, so that the last command stayed.
     """
 
     chunks: int = 0
@@ -68,15 +66,15 @@ class ChunkCount:
 
 
 @dataclass(frozen=True)
-class _Timed:
+class _TimedChunk:
     chunk: Chunk
-    asked: int  # tick
+    requested: int  # tick
     arrives: int  # tick
     per_action: float  # ticks
 
     def index(self, now: int) -> int:
-        """Number of the action that is for a tick; as many as there are, or more, once they have run out."""
-        return math.floor((now - self.asked) / self.per_action + _ROUNDING)
+        """Index of the action for a tick; at least `actions` once they have run out."""
+        return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
     def actions(self) -> int:
@@ -85,48 +83,48 @@ class _Timed:
     @property
     def ends(self) -> int:
         """The first tick for which there is no action."""
-        return self.asked + _ticks(self.actions * self.per_action)
+        return self.requested + _ticks(self.actions * self.per_action)
 
 
 class ChunkPlayer:
-    """Says when a policy is to be asked, and what acts meanwhile.
+    """Decides when a policy's next answer is requested, and which action acts at each tick.
 
-    An action is for a time, counted from when its chunk was asked for. One that comes late is not made up for: the arm
-    takes up the chunk where it would be by then. Of a chunk that comes later than all of its actions, the last acts.
+    The times of a chunk's actions count from the request. Of a chunk that arrives late, the actions whose time has
+    passed are skipped. If the time of all actions has passed, the last action acts.
 
     Args:
         tick: length of a control tick, s.
-        hold: control ticks an action lasts, where its chunk does not say how long.
-        rest: what each arm's drives are told before anything has come (arms, drives).
+        hold: control ticks that an action lasts, where its chunk has no period.
+        rest: commands to each arm's drives before the first chunk arrives (arms, drives).
     """
 
     def __init__(self, chunking: Chunking, tick: float, hold: int, rest: Array) -> None:
         self._chunking, self._tick, self._hold, self._rest = chunking, tick, hold, rest
-        self._chunks: list[_Timed] = []
+        self._chunks: list[_TimedChunk] = []
         self._next = 0
         self.count = ChunkCount()
 
     def is_due(self, now: int) -> bool:
-        """Whether the policy is to be asked at a tick."""
-        return now >= self._next and not self._last_words
+        """Whether the next answer is to be requested at a tick."""
+        return now >= self._next and not self.has_ended
 
     def is_over(self, now: int) -> bool:
-        """Whether a chunk after which nothing comes has been played by a tick."""
-        return self._last_words and now >= max(self._chunks[-1].ends, self._chunks[-1].arrives)
+        """Whether the policy's last chunk has acted to its end by a tick."""
+        return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrives)
 
     @property
     def has_ended(self) -> bool:
-        """Whether the policy said that nothing comes after its last chunk."""
-        return self._last_words
+        """Whether the policy is finished after its last chunk."""
+        return bool(self._chunks) and self._chunks[-1].chunk.done
 
     def take(self, chunk: Chunk, now: int, seconds: float) -> None:
-        """Take the answer to a question asked at a tick; `seconds` is how long it really took."""
+        """Add the answer to a request of a tick; `seconds` is the time that the answer really took."""
         chunking = self._chunking
         per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
-        timed = _Timed(chunk, now, now + late, per_action)
+        timed = _TimedChunk(chunk, now, now + late, per_action)
         execute = min(chunking.execute or timed.actions, timed.actions)
-        # At least a tick passes between two questions, and one is asked only when the last is answered.
+        # At least a tick passes between two requests, and a request waits for the answer to the one before.
         self._next = max(timed.arrives, now + max(1, _ticks(execute * per_action)))
         self._chunks.append(timed)
         count = self.count
@@ -134,8 +132,8 @@ class ChunkPlayer:
         self.count = ChunkCount(count.chunks + 1, count.actions + timed.actions, count.stale + stale, count.waited)
 
     def act(self, now: int) -> tuple[Array, Holds]:
-        """What the drives (arms, drives) and welds (arms,) are told at a tick; ask for each tick once, in order."""
-        self._forget(now)
+        """Commands to the drives (arms, drives) and welds (arms,) at a tick; call once for each tick, in order."""
+        self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrives <= now]
         acting = [timed for timed in here if timed.index(now) < timed.actions]
         if not acting:
@@ -153,16 +151,12 @@ class ChunkPlayer:
         ctrl = np.einsum("c,cad->ad", weights, np.array([ctrl for ctrl, _ in rows]))
         return ctrl, weights @ np.array([magnet for _, magnet in rows], dtype=float) >= 0.5
 
-    @property
-    def _last_words(self) -> bool:
-        return bool(self._chunks) and self._chunks[-1].chunk.done
+    def _drop_chunks(self, now: int) -> None:
+        """Drop chunks that will not act any more. The newest chunk that has arrived stays, for its last action.
 
-    def _forget(self, now: int) -> None:
-        """Drop chunks that will not act any more; the newest one that is here stays, for its last action.
-
-        Without averaging, a chunk acts no more once a newer one is here that lasts as long.
+        Without averaging, a chunk acts no more once a newer chunk has arrived that lasts as long.
         """
-        kept: list[_Timed] = []
+        kept: list[_TimedChunk] = []
         covered = -1
         for timed in reversed(self._chunks):
             here = timed.arrives <= now
@@ -174,5 +168,5 @@ class ChunkPlayer:
 
 
 def _ticks(amount: float) -> int:
-    """Whole ticks that cover so many."""
+    """An amount of ticks, rounded up."""
     return math.ceil(amount - _ROUNDING)

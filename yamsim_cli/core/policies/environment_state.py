@@ -1,7 +1,7 @@
-"""Where things are, as one row of numbers: what a policy learns from that is told no pictures.
+"""The poses of things as one row of numbers, for policies that use no pictures.
 
-Of each thing come its position, and then the first two axes of its frame, all in the robot's base; of a thing with
-parts that move, their joints after that. Two axes are a rotation without jumps, which angles and quaternions have.
+A thing has its position, the first two axes of its frame, both in the robot's base, and the joints of its moving parts.
+Two axes represent a rotation continuously, unlike angles and quaternions.
 Source: Zhou et al., On the Continuity of Rotation Representations in Neural Networks, 2019.
 """
 
@@ -18,7 +18,7 @@ from ..geometry.se3 import Array
 _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for axis in "xyz")
 
 
-def things_told(config: RecordConfig) -> dict[str, str]:
+def object_pose_keys(config: RecordConfig) -> dict[str, str]:
     """Thing -> key of its pose in an observation, of all things of a task, in their order in a row."""
     cast = config.task.typical_cast
     names = {thing: role if len(things) == 1 else thing for role, things in cast.things.items() for thing in things}
@@ -26,7 +26,7 @@ def things_told(config: RecordConfig) -> dict[str, str]:
 
 
 def joints_key(thing: str) -> str:
-    """Key of the joints of a thing with parts that move, in an observation as in a dataset's frame."""
+    """Key of the joints of a thing with moving parts, in an observation and in a dataset's frame."""
     return f"{thing}_joints"
 
 
@@ -44,6 +44,6 @@ def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
     """The row of numbers, 9 for each thing and one for each of its joints.
 
     Args:
-        things: of each, its pose (4, 4) in the robot's base, and its joints (n,), m or rad.
+        things: of each thing, its pose (4, 4) in the robot's base, and its joints (n,), m or rad.
     """
     return np.concatenate([part for T, joints in things for part in (T[:3, 3], T[:3, 0], T[:3, 1], np.ravel(joints))])

@@ -1,4 +1,4 @@
-"""A checkpoint of LeRobot's, with its processors, in this process."""
+"""A LeRobot checkpoint with its processors, in this process."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ SCHEME = "lerobot"
 _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
 
 
-def check_rows(message: Mapping[str, Any], asked: Mapping[str, tuple[int, ...]]) -> None:
-    """Compare the rows of numbers in a message with what a checkpoint learnt from.
+def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
+    """Compare the rows of numbers in a message with the checkpoint's inputs.
 
     Args:
-        asked: key -> shape.
+        expected: key -> shape.
 
     Raises:
-        UsageError: one is of another length.
+        UsageError: a row has another length.
     """
-    for key, shape in asked.items():
-        if key in message and (told := np.shape(message[key])) != shape:
+    for key, shape in expected.items():
+        if key in message and (found := np.shape(message[key])) != shape:
             raise UsageError(
-                f"{key} has {told[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
+                f"{key} has {found[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
                 "give the --task and --rig of its demonstrations"
             )
 
 
 class LeRobotClient:
-    """Asks a policy that was trained by LeRobot.
+    """A policy that was trained by LeRobot.
 
-    A policy that looks at one observation answers with all of its chunk; one that looks back answers action by action.
+    A policy of one observation answers with its whole chunk; a policy of several observations, action by action.
 
     Attributes:
-        asks: keys of all that it asks for, pictures and rows of numbers.
-        execute: after how many actions of a chunk it is meant to be asked again; None for all.
+        asks: keys of all its inputs, pictures and rows of numbers.
+        execute: actions of a chunk that act before the next answer is requested; None for all.
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
-        mapping: by which it is asked; its key of actions is that of the answer.
+        mapping: the config of its messages, whose key of actions is that of the answer.
 
     Raises:
         ResourceError: LeRobot is not installed.
@@ -71,7 +71,7 @@ class LeRobotClient:
             self._before, self._after = make_pre_post_processors(
                 config, pretrained_path=checkpoint, preprocessor_overrides=device
             )
-        # Reading it runs LeRobot's code for its kind of policy, which may raise anything.
+        # LeRobot's code for the kind of policy may raise any exception.
         except Exception as error:
             text = " ".join(str(error).split())[:300]
             raise UsageError(f"--policy {SCHEME}:{checkpoint}: it cannot be loaded: {text}") from error
@@ -80,18 +80,18 @@ class LeRobotClient:
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
         self.asks = tuple(config.input_features)
         self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
-        # Of such a policy, only select_action notes what was seen.
+        # The queues of earlier observations are filled by select_action alone.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
         self.execute: int | None = None if self._looks_back else getattr(config, "n_action_steps", None)
 
     def begin(self, seed: int) -> None:
-        """Forget the previous trial, and draw from the new one's seed."""
+        """Reset the policy, and seed torch."""
         self._torch.manual_seed(seed)
         self._policy.reset()
 
     def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The policy's actions for an observation, as its own processor gives them.
+        """The policy's actions for an observation, after its processor.
 
         Raises:
             UsageError: see `check_rows`.
@@ -110,8 +110,8 @@ class LeRobotClient:
             ask = self._policy.select_action if self._looks_back else self._policy.predict_action_chunk
             actions = self._after(ask(ready))
         rows = actions.to("cpu", torch.float64).numpy()
-        # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is that of the only observation.
+        # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is the batch's.
         return {self._key: rows[0]}
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""

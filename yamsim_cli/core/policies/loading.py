@@ -1,4 +1,4 @@
-"""Loads policies by name: a class in a module, or in a file of the user's."""
+"""Loads policies by name: a class in a module, or in a file of the user."""
 
 from __future__ import annotations
 
@@ -18,27 +18,26 @@ from .policy_faults import fault_of
 
 _OWN = "module:Class or file.py:Class"
 # Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and checkpoints.
-ELSEWHERE = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
-FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(ELSEWHERE)}, http://HOST:PORT, {_OWN}"
+EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
+FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
 
-# Of those, the ones for which nothing has to be rendered.
-_BLIND = ("scripted", "hold_still", "replay")
+_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies for which nothing has to be rendered
 
 
 def sees_images(name: str) -> bool:
-    """Whether a policy of this name may look at images."""
-    return name.partition(":")[0] not in _BLIND
+    """Whether a policy of this name may read images."""
+    return name.partition(":")[0] not in _WITHOUT_IMAGES
 
 
-def is_elsewhere(name: str) -> bool:
-    """Return whether a policy of this name belongs to another program."""
+def is_external(name: str) -> bool:
+    """Whether a policy of this name belongs to another program."""
     kind, colon, _ = name.partition(":")
-    return bool(colon) and kind in (form.partition(":")[0] for form in ELSEWHERE)
+    return bool(colon) and kind in (form.partition(":")[0] for form in EXTERNAL_FORMS)
 
 
 def takes_keywords(name: str) -> bool:
-    """Return whether a policy of this name is a class of the user's, which is made with keywords."""
-    return name.partition(":")[0] not in (*_BLIND, "http", "https") and not is_elsewhere(name)
+    """Whether a policy of this name is a class of the user, which is made with keywords."""
+    return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
 
 
 def load_policy(
@@ -49,13 +48,13 @@ def load_policy(
     *,
     known_only: bool = False,
 ) -> Policy:
-    """Load a policy of the user's.
+    """Load a policy of the user.
 
     Args:
-        name: `module:Class`, `file.py:Class`, or `file.py` if it has a single class that can be called.
+        name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
         folder: where modules and files are searched first.
         forms: the forms of a name that the caller accepts, for the error message.
-        arguments: keywords that the class is made with.
+        arguments: keywords for the class.
         known_only: leave out the keywords that the class does not have.
 
     Raises:
@@ -71,7 +70,7 @@ def load_policy(
         made = found(**(_known(found, keywords) if known_only else keywords))
     except UsageError:
         raise
-    # The user's code may raise anything, which the message names.
+    # The user's code may raise any exception.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {fault_of(error, folder).text}") from error
     return check_policy(made, name)
@@ -86,10 +85,10 @@ def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[st
 
 
 def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
-    """Keywords for a policy's class, of `KEY=VALUE` each; numbers are numbers.
+    """Keywords for a policy's class, from texts `KEY=VALUE`; numeric values become numbers.
 
     Raises:
-        UsageError: one is not of that form, or is given twice.
+        UsageError: a text has another form, or a key is given twice.
     """
     arguments: dict[str, int | float | str] = {}
     for text in given:
@@ -142,17 +141,17 @@ def check_policy(policy: Any, name: str) -> Policy:
     """The object itself, if it is a policy.
 
     Raises:
-        UsageError: it has no `reset`, cannot be called, or asks for something unknown.
+        UsageError: the object has no `reset`, cannot be called, or requests something unknown.
     """
     if not callable(policy) or not callable(getattr(policy, "reset", None)):
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
         )
     for attribute, what, valid in (("images", "image", IMAGES), ("wants", "state", STATE)):
-        asked = getattr(policy, attribute, ())
-        if not isinstance(asked, tuple | list | set | frozenset):
-            raise UsageError(f"--policy {name}: {attribute} is {asked!r}; give a tuple, such as ({valid[0]!r},)")
-        for one in asked:
+        requested = getattr(policy, attribute, ())
+        if not isinstance(requested, tuple | list | set | frozenset):
+            raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({valid[0]!r},)")
+        for one in requested:
             if one not in valid:
                 raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
     ticks = getattr(policy, "ticks", 1)
@@ -163,12 +162,12 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """Which of `IMAGES` a policy asks for."""
+    """The ones of `IMAGES` that a policy requests."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """Which of `STATE` a policy asks for."""
+    """The ones of `STATE` that a policy requests."""
     return tuple(getattr(policy, "wants", ()))
 
 

@@ -1,4 +1,4 @@
-"""A policy from elsewhere as one of ours: what it calls things, its units and its order, by a config."""
+"""A policy of another program, whose names, units and order of values a config describes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..errors import UsageError, suggest
 from ..geometry.se3 import Array, inverse
 from ..images.fit import fitted
 from .base import OBJECTS, InvalidActionError, Observation
-from .bounds import period_of, rows_of
 from .environment_state import joints_key, state_row
+from .policy_client import period_of, rows_of
 
 
-class Client(Protocol):
-    """Whoever answers: a server by its protocol, or a checkpoint in this process."""
+class PolicyClient(Protocol):
+    """The client of a policy server, or a checkpoint in this process."""
 
     def begin(self, seed: int) -> None:
-        """A trial of this seed begins."""
+        """Begin a trial of a seed."""
         ...
 
     def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -29,22 +29,22 @@ class Client(Protocol):
         ...
 
     def close(self) -> None:
-        """Nothing is asked any more."""
+        """Close the connection, if there is one."""
         ...
 
 
 @dataclass(frozen=True)
-class Station:
-    """What a policy finds.
+class PolicyStation:
+    """The arms, cameras and things that a policy acts on.
 
     Attributes:
         rig: its name, for messages.
         sides: of the arms, in the order of observations and actions.
         drives: how many each arm has, its gripper last.
-        openings: how far one finger of each arm opens in use, m; 0 without fingers.
-        cameras: name that a policy asks for -> key of the picture in observations.
+        openings: the opening of one finger of each fully open gripper, m; 0 without fingers.
+        cameras: name that a policy requests -> key of the picture in observations.
         things: name -> key of its pose in observations, in the order of a row.
-        T_base_in_world: pose (4, 4) of the base in which a dataset's poses are.
+        T_base_in_world: pose (4, 4) of the base to which a dataset's poses refer.
     """
 
     rig: str
@@ -57,22 +57,22 @@ class Station:
 
 
 class MappedPolicy:
-    """Asks a client in its own words, and understands its answers.
+    """Converts observations to a client's messages, and the client's answers to actions.
 
     Attributes:
-        images: the cameras that it is shown.
-        wants: what it is told besides, see `base.STATE`.
-        execute: after how many actions of a chunk it is asked again, where nobody says otherwise; None for all.
+        images: the cameras whose pictures the messages have.
+        wants: further values that the messages have, see `base.STATE`.
+        execute: actions of a chunk that act before the next answer is requested, by default; None for all.
 
     Args:
-        wanted: keys of what the client asks for, of those in the config; None for all.
+        wanted: the client's inputs, by their keys in the config; None for all.
 
     Raises:
         UsageError: the config does not fit the station.
     """
 
     def __init__(
-        self, client: Client, config: PolicyConfig, station: Station, wanted: Sequence[str] | None = None
+        self, client: PolicyClient, config: PolicyConfig, station: PolicyStation, wanted: Sequence[str] | None = None
     ) -> None:
         self._client, self._config, self._station = client, config, station
         self.execute: int | None = getattr(client, "execute", None)
@@ -81,9 +81,9 @@ class MappedPolicy:
             raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
             raise self._unfit("arms", f"nobody drives the {unused[0]} arm")
-        # Where each of its arms is in ours, and each of ours in its.
-        self._theirs = [station.sides.index(side) for side in sides]
-        self._ours = [sides.index(side) for side in station.sides]
+        # Indices that reorder the station's arms to the client's, and back.
+        self._to_client = [station.sides.index(side) for side in sides]
+        self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
         if config.gripper == "share":
             if not all(station.openings):
@@ -99,8 +99,8 @@ class MappedPolicy:
         if lacking := [key for key in wanted or () if key not in known]:
             raise self._unfit("images", f"the policy asks for {lacking[0]!r}; {suggest(lacking[0], known)}")
         things = config.environment_state
-        self._tells_things = things is not None and (wanted is None or things.key in wanted)
-        self.wants = (OBJECTS,) if self._tells_things else ()
+        self._has_things = things is not None and (wanted is None or things.key in wanted)
+        self.wants = (OBJECTS,) if self._has_things else ()
         shown = {picture for _, picture in self._pictures.values()}
         self.images = tuple(name for name, key in station.cameras.items() if key in shown)
         self._seed = 0
@@ -111,56 +111,56 @@ class MappedPolicy:
         self._client.begin(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """The actions that the client answers with, as ours.
+        """The client's actions for an observation.
 
         Raises:
-            InvalidActionError: they are none.
+            InvalidActionError: the client's answer has no valid actions.
         """
-        return self._understood(self._client.ask(self.message(observation)))
+        return self._actions(self._client.ask(self.message(observation)))
 
     def message(self, observation: Observation) -> dict[str, Any]:
-        """An observation in the client's words."""
+        """The client's message for an observation."""
         config = self._config
-        told: dict[str, Any] = dict(config.constants)
+        message: dict[str, Any] = dict(config.constants)
         if config.state is not None:
-            row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._theirs]
+            row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
             if config.gripper == "share":
                 row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
-            told[config.state.key] = row.ravel().astype(config.state.dtype)
-        if config.environment_state is not None and self._tells_things:
-            told[config.environment_state.key] = self._things(observation).astype(config.environment_state.dtype)
+            message[config.state.key] = row.ravel().astype(config.state.dtype)
+        if config.environment_state is not None and self._has_things:
+            message[config.environment_state.key] = self._things(observation).astype(config.environment_state.dtype)
         pictures = {key: _picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
-        told |= {config.images_under: pictures} if config.images_under else pictures
+        message |= {config.images_under: pictures} if config.images_under else pictures
         for key, value in (
             (config.prompt, observation["prompt"]),
             (config.time, float(observation["time"])),
             (config.seed, self._seed),
         ):
             if key is not None:
-                told[key] = value
-        return told
+                message[key] = value
+        return message
 
     def close(self) -> None:
-        """Let the client go."""
+        """Close the client."""
         self._client.close()
 
-    def _understood(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
         actions = self._config.actions
         if actions.key not in answer:
             raise InvalidActionError(f"the answer has no {actions.key!r}, but {', '.join(map(str, answer))[:200]}")
         arms, drives = self._scale.shape
         rows = rows_of(answer[actions.key], actions.key, arms * (drives + actions.weld))
-        told: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._ours] * self._scale
+        ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale
         period = period_of(answer.get(actions.period_ms_key), actions.period_ms_key) if actions.period_ms_key else None
-        ours: dict[str, Any] = {"ctrl": told.reshape(len(rows), -1), "period": period or 1 / actions.hz}
+        found: dict[str, Any] = {"ctrl": ctrl.reshape(len(rows), -1), "period": period or 1 / actions.hz}
         if actions.weld:
-            ours["magnet"] = rows[:, arms * drives :][:, self._ours] >= 0.5
+            found["magnet"] = rows[:, arms * drives :][:, self._to_station] >= 0.5
         if actions.done_key is not None:
-            ours["done"] = answer.get(actions.done_key, False)
-        return ours
+            found["done"] = answer.get(actions.done_key, False)
+        return found
 
     def _things(self, observation: Observation) -> Array:
-        """Where things are in the base, in a row."""
+        """The row of the things' poses in the base, see `environment_state`."""
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(
             [
@@ -170,7 +170,7 @@ class MappedPolicy:
         )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
-        """The first of a picture's cameras that is there; None for one that is optional and not asked for."""
+        """The first of a picture's cameras on the station; None if there is none and the picture is optional."""
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)

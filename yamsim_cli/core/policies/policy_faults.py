@@ -1,4 +1,4 @@
-"""Describes an exception in a policy's code: as one line for a person, and with its traceback."""
+"""Descriptions of exceptions in a policy's code: one line for a person, and the traceback."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 
 _YAMSIM = str(Path(__file__).resolve().parents[2])
-# Folders of Python and of installed packages. The user's own line that called them says more than theirs.
+# Folders of Python and of installed packages: the description names the user's line that called them.
 _INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-_LONGEST = 300
+_MAX_CHARACTERS = 300  # of an exception's message
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ def summary_of(error: BaseException) -> str:
     """An exception in one line: its type and message."""
     try:
         message = str(error)
-    # A user's exception may raise anything when its text is asked for.
+    # The text of a user's exception may itself raise any exception.
     except Exception:  # noqa: BLE001
         message = "its message cannot be shown"
-    message = textwrap.shorten(message, _LONGEST, placeholder=" ...")
+    message = textwrap.shorten(message, _MAX_CHARACTERS, placeholder=" ...")
     return f"{type(error).__name__}: {message}" if message else type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""The arms of a session on their buses, ready to be driven as the real ones are."""
+"""A session's arms on their simulated buses, ready for the programs that drive real arms."""
 
 from __future__ import annotations
 
@@ -19,40 +19,39 @@ from ..motors.wiring import find_wiring
 from ..session import Session
 from ..types import EpisodeJob, Stand
 from .follower import Follower
-from .hands import Hand
-from .pictures import Moment, PictureProcess
+from .pictures import PictureProcess, SceneState
 from .plant import Plant
-from .policy_robot import PolicyRobot
+from .policy_robot import HandKinematics, PolicyRobot
 
-# Where the arms stand at first: folded up, where they lie still without power; the model's home; the task's start.
+# Where the arms start: folded, where they are at rest without power; the model's home; the task's start.
 STARTS = ("rest", "home", "task")
 
 
 @dataclass(frozen=True)
 class Served:
-    """Arms that are driven from outside.
+    """Arms that other programs drive.
 
     Attributes:
-        plant: them and what stands around them.
-        sides: of the arms, "left" or "right", in the order of `plant.buses`.
-        followers: what drives each of them by its joints, in the same order.
+        plant: the arms with the task's things.
+        sides: "left" or "right" of each arm, in the order of `plant.buses`.
+        followers: of each arm, in the same order.
     """
 
     plant: Plant
     sides: tuple[str, ...]
     followers: tuple[Follower, ...]
 
-    def moment(self) -> Moment:
-        """The present state, to be drawn."""
+    def state(self) -> SceneState:
+        """The present state."""
         joints = tuple(follower.joint_pos() for follower in self.followers)
-        return Moment(self.plant.data.qpos.copy(), self.plant.now, joints)
+        return SceneState(self.plant.data.qpos.copy(), self.plant.now, joints)
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
-    """The names of the arms' buses: those given, in the arms' order, or `can0`, or `can_left` and `can_right`.
+    """The names of the arms' buses: the given ones, in the arms' order, or `can0`, or `can_left` and `can_right`.
 
     Raises:
-        UsageError: not one for each arm, or two alike.
+        UsageError: their number is not that of the arms, two are equal, or one is no valid name.
     """
     if not given:
         return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
@@ -68,18 +67,18 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
 
 
 def served_cameras(config: RecordConfig) -> tuple[str, ...]:
-    """The cameras whose pictures are served: those that are recorded, and the wrists' even if they are not."""
+    """The cameras whose pictures are served: the recorded ones, and wrist cameras even if they are not recorded."""
     if config.cameras is not None or config.rig.cameras:
         return config.recorded_cameras
     return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recorded)
 
 
 def policy_robot(session: Session, served: Served, source: PictureProcess) -> PolicyRobot:
-    """The arms as raiden's policies drive them; its names of wrist cameras are `left_wrist_camera` and the like."""
+    """The arms for raiden's policies, with raiden's names of wrist cameras, such as `left_wrist_camera`."""
     arms = [session.config.rig.arms[k] for k in session.config.rig.recorded]
     wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
     names = {camera: wrists.get(camera, camera) for camera in source.cameras}
-    hands = [Hand(arm) for arm in arms]
+    hands = [HandKinematics(arm) for arm in arms]
     return PolicyRobot(served.plant, served.sides, served.followers, hands, source, names)
 
 
@@ -89,15 +88,15 @@ def serve_arms(
     faults: Sequence[BusFault] = (),
     start: str = "rest",
 ) -> Served:
-    """The arms of a session's rig, with the task's things around them, before anything has moved.
+    """The arms of a session's rig, with the task's things at their start.
 
     Args:
-        channels: names of their buses, see `channel_names`.
+        channels: names of the buses, see `channel_names`.
         start: one of STARTS.
 
     Raises:
         ConfigError: an arm's or a gripper's motors are not known.
-        UsageError: a channel or a fault names what is not there.
+        UsageError: a channel's name is not valid, or a fault names a channel or motor that does not exist.
         SimulationError: the scene cannot be compiled, or the task's things have no room.
     """
     config = session.config
@@ -135,8 +134,8 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     return scene.start_qpos(layout, stands)
 
 
-def _check(faults: Sequence[BusFault], buses: Sequence[Bus]) -> None:
-    """Raise a UsageError for a fault that names a channel or a motor that is not there."""
+def _check(faults: Sequence[Fault], buses: Sequence[Bus]) -> None:
+    """Raise a UsageError for a fault of a channel or a motor that does not exist."""
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
         if not meant:

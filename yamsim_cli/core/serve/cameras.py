@@ -1,7 +1,7 @@
-"""Pictures for programs that read cameras: a Unix socket, on which each message is its length, JSON, and raw bytes.
+"""Pictures for other programs, on a Unix socket: each message is its length (4 bytes), JSON, and raw bytes.
 
-`yamsim_cli.camera_reader` is the other side. A program asks for `cameras`, or for the `picture` of one after a number,
-and is answered when there is a newer one.
+`yamsim_cli.camera_reader` is the client. A client requests `cameras`, or the `picture` of one camera after a number,
+which is answered when there is a newer picture.
 """
 
 from __future__ import annotations
@@ -10,118 +10,113 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .connections import Program, Server
 from .pictures import PictureProcess, Shot
-from .places import CAMERA_SOCKET
-from .sockets import listen_in
+from .sockets import CAMERA_SOCKET, Client, UnixServer
 
-# Of what a program says, bytes.
-_LARGEST = 4096
+_MAX_REQUEST_BYTES = 4096
 _READ_BYTES = 4096
 
 
-class _WrongError(ValueError):
-    """What a program said is no message; the text says what is wrong."""
+class _InvalidRequestError(ValueError):
+    """What was received is no message."""
 
 
-class CameraServer(Server):
-    """Hands out what a scene's cameras see; close it. It never blocks.
+class CameraServer(UnixServer):
+    """Sends a scene's pictures to clients; close it. No method blocks.
 
     Raises:
-        ResourceError: somebody else serves cameras in that folder, or the socket cannot be made.
+        ResourceError: another program serves cameras in that folder, or the socket cannot be made.
     """
 
     def __init__(self, folder: Path, source: PictureProcess) -> None:
         self._source = source
-        self.path = folder / CAMERA_SOCKET
-        super().__init__(listen_in(self.path), _READ_BYTES)
-        # Program -> camera, and the number after which it waits for a picture.
-        self._waiting: dict[Program, tuple[str, int]] = {}
+        super().__init__(folder / CAMERA_SOCKET, _READ_BYTES)
+        # Client -> the requested camera, and the number after which a picture is requested.
+        self._requests: dict[Client, tuple[str, int]] = {}
 
     def handle(self, ready: set[Any]) -> None:
-        """Take what programs ask for."""
-        for program in self._connections.heard(ready):
-            self._serve(program)
+        """Receive requests and answer them."""
+        for client in self.read(ready):
+            self._serve(client)
 
     def flush(self) -> None:
-        """Give those their picture for whom there is a newer one, and send what waits."""
-        programs = self._connections.programs
-        self._waiting = {program: asked for program, asked in self._waiting.items() if program in programs}
+        """Answer requests for which there is a newer picture, and send outgoing bytes."""
+        clients = self.clients
+        self._requests = {client: request for client, request in self._requests.items() if client in clients}
         shot = self._source.shot
-        for program, (camera, after) in list(self._waiting.items()):
+        for client, (camera, after) in list(self._requests.items()):
             if shot is not None and shot.number > after:
-                del self._waiting[program]
-                self._give(program, camera, shot)
-        self._connections.flush()
-        for program in programs:
-            if program.came and not program.waits:
-                self._serve(program)
+                del self._requests[client]
+                _send_picture(client, camera, shot)
+        super().flush()
+        for client in clients:
+            if client.received and not client.outgoing:
+                self._serve(client)
 
-    def close(self) -> None:
-        """Leave nothing behind."""
-        super().close()
-        self.path.unlink(missing_ok=True)
-
-    def _serve(self, program: Program) -> None:
+    def _serve(self, client: Client) -> None:
         try:
-            # One thing after the other: nothing piles up for a program that asks faster than it reads.
-            while not program.waits and program not in self._waiting and (asked := _next_message(program)) is not None:
-                self._answer(program, asked)
-                self._connections.flush(program)
-        except _WrongError:
-            self._connections.drop(program)
+            # One request at a time: no answers pile up for a client that sends faster than it reads.
+            while not client.outgoing and client not in self._requests:
+                if (request := _next_request(client)) is None:
+                    break
+                self._answer(client, request)
+                self.write(client)
+        except _InvalidRequestError:
+            self.drop(client)
             return
-        if len(program.came) > _LARGEST + 4:
-            self._connections.drop(program)
+        if len(client.received) > _MAX_REQUEST_BYTES + 4:
+            self.drop(client)
 
-    def _answer(self, program: Program, asked: dict[str, Any]) -> None:
+    def _answer(self, client: Client, request: dict[str, Any]) -> None:
         source = self._source
-        kind, camera, after = asked.get("ask"), asked.get("camera"), asked.get("after", -1)
+        kind, camera, after = request.get("ask"), request.get("camera"), request.get("after", -1)
         if kind == "cameras":
             width, height = source.size
-            one = {"width": width, "height": height, "fps": source.fps}
-            told = {name: {**one, "K": source.K[name].ravel().tolist()} for name in source.cameras}
-            _say(program, {"cameras": told})
+            form = {"width": width, "height": height, "fps": source.fps}
+            _send(
+                client, {"cameras": {name: {**form, "K": source.K[name].ravel().tolist()} for name in source.cameras}}
+            )
         elif kind != "picture" or type(after) is not int:
-            _say(program, {"error": "ask for cameras, or for a picture with its camera and the number after"})
+            _send(client, {"error": "ask for cameras, or for a picture with its camera and the number after"})
         elif camera not in source.cameras:
-            _say(program, {"error": f"there is no camera {camera!r:.80}; there are: {', '.join(source.cameras)}"})
+            _send(client, {"error": f"there is no camera {camera!r:.80}; there are: {', '.join(source.cameras)}"})
         else:
-            self._waiting[program] = str(camera), after
-
-    def _give(self, program: Program, camera: str, shot: Shot) -> None:
-        picture = shot.pictures[camera]
-        height, width, _ = picture.shape
-        known = {"camera": camera, "number": shot.number, "time_ns": shot.time_ns, "sim_time": shot.sim_time}
-        pose = shot.T_cam_in_base[camera].ravel().tolist()
-        _say(program, {**known, "width": width, "height": height, "T_cam_in_base": pose}, picture.tobytes())
+            self._requests[client] = str(camera), after
 
 
-def _say(program: Program, told: dict[str, Any], data: bytes = b"") -> None:
-    head = json.dumps({**told, "bytes": len(data)}).encode()
-    program.waits += len(head).to_bytes(4, "little") + head + data
+def _send_picture(client: Client, camera: str, shot: Shot) -> None:
+    picture = shot.pictures[camera]
+    height, width, _ = picture.shape
+    header = {"camera": camera, "number": shot.number, "time_ns": shot.time_ns, "sim_time": shot.sim_time}
+    pose = shot.T_cam_in_base[camera].ravel().tolist()
+    _send(client, {**header, "width": width, "height": height, "T_cam_in_base": pose}, picture.tobytes())
 
 
-def _next_message(program: Program) -> dict[str, Any] | None:
-    """The next whole message, taken from what has come; None until it has.
+def _send(client: Client, answer: dict[str, Any], data: bytes = b"") -> None:
+    head = json.dumps({**answer, "bytes": len(data)}).encode()
+    client.outgoing += len(head).to_bytes(4, "little") + head + data
+
+
+def _next_request(client: Client) -> dict[str, Any] | None:
+    """The next whole request, removed from the received bytes; None until it is whole.
 
     Raises:
-        _WrongError: what came is none.
+        _InvalidRequestError: the bytes are no request.
     """
-    came = program.came
-    if len(came) < 4:
+    received = client.received
+    if len(received) < 4:
         return None
-    length = int.from_bytes(came[:4], "little")
-    if not 2 <= length <= _LARGEST:
-        raise _WrongError(f"a message of {length} bytes")
-    if len(came) < 4 + length:
+    length = int.from_bytes(received[:4], "little")
+    if not 2 <= length <= _MAX_REQUEST_BYTES:
+        raise _InvalidRequestError(f"a message of {length} bytes")
+    if len(received) < 4 + length:
         return None
     try:
-        asked = json.loads(bytes(came[4 : 4 + length]))
-    # Too many brackets are a RecursionError.
+        request = json.loads(bytes(received[4 : 4 + length]))
+    # Too many nested brackets are a RecursionError.
     except (ValueError, RecursionError) as error:
-        raise _WrongError("a message that is not JSON") from error
-    if not isinstance(asked, dict):
-        raise _WrongError("a message that is no object")
-    del came[: 4 + length]
-    return asked
+        raise _InvalidRequestError("a message that is not JSON") from error
+    if not isinstance(request, dict):
+        raise _InvalidRequestError("a message that is no object")
+    del received[: 4 + length]
+    return request

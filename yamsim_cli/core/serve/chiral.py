@@ -1,182 +1,272 @@
-"""chiral's port: the robot as the WebSocket server that raiden's policies are run against."""
+"""The robot as the WebSocket server that raiden's policies connect to: the protocol chiral of TRI-ML's raiden.
+
+A message is a header's length (4 bytes), the header in msgpack, and raw arrays. Reading a message runs no code of it.
+Source: TRI-ML/chiral f7293d7, protocol.py.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from ..geometry.se3 import Array
 from ..page_origin import refusal
-from . import chiral_wire
-from .chiral_wire import ChiralError
-from .connections import Program, Server, listen_at
-from .policy_robot import PolicyRobot
+from ..policies.policy_client import require_library
+from .policy_robot import PolicyRobot, RobotObservation
+from .sockets import Client, TcpServer
 
 _READ_BYTES = 65_536
-# How long a program may take until it speaks WebSocket, s.
-_GREETING_S = 5.0
-# Messages of one program that wait; one that says more is hung up on.
-_MOST_WAITING = 256
-# Messages of one program that are answered before physics goes on.
-_AT_ONCE = 2
+_HANDSHAKE_S = 5.0  # s, until a client has to speak WebSocket
+_MAX_QUEUED = 256  # unanswered messages of a client, before the client is dropped
+_PER_STEP = 2  # messages of a client that are answered before physics continues
+
+MAX_MESSAGE_BYTES = 65_536  # that is read; an action has some hundred bytes
+_MAX_ACTION_NUMBERS = 256
+_DTYPES = ("float16", "float32", "float64")
+
+_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"
+
+
+class ChiralError(ValueError):
+    """Bytes that are no message of chiral."""
 
 
 @dataclass
-class _Client:
-    """One program's side of the protocol.
+class _Connection:
+    """The protocol's state for one client.
 
     Attributes:
-        protocol: of WebSocket, without any socket.
-        came: when, by the clock.
-        messages: that are not answered yet, oldest first.
-        parts: of a message whose end has not come.
-        due: what it waits for: an answer to a reset or to a request, once there are pictures taken after `since`.
-        drives: whether it has sent an action.
+        protocol: of WebSocket, without a socket.
+        began: when the client connected, s of the monotonic clock.
+        messages: not answered yet, oldest first.
+        parts: of a message that is not whole yet.
+        pending: a reset or an observation request that waits for pictures taken after `since`; "" for none.
+        drives: whether the client has sent an action.
     """
 
     protocol: Any
-    came: float
+    began: float
     messages: deque[bytes] = field(default_factory=deque)
     parts: bytearray = field(default_factory=bytearray)
-    due: str = ""
+    pending: str = ""
     since: float = 0.0
     drives: bool = False
 
 
-class ChiralServer(Server):
-    """Answers raiden's policies about one robot; close it. It never blocks.
+class ChiralServer(TcpServer):
+    """Serves one robot to raiden's policies; close it. No method blocks.
 
-    Web pages of other sites are refused: a browser would let any of them reach this port.
-
-    Attributes:
-        port: on which it listens.
+    Requests of web pages from other sites are refused, since a browser would let any page reach this port.
 
     Raises:
-        ResourceError: msgpack or websockets are not installed, or the port cannot be had.
+        ResourceError: msgpack or websockets is not installed, or the port cannot be listened on.
     """
 
     def __init__(self, robot: PolicyRobot, host: str, port: int) -> None:
-        chiral_wire.require_libraries()
+        for library in ("msgpack", "websockets"):
+            require_library("--chiral", library)
         self._robot, self._host = robot, host
-        listener = listen_at(host, port, "--chiral")
-        super().__init__(listener, _READ_BYTES)
-        self._clients: dict[Program, _Client] = {}
-        self.port = int(listener.getsockname()[1])
+        super().__init__(host, port, "--chiral", _READ_BYTES)
+        self._connections: dict[Client, _Connection] = {}
 
     def handle(self, ready: set[Any]) -> None:
-        """Take what programs say."""
-        for program in self._connections.heard(ready):
-            client = self._clients.get(program)
-            if client is None:
-                client = self._clients[program] = _Client(_new_protocol(), time.monotonic())
-            self._hear(program, client)
+        """Receive messages, and answer them."""
+        for client in self.read(ready):
+            self._receive_messages(client, self._connection(client))
 
     def flush(self) -> None:
-        """Answer whom there is something for, send what waits, and let go of who is gone."""
+        """Answer what can be answered now, send outgoing bytes, and stop the arms whose client has gone."""
         from websockets.protocol import State
 
         now = time.monotonic()
-        there = set(self._connections.programs)
-        for program in there - self._clients.keys():
-            self._clients[program] = _Client(_new_protocol(), now)
-        for program, client in list(self._clients.items()):
-            if program not in there:
-                self._forget(program)
-            elif client.protocol.state is State.CONNECTING and now > client.came + _GREETING_S:
-                self._connections.drop(program)
+        clients = self.clients
+        for client in clients:
+            self._connection(client)
+        for client, connection in list(self._connections.items()):
+            if client not in clients:
+                self._end(client)
+            elif connection.protocol.state is State.CONNECTING and now > connection.began + _HANDSHAKE_S:
+                self.drop(client)
             else:
-                self._work(program, client)
+                self._work(client, connection)
 
-    def _hear(self, program: Program, client: _Client) -> None:
+    def _connection(self, client: Client) -> _Connection:
+        from websockets.server import ServerProtocol
+
+        if client not in self._connections:
+            protocol = ServerProtocol(max_size=MAX_MESSAGE_BYTES)
+            self._connections[client] = _Connection(protocol, time.monotonic())
+        return self._connections[client]
+
+    def _receive_messages(self, client: Client, connection: _Connection) -> None:
         from websockets.frames import Frame, Opcode
         from websockets.http11 import Request
 
-        protocol = client.protocol
-        protocol.receive_data(bytes(program.came))
-        program.came.clear()
+        protocol = connection.protocol
+        protocol.receive_data(bytes(client.received))
+        client.received.clear()
         for event in protocol.events_received():
             if isinstance(event, Request):
-                protocol.send_response(self._answer_request(protocol, event))
+                headers = event.headers
+                refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
+                protocol.send_response(protocol.accept(event) if refused is None else protocol.reject(403, refused))
             elif isinstance(event, Frame) and event.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
-                client.parts += event.data
+                connection.parts += event.data
                 if event.fin:
-                    client.messages.append(bytes(client.parts))
-                    client.parts.clear()
-        if len(client.messages) > _MOST_WAITING:
+                    connection.messages.append(bytes(connection.parts))
+                    connection.parts.clear()
+        if len(connection.messages) > _MAX_QUEUED:
             protocol.fail(1008, "too many messages at once")
-            client.messages.clear()
-        self._work(program, client)
+            connection.messages.clear()
+        self._work(client, connection)
 
-    def _answer_request(self, protocol: Any, request: Any) -> Any:
-        """The response to a request for a WebSocket."""
-        headers = request.headers
-        refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
-        return protocol.accept(request) if refused is None else protocol.reject(403, refused)
-
-    def _work(self, program: Program, client: _Client) -> None:
-        """Answer some messages in their order, and send; what a program has not taken yet holds the next answer up."""
+    def _work(self, client: Client, connection: _Connection) -> None:
+        """Answer some messages in order, and send; no further message is answered while bytes wait to be sent."""
         try:
-            for _ in range(_AT_ONCE):
-                if not self._send(program, client) or program.waits or not self._go_on(client):
+            for _ in range(_PER_STEP):
+                if not self._send(client, connection) or client.outgoing or not self._answer_next(connection):
                     return
         except (ChiralError, ValueError) as error:
-            client.messages.clear()
-            client.due = ""
-            client.protocol.fail(1008, str(error)[:100])
-        self._send(program, client)
+            connection.messages.clear()
+            connection.pending = ""
+            connection.protocol.fail(1008, str(error)[:100])
+        self._send(client, connection)
 
-    def _go_on(self, client: _Client) -> bool:
-        """Answer what a program waits for, or take its next message; whether there was something to do."""
-        if client.due:
-            return self._answer(client)
-        if client.messages:
-            self._take(client, client.messages.popleft())
+    def _answer_next(self, connection: _Connection) -> bool:
+        """Answer the pending request, or handle the next message; whether there was something to do."""
+        if connection.pending:
+            return self._answer_pending(connection)
+        if connection.messages:
+            self._handle_message(connection, connection.messages.popleft())
             return True
         return False
 
-    def _take(self, client: _Client, message: bytes) -> None:
-        kind, numbers = chiral_wire.read(message)
-        if kind == chiral_wire.METADATA:
-            client.protocol.send_binary(chiral_wire.metadata(self._robot.metadata))
+    def _handle_message(self, connection: _Connection, message: bytes) -> None:
+        kind, numbers = read_message(message)
+        if kind == _METADATA:
+            connection.protocol.send_binary(_packed({"type": "metadata_response", "data": dict(self._robot.metadata)}))
         elif numbers is not None:
             self._robot.act(numbers)
-            client.drives = True
+            connection.drives = True
         else:
-            client.due, client.since = kind, 0.0
-            if kind == chiral_wire.RESET:
+            connection.pending, connection.since = kind, 0.0
+            if kind == _RESET:
                 self._robot.reset()
 
-    def _answer(self, client: _Client) -> bool:
-        """Give what a program waits for; whether it was there."""
+    def _answer_pending(self, connection: _Connection) -> bool:
+        """Answer the pending request; whether there were pictures for that."""
         robot, shot = self._robot, self._robot.shot
-        resets = client.due == chiral_wire.RESET
-        if resets and robot.is_going_home:
-            client.since = robot.now
-        elif shot is not None and shot.sim_time >= client.since:
-            client.due = ""
-            client.protocol.send_binary(chiral_wire.observation(robot.observed(shot), reset=resets))
+        is_reset = connection.pending == _RESET
+        if is_reset and robot.is_going_home:
+            connection.since = robot.now
+        elif shot is not None and shot.sim_time >= connection.since:
+            connection.pending = ""
+            connection.protocol.send_binary(_observation_message(robot.observed(shot), is_reset=is_reset))
             return True
         return False
 
-    def _send(self, program: Program, client: _Client) -> bool:
-        """Hand on what the protocol has to say; whether the program is still there."""
+    def _send(self, client: Client, connection: _Connection) -> bool:
+        """Send what the protocol has to send; whether the connection stays open."""
         over = False
-        for data in client.protocol.data_to_send():
-            over = over or not data  # An empty one is its end.
-            program.waits += data
-        if program.waits:
-            self._connections.flush(program)
+        for data in connection.protocol.data_to_send():
+            over = over or not data  # An empty item marks the end of the connection.
+            client.outgoing += data
+        if client.outgoing:
+            self.write(client)
         if over:
-            self._connections.drop(program)
+            self.drop(client)
         return not over
 
-    def _forget(self, program: Program) -> None:
-        if self._clients.pop(program).drives and not self._robot.stopped:
+    def _end(self, client: Client) -> None:
+        if self._connections.pop(client).drives and not self._robot.stopped:
             self._robot.stop("the program that drove the arms has gone; reset to go on")
 
 
-def _new_protocol() -> Any:
-    from websockets.server import ServerProtocol
+def read_message(message: bytes) -> tuple[str, Array | None]:
+    """A client's request, and the numbers (n,) of an action.
 
-    return ServerProtocol(max_size=chiral_wire.LARGEST)
+    Raises:
+        ChiralError: the bytes are no valid message.
+    """
+    import msgpack
+
+    length = int.from_bytes(message[:4], "little")
+    if len(message) < 4 or not 1 <= length <= len(message) - 4:
+        raise ChiralError("the header's length does not fit")
+    try:
+        header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
+    # These two are the bases of msgpack's errors.
+    except (ValueError, msgpack.exceptions.UnpackException) as error:
+        raise ChiralError("the header is not msgpack") from error
+    kind = header.get("type") if isinstance(header, dict) else None
+    if kind in (_METADATA, _RESET, _OBSERVATION):
+        return str(kind), None
+    if kind != _ACTION:
+        raise ChiralError(f"a message is one of {_METADATA}, {_RESET}, {_OBSERVATION} and {_ACTION}")
+    return _ACTION, _action_numbers(header.get("shape"), header.get("dtype"), message[4 + length :])
+
+
+def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
+    if dtype not in _DTYPES:
+        raise ChiralError(f"an action's dtype is one of {', '.join(_DTYPES)}")
+    if not isinstance(shape, list) or not 1 <= len(shape) <= 3 or not all(type(n) is int and n > 0 for n in shape):
+        raise ChiralError("an action's shape is not valid")
+    count = math.prod(shape)
+    if count > _MAX_ACTION_NUMBERS or count * np.dtype(dtype).itemsize != len(data):
+        raise ChiralError("an action has not as many bytes as its shape says")
+    numbers: Array = np.frombuffer(data, dtype).astype(np.float64)
+    return numbers
+
+
+def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
+    """The answer to an observation request or to a reset."""
+    parts: list[bytes] = []
+    at = 0
+
+    def put(data: bytes) -> tuple[int, int]:
+        nonlocal at
+        parts.append(data)
+        at += len(data)
+        return at - len(data), len(data)
+
+    cameras = []
+    for name, view in observation.views.items():
+        start, size = put(view.picture.tobytes())
+        cameras.append(
+            {
+                "name": name,
+                "timestamp": view.time_ns,
+                "intrinsics": view.K.ravel().tolist(),
+                "extrinsics": view.T_cam_in_base.ravel().tolist(),
+                "image_shape": list(view.picture.shape),
+                "image_dtype": "uint8",
+                "image_offset": start,
+                "image_size": size,
+            }
+        )
+    proprios = []
+    for name, values in observation.proprios.items():
+        start, size = put(np.asarray(values, np.float32).tobytes())
+        proprios.append({"name": name, "dtype": "float32", "offset": start, "size": size})
+    header = {
+        "type": "reset_response" if is_reset else "obs_response",
+        "timestamp": observation.time,
+        "cameras": cameras,
+        "proprios": proprios,
+        "extra": dict(observation.extra),
+        **({"info": {}} if is_reset else {}),
+    }
+    return _packed(header) + b"".join(parts)
+
+
+def _packed(header: Mapping[str, Any]) -> bytes:
+    import msgpack
+
+    packed: bytes = msgpack.packb(header)
+    return len(packed).to_bytes(4, "little") + packed

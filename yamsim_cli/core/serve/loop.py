@@ -1,4 +1,4 @@
-"""Simulated time kept to the clock, and frames answered as they come."""
+"""The loop that keeps simulated time to the clock and answers frames as they arrive."""
 
 from __future__ import annotations
 
@@ -11,47 +11,44 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..motors.frames import Frame
+from .can_bus import KernelBus, UnixBus
 from .plant import Plant
-from .sockets import KernelBus, UnixBus
 
-# Behind by more, the simulation goes on from where it is instead of racing, s.
-_LONGEST_CATCH_UP = 0.1
-# A program that was late may have so many of its answers sooner, to be back at its rate.
-_EARLY_ANSWERS = 7
-# Answers that wait on a bus at a time; what is asked beyond gets lost, as where an adapter's buffer is full.
-_MOST_WAITING = 64
+_MAX_CATCH_UP = 0.1  # s; when it is farther behind, the simulation continues from the present time
+_EARLY_ANSWERS = 7  # answers that a late program gets without the gap between them, to regain its rate
+_MAX_QUEUED = 64  # answers that wait on a bus; further frames are lost, as in an adapter with a full buffer
 
 
 class Port(Protocol):
-    """What is served beside the buses. None of it may ever wait for anybody."""
+    """A server beside the buses. None of its methods blocks."""
 
     @property
     def readers(self) -> Sequence[Any]:
-        """What to wait for until there may be something to read."""
+        """The objects to select for reading."""
 
     @property
     def writers(self) -> Sequence[Any]:
-        """What to wait for until something that waits can be sent."""
+        """The objects to select for writing."""
 
     def handle(self, ready: set[Any]) -> None:
-        """Take what has come, of the readers where there is something."""
+        """Receive from the readers that are ready."""
 
     def flush(self) -> None:
-        """Do what does not depend on what came, such as to send what waits; called at least once a step."""
+        """Do the work that needs no new input, such as sending outgoing bytes; called at least once a step."""
 
 
 @dataclass(frozen=True)
-class Pace:
+class ServePace:
     """How well the simulation kept to the clock.
 
     Attributes:
-        seconds: that it ran, by the clock.
+        seconds: run time by the clock.
         steps: of physics.
         late_ms: the largest lateness of a step, ms.
-        late_steps: how many began more than a step after they were due.
-        lost_ms: time that the clock ran on without the simulation, when it was too far behind to catch up.
-        frames: that the motors heard.
-        dropped: that got lost, by a fault or because a bus was full.
+        late_steps: how many steps began more than a step after they were due.
+        lost_ms: time that the simulation skipped because it was too far behind to catch up, ms.
+        frames: that the motors received.
+        dropped: frames that were lost, by a fault or because a bus was full.
     """
 
     seconds: float
@@ -64,12 +61,12 @@ class Pace:
 
 
 class ServeLoop:
-    """Lets a plant run in real time, with each of its buses on a socket.
+    """Runs a plant in real time, with each of its buses on a socket.
 
     Args:
         sockets: of the plant's buses, in their order.
         gap: time between two answers on a bus, s, as long as a program is not late.
-        ports: that are served beside them.
+        ports: further servers.
         tick: called before every physics step.
     """
 
@@ -83,11 +80,11 @@ class ServeLoop:
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
         self._ports = tuple(ports)
-        # When the next answer may come, of each bus.
+        # When each bus may send its next answer.
         self._free = [0.0] * len(self._sockets)
         self._waiting = [0] * len(self._sockets)
         self._lost_frames = 0
-        # When an answer is due, the order in which they were given, the bus, and the answer.
+        # A heap of: when an answer is due, the answer's number, the bus, and the answer.
         self._answers: list[tuple[float, int, int, Frame]] = []
         self._count = itertools.count()
         self._late = self._lost = 0.0
@@ -95,10 +92,10 @@ class ServeLoop:
         self._began = time.monotonic()
 
     @property
-    def pace(self) -> Pace:
-        """How well it went so far."""
+    def pace(self) -> ServePace:
+        """The pace so far."""
         buses = self._plant.buses
-        return Pace(
+        return ServePace(
             seconds=time.monotonic() - self._began,
             steps=self._plant.steps,
             late_ms=1000 * self._late,
@@ -109,7 +106,7 @@ class ServeLoop:
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
-        """Go on until it is told to stop, or for so long.
+        """Run until `stop` returns true, or for a duration (s).
 
         Raises:
             SimulationError: physics broke down.
@@ -123,7 +120,7 @@ class ServeLoop:
                 late = now - due
                 self._late = max(self._late, late)
                 self._late_steps += late > step
-                if late > _LONGEST_CATCH_UP:
+                if late > _MAX_CATCH_UP:
                     self._lost += late
                     due = now
                 self._tick()
@@ -132,7 +129,7 @@ class ServeLoop:
             self._exchange(due)
 
     def _exchange(self, until: float) -> None:
-        """Answer what comes, at least once, until a time of the clock's."""
+        """Receive and answer, at least once, until a time of the monotonic clock."""
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:
@@ -142,7 +139,6 @@ class ServeLoop:
             for one in (*self._sockets, *self._ports):
                 one.flush()
             wake = min(until, self._answers[0][0]) if self._answers else until
-            # Asked for anew: a program may have been hung up on meanwhile.
             writers = [writer for port in self._ports for writer in port.writers]
             ready = set(select.select(self._readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
             if ready:
@@ -156,7 +152,7 @@ class ServeLoop:
     def _receive(self, ready: set[Any]) -> None:
         for k, one in enumerate(self._sockets):
             for frame in one.receive(ready):
-                if self._waiting[k] >= _MOST_WAITING:
+                if self._waiting[k] >= _MAX_QUEUED:
                     self._lost_frames += 1
                     continue
                 for answer in self._plant.buses[k].send(frame, self._plant.now):

@@ -1,4 +1,4 @@
-"""What the cameras of a served scene see, drawn in a process of its own: physics never waits for a picture."""
+"""Pictures of a served scene, rendered in a separate process, so that physics never waits for a picture."""
 
 from __future__ import annotations
 
@@ -20,26 +20,24 @@ from ..session import Session
 from ..types import Attempt, EpisodeJob
 from ..workers.processes import start_process
 
-# One that is drawn on while the other is looked at.
-_SLOTS = 2
-# Compiling a scene with all of its meshes takes seconds, on a busy machine many.
-_START_SECONDS = 300.0
-_END_SECONDS = 5.0
-# How an answer of the process begins.
-_DRAWN, _FAILED = b"d", b"f"
+_SLOTS = 2  # shots in shared memory: the newest, and the one that is being rendered
+_START_SECONDS = 300.0  # s; compiling a scene with all meshes takes seconds, on a busy machine many
+_END_SECONDS = 5.0  # s, that `close` waits for the process
+# The first byte of an answer of the process.
+_RENDERED, _FAILED = b"d", b"f"
 
 
 @dataclass(frozen=True)
 class Shot:
-    """What all cameras saw at one moment.
+    """The pictures of all cameras in one state.
 
     Attributes:
         number: of the shot, from 0.
-        time_ns: when that was by the machine's clock, ns since 1970.
-        sim_time: when that was in the simulation, s.
-        joints: of each arm then, (dofs,) with the gripper last, as its follower tells them.
-        T_cam_in_base: pose (4, 4) of each camera in the left arm's base then, in OpenCV's convention.
-        pictures: of each camera, RGB (height, width, 3). They are drawn over after the next shot.
+        time_ns: by the machine's clock, ns since 1970.
+        sim_time: in the simulation, s.
+        joints: of each arm, (dofs,) with the gripper last, see `Follower.joint_pos`.
+        T_cam_in_base: pose (4, 4) of each camera in the left arm's base, in OpenCV's convention.
+        pictures: of each camera, RGB (height, width, 3). They are overwritten after the next shot.
     """
 
     number: int
@@ -51,8 +49,8 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Moment:
-    """A state that is to be drawn: MuJoCo's positions (nq,), and what a `Shot` tells beside."""
+class SceneState:
+    """A state to be rendered: MuJoCo's positions (nq,), and the values that a `Shot` has of it."""
 
     qpos: Array
     sim_time: float
@@ -60,21 +58,21 @@ class Moment:
 
 
 class PictureProcess:
-    """Draws a scene's cameras; close it.
+    """Renders a scene's cameras; close it.
 
     Attributes:
         cameras: their names, in order.
-        size: of the pictures, width and height, px.
+        size: width and height of the pictures, px.
         fps: shots a second, at most.
         K: camera -> intrinsics (3, 3).
-        shot: the newest; None until the first is drawn.
+        shot: the newest; None until the first is rendered.
 
     Args:
-        moment: gives the present state.
-        clock: gives the present time, ns since 1970.
+        state: returns the present state.
+        clock: returns the present time, ns since 1970.
 
     Raises:
-        ResourceError: nothing can draw here.
+        ResourceError: nothing can be rendered here.
         SimulationError: the scene cannot be compiled.
     """
 
@@ -83,13 +81,13 @@ class PictureProcess:
         session: Session,
         cameras: Sequence[str],
         fps: float,
-        moment: Callable[[], Moment],
+        state: Callable[[], SceneState],
         clock: Callable[[], int],
     ) -> None:
         self.cameras, self.size, self.fps = tuple(cameras), session.config.image.size_px, fps
         self.shot: Shot | None = None
-        self._moment, self._clock = moment, clock
-        self._asked: tuple[int, Moment] | None = None
+        self._state, self._clock = state, clock
+        self._requested: tuple[int, SceneState] | None = None
         self._count, self._due = 0, 0.0
         width, height = self.size
         self._shape = (_SLOTS, len(self.cameras), height, width, 3)
@@ -98,8 +96,8 @@ class PictureProcess:
         try:
             self._process, self._pipe = start_process(
                 "yamsim-pictures",
-                _draw,
-                # A scene has the cameras that are recorded, and these may be others.
+                _render_states,
+                # A scene has the cameras that are recorded, which may not be these.
                 session.with_values(cameras=self.cameras),
                 self.cameras,
                 self._shape,
@@ -119,45 +117,45 @@ class PictureProcess:
 
     @property
     def readers(self) -> list[Connection]:
-        """What to wait for until there may be a shot."""
+        """The connections to select for reading."""
         return [self._pipe]
 
     @property
     def writers(self) -> list[Connection]:
-        """Nothing waits to be sent."""
+        """None: nothing waits to be sent."""
         return []
 
     def handle(self, ready: set[object]) -> None:
-        """Take a shot that is drawn.
+        """Receive a rendered shot.
 
         Raises:
             SimulationError, ResourceError: the process has ended.
         """
-        if self._pipe not in ready or self._asked is None:
+        if self._pipe not in ready or self._requested is None:
             return
         poses = np.frombuffer(self._answer()).reshape(-1, 4, 4)
-        time_ns, moment = self._asked
-        self._asked = None
+        time_ns, state = self._requested
+        self._requested = None
         self.shot = Shot(
             self._count,
             time_ns,
-            moment.sim_time,
-            moment.joints,
+            state.sim_time,
+            state.joints,
             dict(zip(self.cameras, poses, strict=True)),
             dict(zip(self.cameras, self._pictures[self._count % _SLOTS], strict=True)),
         )
         self._count += 1
 
     def flush(self) -> None:
-        """Have the next shot drawn, if it is time and the one before is done."""
+        """Request the next shot, if it is due and the one before is rendered."""
         now = time.monotonic()
-        if self._asked is not None or now < self._due:
+        if self._requested is not None or now < self._due:
             return
         self._due = max(self._due + 1 / self.fps, now)
-        self._asked = self._clock(), self._moment()
-        # A state has some hundreds of bytes, and the process waits for it: this does not block.
+        self._requested = self._clock(), self._state()
+        # A state has some hundred bytes, and the process waits for it, so sending does not block.
         with contextlib.suppress(OSError):
-            self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._asked[1].qpos.tobytes())
+            self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._requested[1].qpos.tobytes())
 
     def close(self) -> None:
         """End the process."""
@@ -169,23 +167,25 @@ class PictureProcess:
 
     def _answer(self) -> bytes:
         try:
-            said = self._pipe.recv_bytes()
+            answer = self._pipe.recv_bytes()
         except (EOFError, OSError):
             raise SimulationError("the process that draws pictures has ended, perhaps for want of memory") from None
-        if said[:1] == _FAILED:
-            raise ResourceError(said[1:].decode())
-        return said[1:]
+        if answer[:1] == _FAILED:
+            raise ResourceError(answer[1:].decode())
+        return answer[1:]
 
     def _free(self) -> None:
         del self._pictures
-        # Somebody may still look at a picture; its memory goes with the process then.
+        # A picture may still be referred to: then its memory is freed with this process.
         with contextlib.suppress(BufferError):
             self._memory.close()
         self._memory.unlink()
 
 
-def _draw(pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str) -> None:
-    """Draw each state that comes, until the pipe closes."""
+def _render_states(
+    pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str
+) -> None:
+    """Render each state that is received, until the pipe closes."""
     shared = SharedMemory(name=memory)
     pictures = np.ndarray(shape, np.uint8, shared.buf)
     attempt = Attempt(EpisodeJob(0, 0))
@@ -195,15 +195,15 @@ def _draw(pipe: Connection, session: Session, cameras: Sequence[str], shape: tup
             contextlib.suppress(EOFError, OSError),
         ):
             replica, size = simulator.replica, session.config.image.size_px
-            # The first picture takes longest: it has everything uploaded.
+            # The first picture takes longest, since the scene is uploaded for it.
             render(simulator, attempt, simulator.scene.model.qpos0, cameras)
-            pipe.send_bytes(_DRAWN + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
+            pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
             while True:
                 data = pipe.recv_bytes()
-                drawn = render(simulator, attempt, np.frombuffer(data[1:]), cameras)
+                images = render(simulator, attempt, np.frombuffer(data[1:]), cameras)
                 for k, name in enumerate(cameras):
-                    pictures[data[0], k] = drawn[name]
-                pipe.send_bytes(_DRAWN + np.array([replica.T_cam_in_base(name) for name in cameras]).tobytes())
+                    pictures[data[0], k] = images[name]
+                pipe.send_bytes(_RENDERED + np.array([replica.T_cam_in_base(name) for name in cameras]).tobytes())
     except YamsimError as error:
         with contextlib.suppress(OSError):
             pipe.send_bytes(_FAILED + str(error).encode())

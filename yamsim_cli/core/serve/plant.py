@@ -1,4 +1,4 @@
-"""Simulated arms whose joints emulated motors turn: at every physics step, each by the law that it was told."""
+"""Simulated arms driven by emulated motors, each by the law that it was last commanded."""
 
 from __future__ import annotations
 
@@ -16,24 +16,20 @@ from ..motors.wiring import GripperWiring, Wiring
 from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
 from ..scene.compiling import breakdown
 
-# Of fingers that are stuck, kg: what no motor moves.
-_STUCK_MASS = 1e9
-# How much stiffer contacts are along a surface than across it, as where friction alone has to hold things.
-_IMPRATIO = 10.0
-# How often it is looked whether physics broke down, in steps.
-_LOOK_STEPS = 50
+_STUCK_MASS = 1e9  # kg, armature of stuck fingers: no motor moves them
+_IMPRATIO = 10.0  # MuJoCo's impratio, as in scenes where friction alone holds things
+_CHECK_STEPS = 50  # steps between two checks whether physics broke down
 
 
 @dataclass(frozen=True)
 class _Shaft:
-    """How a motor's shaft goes with a joint: `angle = ratio * joint + offset`.
+    """How a motor's shaft turns with a joint: `angle = ratio * joint + offset`.
 
     Attributes:
         arm: number of the arm.
-        motor: whose.
-        drive: its place among MuJoCo's actuators.
+        drive: index of MuJoCo's actuator.
         qpos, dof: of the joint; of a gripper, the left finger's.
-        load: how many times its weight the motor has to hold; 0 of a gripper, whose fingers balance each other.
+        load: how many times the links' weight the motor holds; 0 of a gripper, whose fingers balance each other.
     """
 
     arm: int
@@ -51,14 +47,14 @@ class Plant:
 
     Attributes:
         data: MuJoCo's present state.
-        buses: one for each of the scene's arms, in their order.
+        buses: of each of the scene's arms, in their order.
         steps: how many physics steps have passed.
 
     Args:
-        scene: its model is changed: drives follow the motors, and arms weigh what they weigh.
-        start: MuJoCo's positions (nq,) at the beginning, at rest; what lies beyond a stop begins at it.
+        scene: its model is changed: drives follow the motors, and arms have their real weight.
+        start: MuJoCo's positions (nq,) at the beginning, at rest; a joint beyond a stop begins at the stop.
         wirings: of each arm, in the scene's order.
-        buses: of each arm, with the motors that its wiring names in the same order.
+        buses: of each arm, with the motors that its wiring names, in the same order.
     """
 
     def __init__(self, scene: CompiledScene, start: Array, wirings: Sequence[Wiring], buses: Sequence[Bus]) -> None:
@@ -76,7 +72,7 @@ class Plant:
         ]
         for arm, wiring in zip(scene.arms, wirings, strict=True):
             if arm.fingers is not None and wiring.gripper is not None:
-                _wear_gripper(model, arm.fingers, wiring.gripper)
+                _set_gripper_motor(model, arm.fingers, wiring.gripper)
         self._armature = model.dof_armature.copy()
         self._qpos, self._dof, self._drive = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("qpos", "dof", "drive")
@@ -86,22 +82,22 @@ class Plant:
         )
         self._weights = _weights(model, self._shafts)
         model.actuator_gainprm[self._drive] = 0.0
-        # Armatures are others now, and with them how stiff contacts and stops are.
+        # The armatures have changed, and the stiffness of contacts and stops depends on them.
         mujoco.mj_setConst(model, self.data)
         self._stuck = [False] * len(self.buses)
         self._follow_laws()
         scene.reset(self.data, _within_stops(model, start))
         for arm in scene.arms:
-            _lift_the_rest(model, self.data, arm)
+            _lift_attachments(model, self.data, arm)
         self._sense()
 
     @property
     def now(self) -> float:
-        """Time that has passed in the simulation, s."""
+        """Simulated time, s."""
         return self.steps * self.timestep
 
     def held(self, arm: int) -> list[float]:
-        """The torques at an arm's motors that hold it where it is against its weight, N m."""
+        """The torques of an arm's motors that hold the arm against its weight in its present posture, N m."""
         torques = self._load * self.data.qfrc_gravcomp[self._dof] / self._ratio
         return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
 
@@ -112,8 +108,8 @@ class Plant:
             SimulationError: physics broke down.
         """
         self._follow_laws()
-        # MuJoCo makes up for the links' weight, and this takes it back, times the load of each joint. The forces are
-        # those of the step before, which began 2 ms ago.
+        # MuJoCo compensates the links' weight. The applied force takes that back, times the load of each joint. The
+        # compensation is that of the step before, which began 2 ms ago.
         data = self.data
         data.qfrc_applied[:] = -self._weights * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
@@ -124,7 +120,7 @@ class Plant:
             if bus.stuck is not self._stuck[k]:
                 self._jam(k, bus.stuck)
         self._sense()
-        if self.steps % _LOOK_STEPS == 0 and (text := breakdown(data)):
+        if self.steps % _CHECK_STEPS == 0 and (text := breakdown(data)):
             raise SimulationError(f"physics broke down within {now:.3f} s: {text}")
 
     def _follow_laws(self) -> None:
@@ -134,7 +130,7 @@ class Plant:
             shaft.motor.law_changed = False
             kp, kd, constant = shaft.motor.law()
             ratio, most = shaft.ratio, shaft.motor.most_torque * abs(shaft.ratio)
-            # An affine function of the joint's position and velocity: so MuJoCo integrates the damping implicitly.
+            # The law is affine in the joint's position and velocity, so MuJoCo integrates the damping implicitly.
             law = ratio * (constant - kp * shaft.offset), -kp * ratio**2, -kd * ratio**2
             self._model.actuator_biasprm[shaft.drive, :3] = law
             self._model.actuator_forcerange[shaft.drive] = -most, most
@@ -170,10 +166,10 @@ def _shafts(number: int, arm: SceneArm, wiring: Wiring, bus: Bus) -> list[_Shaft
     return found
 
 
-def _lift_the_rest(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) -> None:
-    """Take the weight off what hangs on an arm and is not in the maker's model of it, such as a camera.
+def _lift_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) -> None:
+    """Compensate the weight of parts on an arm that the maker's model lacks, such as a camera.
 
-    What it weighs is part of the loads: they say how much more there is to hold than the maker's model knows.
+    The loads of the motors include that weight.
     """
     root = model.body_rootid[model.body(arm.flange).id]
     for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
@@ -181,7 +177,7 @@ def _lift_the_rest(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) ->
 
 
 def _weights(model: mujoco.MjModel, shafts: Sequence[_Shaft]) -> Array:
-    """How many times its weight acts on each degree of freedom (nv,)."""
+    """How many times the links' weight acts on each degree of freedom (nv,)."""
     weights = np.ones(model.nv)
     for shaft in shafts:
         if shaft.load:
@@ -189,14 +185,14 @@ def _weights(model: mujoco.MjModel, shafts: Sequence[_Shaft]) -> Array:
     return weights
 
 
-def _wear_gripper(model: mujoco.MjModel, fingers: SceneFingers, wiring: GripperWiring) -> None:
-    """Give fingers the armature and friction of their motor, shared evenly, and stops, one of them where they meet."""
+def _set_gripper_motor(model: mujoco.MjModel, fingers: SceneFingers, wiring: GripperWiring) -> None:
+    """Give fingers the armature and friction of their motor, half each, and stops, one of them where they meet."""
     model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
         joint = model.dof_jntid[dof]
         model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
-        # As stiff as physics allows at its step, since the rotor runs into it.
+        # As stiff as the time step allows, since the rotor hits the stop.
         model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
 
 

@@ -1,4 +1,4 @@
-"""The robot as raiden's policy server has it: arms that go from one action to the next, and stop where one is too far.
+"""The robot as raiden's policy server has it: arms that interpolate between actions, and stop where one is too far.
 
 Source of all figures: `raiden/server.py` and `raiden/robot/controller.py` of TRI-ML/raiden 2353b10.
 """
@@ -12,27 +12,97 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.se3 import Array
+from ..config.rig import ArmConfig
+from ..geometry.se3 import Array, inverse, pose
 from ..images.fit import fitted
-from .chiral_wire import Observed, View
+from ..images.image import Image
+from ..planning.arm_kinematics import ArmKinematics
+from ..planning.ik import IkSolver
+from ..scene.robot import bare_arm
 from .follower import Follower
-from .hands import Hand, pose_of_rows
 from .pictures import PictureProcess, Shot
 from .plant import Plant
 
-# Between two actions, and to its home after a reset, commands go evenly, at this rate.
-_ACTION_S, _HOME_S, _COMMAND_S = 0.1, 2.0, 0.01
-# An action may ask of no joint to go farther than this from where it is, rad.
-_LARGEST_STEP = 0.2
-# Actions that wait; of more, the newest are thrown away.
-_MOST_WAITING = 32
-# Side of the pictures that it serves, px: whatever a camera's shape, they are stretched to squares.
-_SIDE = 384
+_ACTION_S = 0.1  # s, from one action to the next
+_HOME_S = 2.0  # s, of the motion home after a reset
+_COMMAND_S = 0.01  # s, between the interpolated commands of a motion
+_MAX_JOINT_STEP = 0.2  # rad, from a joint's position to where an action commands it
+_MAX_QUEUED = 32  # actions that wait; the newest are discarded beyond that
+_SIDE = 384  # px, of the square to which each picture is stretched
+
+_IK_ITERATIONS = 20  # for one pose, which lies near the one before
+_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position decides where the arm cannot reach the whole pose
+_SHORTEST_ROW = 1e-3  # shorter rows, or rows as nearly parallel as this, define no rotation
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """What a camera saw.
+
+    Attributes:
+        picture: RGB (height, width, 3).
+        K: intrinsics (3, 3).
+        T_cam_in_base: pose (4, 4) in the left arm's base, in OpenCV's convention.
+        time_ns: when, ns since 1970.
+    """
+
+    picture: Image
+    K: Array
+    T_cam_in_base: Array
+    time_ns: int
+
+
+@dataclass(frozen=True)
+class RobotObservation:
+    """What a policy observes: views by camera, arrays (n,) by name, the time in s since 1970, and further values."""
+
+    views: Mapping[str, CameraView]
+    proprios: Mapping[str, Array]
+    time: float
+    extra: Mapping[str, Any]
+
+
+class HandKinematics:
+    """Forward and inverse kinematics of an arm's `grasp_site`, in the arm's own base."""
+
+    def __init__(self, arm: ArmConfig) -> None:
+        model = bare_arm(arm)
+        self._forward = ArmKinematics(model)
+        self._range: Array = model.jnt_range.copy()
+        self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
+        home = np.array(arm.robot.home)
+        T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
+        self._solver.hold(inverse(T_pinch) @ T_grasp)
+
+    def T_in_base(self, joints: Array) -> Array:
+        """The hand's pose (4, 4) at joints (dof,)."""
+        return self._forward.T_grasp_in_base(joints)
+
+    def joints(self, T_hand_in_base: Array, near: Array) -> Array:
+        """Joints (dof,) that bring the hand to a pose (4, 4), or the nearest that a search from `near` (dof,) finds."""
+        start = np.clip(near, *self._range.T)
+        return self._solver.follow(T_hand_in_base, self._solver.at(start), _IK_ITERATIONS).joints
+
+
+def pose_of_rows(position: Array, rows: Array) -> Array:
+    """The pose (4, 4) at a position (3,) whose rotation has these first two rows (6,), made orthonormal.
+
+    Raises:
+        ValueError: the rows define no rotation.
+    """
+    first, second = rows[:3], rows[3:]
+    lengths = np.linalg.norm(first), np.linalg.norm(second)
+    third = np.cross(first, second)
+    if min(lengths) < _SHORTEST_ROW or np.linalg.norm(third) < _SHORTEST_ROW * lengths[0] * lengths[1]:
+        raise ValueError("the six numbers of a rotation are its first two rows, and these name none")
+    x = first / lengths[0]
+    z = third / np.linalg.norm(third)
+    return pose(position, np.array([x, np.cross(z, x), z]))
 
 
 @dataclass
 class _Motion:
-    """Commands from one row of all arms' joints to another, from a time on, for so long, s."""
+    """Commands that go evenly from one row of all arms' joints to another, from a time on, for a duration, s."""
 
     start: Array
     goal: Array
@@ -41,13 +111,13 @@ class _Motion:
 
 
 class PolicyRobot:
-    """Arms that a policy drives, by joints or by its hands' poses, and what it sees meanwhile.
+    """Arms that a policy drives by joints or by poses of the hands, and what the policy observes.
 
-    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, wide open, the left arm's first.
+    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, fully open, the left arm's first.
 
     Attributes:
-        stopped: why the arms stand still until the next reset; "" while they take actions.
-        thrown_away: actions for which there was no room.
+        stopped: why the arms stand still until the next reset; "" while actions are accepted.
+        discarded: how many actions found the queue full.
 
     Args:
         sides, followers, hands: of each arm, the left one first.
@@ -59,7 +129,7 @@ class PolicyRobot:
         plant: Plant,
         sides: Sequence[str],
         followers: Sequence[Follower],
-        hands: Sequence[Hand],
+        hands: Sequence[HandKinematics],
         source: PictureProcess,
         names: Mapping[str, str],
     ) -> None:
@@ -71,13 +141,13 @@ class PolicyRobot:
         self._actions: deque[Array] = deque()
         self._motion: _Motion | None = None
         self._next_command = 0.0
-        self._views: tuple[int, dict[str, View]] = -1, {}
+        self._views: tuple[int, dict[str, CameraView]] = -1, {}
         self.stopped = ""
-        self.thrown_away = 0
+        self.discarded = 0
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What the robot says it is: cameras, arrays, and what an action has."""
+        """The robot's description: cameras, arrays, and the layout of an action."""
         parts = (("xyz", 3), ("rot6d", 6), ("grip", 1))
         return {
             "cameras": [self._names[camera] for camera in self._source.cameras],
@@ -93,13 +163,8 @@ class PolicyRobot:
 
     @property
     def is_going_home(self) -> bool:
-        """Whether a reset is under way."""
+        """Whether the motion home after a reset goes on."""
         return self._motion is not None and self._motion.lasts == _HOME_S
-
-    @property
-    def seen(self) -> float:
-        """When the newest pictures were taken, in the simulation, s; -1 if there are none."""
-        return -1.0 if self._source.shot is None else self._source.shot.sim_time
 
     @property
     def now(self) -> float:
@@ -107,7 +172,7 @@ class PolicyRobot:
         return self._plant.now
 
     def reset(self) -> None:
-        """Take actions again, and send the arms home: joints at 0, grippers open."""
+        """Accept actions again, and move the arms home: joints at 0, grippers open."""
         goal = np.concatenate([np.append(np.zeros(width - 1), 1.0) for width in self._widths])
         self._actions.clear()
         self.stopped = ""
@@ -115,17 +180,17 @@ class PolicyRobot:
         self._motion = _Motion(self._row(), goal, self._plant.now, _HOME_S)
 
     def stop(self, why: str) -> None:
-        """Hold the arms where they are, and take no action until the next reset."""
+        """Hold the arms where they are, and ignore actions until the next reset."""
         self.stopped = why
         self._actions.clear()
         self._motion = None
-        self._tell(self._row())
+        self._send(self._row())
 
     def act(self, numbers: Array) -> None:
-        """Go to an action next: as many joints as a row has, or 10 numbers an arm, see `metadata`.
+        """Queue an action: the joints of a row, or 10 numbers an arm, see `metadata`.
 
         Raises:
-            ValueError: it is neither, or not finite.
+            ValueError: the action has another shape, or is not finite.
         """
         if not np.isfinite(numbers).all():
             raise ValueError("an action has numbers that are not finite")
@@ -138,28 +203,29 @@ class PolicyRobot:
             self.stop(fault)
             return
         self._commanded = row
-        if len(self._actions) >= _MOST_WAITING:
-            self.thrown_away += 1
+        if len(self._actions) >= _MAX_QUEUED:
+            self.discarded += 1
             return
         self._actions.append(row)
 
     def tick(self) -> None:
-        """Tell the arms what to do until the next physics step."""
+        """Command the arms for the next physics step."""
         now = self._plant.now
         if self._motion is None and self._actions:
-            start = self._told if self._told is not None else self._row()
+            command = self._command()
+            start = self._row() if command is None else command
             self._motion = _Motion(start, self._actions.popleft(), now, _ACTION_S)
         motion = self._motion
         if motion is None or now < self._next_command:
             return
         self._next_command = now + _COMMAND_S
         share = min((now - motion.began) / motion.lasts, 1.0)
-        self._tell((1 - share) * motion.start + share * motion.goal)
+        self._send((1 - share) * motion.start + share * motion.goal)
         if share == 1.0:
             self._motion = None
 
-    def observed(self, shot: Shot) -> Observed:
-        """What a policy is told of a shot."""
+    def observed(self, shot: Shot) -> RobotObservation:
+        """What a policy observes at the time of a shot."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
             T = hand.T_in_base(joints[:-1])
@@ -168,21 +234,21 @@ class PolicyRobot:
         if self._views[0] != shot.number:
             self._views = shot.number, {self._names[camera]: self._view(shot, camera) for camera in shot.pictures}
         extra = {"sim_time": shot.sim_time, "stopped": self.stopped}
-        return Observed(self._views[1], proprios, shot.time_ns * 1e-9, extra)
+        return RobotObservation(self._views[1], proprios, shot.time_ns * 1e-9, extra)
 
     @property
     def shot(self) -> Shot | None:
         """The newest pictures."""
         return self._source.shot
 
-    def _view(self, shot: Shot, camera: str) -> View:
+    def _view(self, shot: Shot, camera: str) -> CameraView:
         width, height = self._source.size
         K = np.diag([_SIDE / width, _SIDE / height, 1.0]) @ self._source.K[camera]
         picture = fitted(shot.pictures[camera], (_SIDE, _SIDE), pad=False)
-        return View(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
+        return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _by_hands(self, numbers: Array) -> Array:
-        """The row that brings hands to poses: all positions (3), then all rotations' first rows (6), then grippers."""
+        """The row that brings hands to poses: all positions (3), then rows of all rotations (6), then grippers."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
         near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
@@ -194,29 +260,29 @@ class PolicyRobot:
         return np.concatenate(found)
 
     def _too_far(self, row: Array) -> str:
-        """Which joint a row asks too much of; "" for none."""
+        """Which joint a row moves too far, as a sentence; "" for none."""
         off = np.abs(row - self._row())
         ends = np.cumsum(self._widths)
-        off[ends - 1] = 0.0  # Grippers may go all their way.
-        if off.max() <= _LARGEST_STEP:
+        off[ends - 1] = 0.0  # Grippers may move through their whole range.
+        if off.max() <= _MAX_JOINT_STEP:
             return ""
         worst = int(off.argmax())
         arm = int(np.searchsorted(ends, worst, side="right"))
         joint = worst - (ends[arm] - self._widths[arm]) + 1
         return (
             f"an action asked joint {joint} of the {self._sides[arm]} arm to go {off[worst]:.2f} rad at once, "
-            f"more than {_LARGEST_STEP} rad; reset to go on"
+            f"more than {_MAX_JOINT_STEP} rad; reset to go on"
         )
 
-    @property
-    def _told(self) -> Array | None:
-        rows = [follower.told for follower in self._followers]
+    def _command(self) -> Array | None:
+        """The present command to all arms; None before the first."""
+        rows = [follower.commanded for follower in self._followers]
         return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
 
     def _row(self) -> Array:
         return np.concatenate([follower.joint_pos() for follower in self._followers])
 
-    def _tell(self, row: Array) -> None:
+    def _send(self, row: Array) -> None:
         for follower, joints in zip(self._followers, np.split(row, np.cumsum(self._widths)[:-1]), strict=True):
             follower.command_joint_pos(joints)
 

@@ -1,36 +1,199 @@
-"""Where programs reach the buses: a Unix socket for each, or a CAN interface of the kernel's.
-
-Either way a message is 16 bytes, Linux' `struct can_frame`. On a Unix socket every program has a connection of its own,
-and hears what the motors say and what other programs send, as on a bus.
-"""
+"""Socket servers that never block, and the folder in which the Unix sockets of `serve-robot` lie."""
 
 from __future__ import annotations
 
 import os
 import socket
 import stat
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import ResourceError
-from ..motors import frames
-from ..motors.frames import Frame
-from .connections import Connections, Program
 
-# Frames that are read at once: whoever sends without end does not stop physics.
-_READ_FRAMES = 256
-# Bytes that are read at once, and that wait for a program which does not read: more is thrown away, as a full buffer of
-# an adapter is.
-_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
-_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES
+CAMERA_SOCKET = "cameras.sock"  # the socket that serves pictures; names of buses have no dot, so none is equal to it
+
+_MAX_CLIENTS = 16  # connections to one server; a further connection is closed at once
 
 
-def open_folder(folder: Path) -> Path:
-    """A folder of the user's own in which sockets may lie; made if it is not there.
+def default_folder(environ: Mapping[str, str]) -> Path:
+    """The user's own folder for the sockets."""
+    runtime = environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
+
+
+@dataclass(eq=False)
+class Client:
+    """One connection to a server.
+
+    Attributes:
+        received: bytes that are received and not handled yet.
+        outgoing: bytes that wait to be sent.
+        greeted: whether the protocol's handshake is received, where the protocol has one.
+    """
+
+    socket: socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    outgoing: bytearray = field(default_factory=bytearray)
+    greeted: bool = False
+
+
+class SocketServer:
+    """The clients of a listening socket; close it. No method blocks.
+
+    Args:
+        listener: closed with the server.
+        read_bytes: the most that one read takes from a client.
+        max_outgoing: bytes that may wait for a client that reads nothing, before the client is dropped; None for any.
+    """
+
+    def __init__(self, listener: socket.socket, read_bytes: int, max_outgoing: int | None = None) -> None:
+        self._listener, self._read_bytes, self._max_outgoing = listener, read_bytes, max_outgoing
+        self._clients: dict[socket.socket, Client] = {}
+        listener.setblocking(False)
+        listener.listen(_MAX_CLIENTS)
+
+    @property
+    def clients(self) -> list[Client]:
+        """All connected clients."""
+        return list(self._clients.values())
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """The sockets to select for reading."""
+        return [self._listener, *self._clients]
+
+    @property
+    def writers(self) -> list[socket.socket]:
+        """The sockets to select for writing: those of clients for which bytes wait."""
+        return [one for one, client in self._clients.items() if client.outgoing]
+
+    def read(self, ready: set[socket.socket]) -> Iterator[Client]:
+        """Accept connections and receive bytes; yields the clients that sent some.
+
+        Args:
+            ready: the sockets that `select` reports readable.
+        """
+        if self._listener in ready:
+            self._accept()
+        for one in ready & self._clients.keys():
+            # A client may have been dropped while an earlier one was handled.
+            client = self._clients.get(one)
+            if client is not None and self._receive(client):
+                yield client
+
+    def write(self, client: Client) -> None:
+        """Send as much of a client's outgoing bytes as its socket takes."""
+        try:
+            del client.outgoing[: client.socket.send(client.outgoing)]
+        except BlockingIOError:
+            if self._max_outgoing is not None and len(client.outgoing) > self._max_outgoing:
+                self.drop(client)
+        except OSError:
+            self.drop(client)
+
+    def flush(self) -> None:
+        """Send the outgoing bytes of all clients."""
+        for client in self.clients:
+            if client.outgoing:
+                self.write(client)
+
+    def drop(self, client: Client) -> None:
+        """Close a client's connection."""
+        client.socket.close()
+        self._clients.pop(client.socket, None)
+
+    def close(self) -> None:
+        """Close all connections and the listening socket."""
+        for client in self.clients:
+            self.drop(client)
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            one, _ = self._listener.accept()
+        except OSError:
+            return
+        if len(self._clients) >= _MAX_CLIENTS:
+            one.close()
+            return
+        one.setblocking(False)
+        if one.family != socket.AF_UNIX:
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._clients[one] = Client(one)
+
+    def _receive(self, client: Client) -> bool:
+        """Receive bytes; whether there were any."""
+        try:
+            data = client.socket.recv(self._read_bytes)
+        except BlockingIOError:
+            return False
+        except OSError:
+            data = b""
+        if not data:
+            self.drop(client)
+            return False
+        client.received += data
+        return True
+
+
+class TcpServer(SocketServer):
+    """A server at a TCP port.
+
+    Attributes:
+        port: the port on which it listens.
+
+    Args:
+        port: 0 takes any free port.
+        flag: the flag that sets the port, for the error message.
 
     Raises:
-        ResourceError: it cannot be made, or somebody else could get at what lies there.
+        ResourceError: the port cannot be listened on.
     """
+
+    def __init__(self, host: str, port: int, flag: str, read_bytes: int, max_outgoing: int | None = None) -> None:
+        try:
+            listener = socket.create_server((host, port))
+        except OSError as error:
+            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another {flag}") from error
+        super().__init__(listener, read_bytes, max_outgoing)
+        self.port = int(listener.getsockname()[1])
+
+
+class UnixServer(SocketServer):
+    """A server at a Unix socket, whose folder only the user can reach.
+
+    Attributes:
+        path: the socket's file, removed on `close`.
+
+    Raises:
+        ResourceError: another program listens there, or the folder or the socket cannot be made.
+    """
+
+    def __init__(self, path: Path, read_bytes: int) -> None:
+        self.path = path
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            _make_folder(path.parent)
+            _remove_stale(path)
+            listener.bind(str(path))
+        except OSError as error:
+            listener.close()
+            raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
+        except ResourceError:
+            listener.close()
+            raise
+        super().__init__(listener, read_bytes)
+
+    def close(self) -> None:
+        """Close all connections, and remove the socket's file."""
+        super().close()
+        self.path.unlink(missing_ok=True)
+
+
+def _make_folder(folder: Path) -> None:
+    """Make sure that a folder exists which no other user can reach; a ResourceError where that fails."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
@@ -38,140 +201,10 @@ def open_folder(folder: Path) -> Path:
         raise ResourceError(f"{folder}: cannot be made: {error.strerror}; name another one with --folder") from error
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise ResourceError(f"{folder}: is not a folder that is yours alone; name another one with --folder")
-    return folder
 
 
-def listen_in(path: Path) -> socket.socket:
-    """A Unix socket that listens at a path, in a folder of `open_folder`.
-
-    Raises:
-        ResourceError: somebody else listens there, or the socket cannot be made.
-    """
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        open_folder(path.parent)
-        _drop_stale(path)
-        listener.bind(str(path))
-    except OSError as error:
-        listener.close()
-        raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
-    except ResourceError:
-        listener.close()
-        raise
-    return listener
-
-
-class UnixBus:
-    """A bus on a Unix socket, `<folder>/<channel>`; close it.
-
-    Raises:
-        ResourceError: somebody else serves that channel there, or the socket cannot be made.
-    """
-
-    def __init__(self, folder: Path, channel: str) -> None:
-        self.path = folder / channel
-        self._listener = listen_in(self.path)
-        self._connections = Connections(self._listener, _READ_BYTES)
-
-    @property
-    def readers(self) -> list[socket.socket]:
-        """What to wait for until there may be something to read."""
-        return self._connections.readers
-
-    @property
-    def clients(self) -> int:
-        """How many programs are on the bus."""
-        return len(self._connections.programs)
-
-    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
-        """The frames that have come on sockets where there is something to read."""
-        for program in self._connections.heard(ready):
-            whole = len(program.came) - len(program.came) % frames.FRAME_BYTES
-            wires = bytes(program.came[:whole])
-            del program.came[:whole]
-            for start in range(0, whole, frames.FRAME_BYTES):
-                frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
-                if frame is not None:
-                    if self.clients > 1:
-                        self.send(frame, but=program)
-                    yield frame
-
-    def send(self, frame: Frame, but: Program | None = None) -> None:
-        """Put a frame before all programs, but for one."""
-        wire = frames.to_wire(frame)
-        for program in self._connections.programs:
-            if program is not but:
-                if len(program.waits) + len(wire) <= _BACKLOG_BYTES:
-                    program.waits += wire
-                self._connections.flush(program)
-
-    def flush(self) -> None:
-        """Send on what programs could not take before."""
-        self._connections.flush()
-
-    def close(self) -> None:
-        """Leave nothing behind."""
-        self._connections.close()
-        self.path.unlink(missing_ok=True)
-
-
-class KernelBus:
-    """A bus on a CAN interface of the kernel's, such as one that `ip link add can0 type vcan` made; close it.
-
-    Raises:
-        ResourceError: this system has no CAN, or no interface of that name that is up.
-    """
-
-    clients = 0
-
-    def __init__(self, channel: str) -> None:
-        opened = None
-        try:
-            opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-            opened.bind((channel,))
-        except (AttributeError, OSError) as error:
-            if opened is not None:
-                opened.close()
-            raise ResourceError(
-                f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
-                f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
-                "use `yamsim can-run`"
-            ) from error
-        self._socket = opened
-        self._socket.setblocking(False)
-
-    @property
-    def readers(self) -> list[socket.socket]:
-        """What to wait for until there may be something to read."""
-        return [self._socket]
-
-    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
-        """The frames that have come."""
-        for _ in range(_READ_FRAMES if self._socket in ready else 0):
-            try:
-                frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
-            except OSError:
-                return
-            if frame is not None:
-                yield frame
-
-    def send(self, frame: Frame) -> None:
-        """Put a frame onto the bus; one that its buffer has no room for, or whose interface is down, is lost."""
-        try:
-            self._socket.send(frames.to_wire(frame))
-        except OSError:
-            return
-
-    def flush(self) -> None:
-        """There is nothing that waits."""
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-
-def _drop_stale(path: Path) -> None:
-    """Remove a socket that a killed server left; raise an OSError if one still listens there."""
+def _remove_stale(path: Path) -> None:
+    """Remove the socket of a killed server; an OSError if a server still listens there."""
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -1,4 +1,4 @@
-"""One arm of a session that a person drives: where its hand is to be, how it gets there, and what keeps it from it."""
+"""One arm that a person or a leader arm drives: its target, its motion, and what blocks it."""
 
 from __future__ import annotations
 
@@ -15,24 +15,21 @@ from ..sim.obstruction import Obstruction
 from ..types import Stand
 
 _IK_ITERATIONS = 12
-# A target this far from where the hand can be is out of reach, m.
-_REACH = 0.003
-# This near to its stop a joint is at it, rad.
-_AT_LIMIT = 0.005
-# The pinch frame's origin is never asked to be nearer to the table than this: the finger tips would be in it, m.
-_CLEARANCE = 0.012
+_REACH = 0.003  # m, from a target to the nearest pose of the hand; a target beyond is out of reach
+_AT_LIMIT = 0.005  # rad, from a joint to its stop; a nearer joint counts as at the stop
+_CLEARANCE = 0.012  # m, from the pinch frame's target to the table, which the finger tips must not enter
 
 
 class DrivenArm:
-    """Follows a target, as fast as its motors can and no nearer to the table, the other arm or itself than it may.
+    """Follows a target as fast as its motors can, and stops before the table, the other arm and itself.
 
     Attributes:
         side: "left" or "right".
-        opening: that each finger is asked for, m.
-        widest: how far each finger goes, m.
-        magnet: whether its weld is to hold.
-        apart: how far the target is out of reach, m; 0 where the hand can be there.
-        blocked: what is in its way; empty where nothing is.
+        opening: commanded opening of each finger, m.
+        widest: largest opening of each finger, m.
+        magnet: whether the weld is commanded to hold.
+        apart: distance from the target to the nearest pose in reach, m; 0 if the target is in reach.
+        blocked: the obstacle that stops the arm; empty for none.
 
     Args:
         number: of the arm, in the scene.
@@ -54,100 +51,100 @@ class DrivenArm:
         )
 
     def reset(self, stand: Stand) -> None:
-        """Be at rest as it stands there."""
+        """Put the arm at rest at joints and an opening."""
         self._pursuit.reset(stand.joints)
         self._joint_target: Array | None = None
         self._target = self._ik.pose_of(stand.joints)
         self.opening, self.magnet = stand.opening, False
-        # One that rests with its fingers closed goes on so until it is asked for something.
+        # An arm that starts with closed fingers keeps them closed until it is commanded.
         self._used = self.opening > 0.0
         self.apart, self.blocked = 0.0, ""
 
     @property
     def target(self) -> Array:
-        """Where the pinch frame is to be: pose (4, 4) in `world`."""
+        """Target pose (4, 4) of the pinch frame in `world`."""
         return self._target.copy()
 
     @property
     def is_open(self) -> bool:
-        """Whether the fingers are asked to be farther apart than around the object that they hold."""
+        """Whether the commanded opening is larger than around the held object."""
         return self.opening > self._closed
 
     @property
     def asked(self) -> Array:
-        """The joints, and the opening if it has fingers, that it is asked for now."""
+        """The reference of the joints now, rad, and the commanded opening, m, if the arm has fingers."""
         return self._with_opening(self._pursuit.joints)
 
     @property
     def at_limit(self) -> tuple[str, ...]:
-        """Joints that have come to a stop."""
+        """Names of the joints that are at a stop."""
         low, high = self._arm.joint_range.T
         joints = self._pursuit.joints
         near = (joints < low + _AT_LIMIT) | (joints > high - _AT_LIMIT)
         return tuple(name for name, there in zip(self._names, near, strict=True) if there)
 
     def aim(self, T_pinch_in_world: Array) -> None:
-        """Give the hand another target (4, 4); one in the table is lifted out of it."""
+        """Set the hand's target (4, 4); a target inside the table is lifted above it."""
         self._used, self._joint_target = True, None
         self._target = self._above_table(T_pinch_in_world)
 
     def aim_grasp(self, T_grasp_in_world: Array) -> None:
-        """Give the hand another target: a pose (4, 4) of `grasp_site`."""
+        """Set the hand's target: a pose (4, 4) of `grasp_site`."""
         self.aim(T_grasp_in_world @ self._T_pinch_in_grasp)
 
     def aim_joints(self, joints: Array) -> None:
-        """Give it joints (dof,) in rad to go to; beyond a stop counts as at it."""
+        """Set the target joints (dof,), rad, clipped to the stops."""
         reachable: Array = np.clip(joints, *self._arm.joint_range.T)
         self._used, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
 
     def set_gripper(self, opening: float) -> None:
-        """Open each finger by so much, m; beyond its range counts as the end of it."""
+        """Set the opening of each finger, m, clipped to its range."""
         self._used, self.opening = True, min(max(opening, 0.0), self.widest)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper wide, or close it: to what the object needs, or as far as what is between lets it."""
+        """Open the gripper fully, or close it: a weld's gripper to the object's opening, another gripper wholly."""
         self.set_gripper(self._closed if self.is_open else self.widest)
 
     def set_magnet(self, on: bool) -> None:
-        """Switch its magnet, which holds the object where the hand is at it."""
+        """Switch the magnet, which holds an object within its reach."""
         self._used, self.magnet = True, on
 
     def release(self) -> None:
-        """Let go of what it holds, and stand still where it is."""
+        """Switch the magnet off, open the gripper, and hold the joints."""
         self.magnet = False
         if self._used:
             self.opening = self.widest
         self.halt()
 
     def halt(self) -> None:
-        """Stand still where it is, and go on holding what it holds."""
+        """Hold the joints, and keep the grasp."""
         self._joint_target = self._pursuit.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """What its drives are told in the next tick, rad and m.
+        """The commands to the drives for the next tick, rad and m.
 
         Args:
             qpos: MuJoCo's positions (nq,) now.
         """
         before = self._pursuit.joints
         velocity = self._step_reference(qpos)
-        # As `episode.commands.drive_command`, without what makes up for inertia: where a person goes next is not known.
+        # As `episode.commands.drive_command`, without the compensation of inertia: the next target is not known.
         command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
         return self._with_opening(command)
 
     def stand(self, asked: Array) -> Stand:
-        """Joints and opening of what was `asked` once; without fingers there is no opening."""
+        """The stand of a value of `asked`."""
         return Stand(asked[: self._arm.dof], float(asked[-1]) if self._arm.fingers else 0.0)
 
     def _with_opening(self, joints: Array) -> Array:
         return joints.copy() if self._arm.fingers is None else np.append(joints, self.opening)
 
     def _step_reference(self, qpos: Array) -> Array:
-        """Go one tick towards the target unless something is in the way; the velocity (dof,) that this means, rad/s."""
+        """Move the reference a tick towards the target, unless blocked; returns its velocity (dof,), rad/s."""
         pursuit = self._pursuit
         after = pursuit.towards(self._goal())
         depth, name = self._obstruction.depth(qpos, after)
-        # Out of what it is in already, it may go.
+        # A motion out of an obstacle is allowed.
         if depth and depth >= self._obstruction.depth(qpos, pursuit.joints)[0]:
             self.blocked = name
             pursuit.halt()
@@ -156,7 +153,7 @@ class DrivenArm:
         return pursuit.go(after)
 
     def _goal(self) -> Array:
-        """The joints (dof,) to go to, rad."""
+        """The target joints (dof,), rad."""
         if self._joint_target is not None:
             self.apart = 0.0
             return self._joint_target
@@ -173,9 +170,9 @@ class DrivenArm:
 
 
 def _opening_around_a_thing(config: RecordConfig) -> float:
-    """Return the opening of one finger around what is taken first, m: fingers that only seem to hold it close so far.
+    """The opening of one finger around the first object to grasp, m, to which the gripper of a weld closes.
 
-    Fingers that hold by friction close wholly, until the thing stops them.
+    Fingers that hold by friction close until the object stops them: 0.
     """
     grasps = (item.grasp for item in config.task.objects)
     first = next((grasp for grasp in grasps if grasp is not None), None)
@@ -183,7 +180,7 @@ def _opening_around_a_thing(config: RecordConfig) -> float:
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
-    """Pose (4, 4) of one site of a body in another one of it."""
+    """Pose (4, 4) of a site in another site of the same body."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))

@@ -1,43 +1,105 @@
-"""Arms that are driven from outside, tick by tick: targets in, driven attempts out. Knows neither pages nor files."""
+"""Arms that are driven tick by tick: targets in, driven attempts out. The module knows neither pages nor files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from ..attempt.engine import Simulated, outcome_of
+from ..attempt.episodes import open_episode
+from ..attempt.expert import sides
+from ..attempt.sampling import no_start, sample
+from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
+from ..episode.episode import Episode
 from ..episode.rules import EndRule, EpisodeRules
+from ..errors import SimulationError
 from ..geometry.se3 import Array
+from ..planning.arm_tools import start_stands
+from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob
 from ..viewers.driven import DriveStatus
 from ..viewers.watched_state import WatchedState
-from .desk import Inbox
+from .attempt_writer import AttemptReceiver
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
-from .stage import Stage
 
-# The longest recording unless another is asked for, s.
-TIME_LIMIT = 600.0
+TIME_LIMIT = 600.0  # s, of a recording, by default
+
+
+class Stage:
+    """The compiled scene and the arms of the attempt that was begun last. Each cast of things has its own scene.
+
+    Attributes:
+        sides: of the arms, in the order of recordings.
+        stands: of the arms, at the start.
+    """
+
+    scene: CompiledScene
+    arms: tuple[DrivenArm, ...]
+
+    def __init__(self, session: Session) -> None:
+        self._config = session.config
+        self._simulators = Simulators(session)
+        self._simulator: Simulator | None = None
+        self.sides = sides(session.config)
+        self.stands = start_stands(session.config)
+
+    def begin(self, job: EpisodeJob) -> Attempt:
+        """The sampled attempt of a job.
+
+        Raises:
+            SimulationError: the attempt's things have no room.
+        """
+        attempt = self.sample(job)
+        if attempt.start is None:
+            assert self._simulator is not None, "begin comes first"
+            raise SimulationError(f"task {self._config.task.name!r}: {no_start(self._simulator, attempt)}")
+        return attempt
+
+    def sample(self, job: EpisodeJob, start: Array | None = None) -> Attempt:
+        """The sampled attempt of a job, with or without a start; or with a given start, MuJoCo's positions (nq,)."""
+        simulator = self._simulators.of(job)
+        if simulator is not self._simulator:
+            self._simulator, self.scene = simulator, simulator.scene
+            self.arms = tuple(DrivenArm(simulator.config, self.scene, k) for k in range(len(self.scene.arms)))
+        attempt = sample(simulator, job)
+        return attempt if start is None else replace(attempt, start=start)
+
+    def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
+        """The episode of the attempt that was begun last, at its start."""
+        assert self._simulator is not None, "begin comes first"
+        for arm, stand in zip(self.arms, self.stands, strict=True):
+            arm.reset(stand)
+        return open_episode(self._simulator, attempt, rules)
+
+    def result(self, attempt: Attempt, episode: Episode) -> Simulated:
+        """End an attempt's episode, and return the attempt's result."""
+        assert self._simulator is not None, "begin comes first"
+        played = episode.finish()
+        return Simulated(attempt, outcome_of(self._simulator, played), played)
 
 
 class DrivenScene(WatchedState):
     """A scene and its state; a `viewers.driven.Driven`. Its methods may be called from any thread.
 
-    Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
-    is said of the arm, its hand, gripper and magnet is of the driven one. It follows a target, a pose of the hand or
-    joints, see `DrivenArm`; after a stop, it takes none until all is at rest. A recording begins from rest at its
-    attempt's layout, as every attempt of the task does. Attempts have casts of their own, so that the scene, and the
-    model with it, changes between attempts. A stop lets go what magnets hold. What fingers hold stays held, since that
-    may be the goal.
+    Of two arms one is driven at a time, and the other continues to its last target. Methods without a side command the
+    driven arm. The arm follows a target, a pose of the hand or joints, see `DrivenArm`. After a stop, targets are
+    ignored until everything is at rest. A recording begins at rest at its attempt's layout. Each attempt has its own
+    cast, so the scene and the model change between attempts. A stop releases what magnets hold. Fingers keep their
+    grasp, since that may be the goal.
 
     Attributes:
-        sides: of its arms, in the order of recordings.
-        driven: number of the driven one in that order.
+        sides: of the arms, in the order of recordings.
+        driven: index of the driven arm in that order.
 
     Args:
-        time_limit: longest recording, s.
-        end: who ends a recording: the person, or the first moment at which the goal has held for its hold time.
+        receiver: gets the driven attempts.
+        time_limit: of a recording, s.
+        end: who ends a recording: the person, or the first tick at which the goal has held for its hold time.
 
     Raises:
         SimulationError: the task's things have no room.
@@ -46,14 +108,14 @@ class DrivenScene(WatchedState):
     def __init__(
         self,
         session: Session,
-        inbox: Inbox,
+        receiver: AttemptReceiver,
         journal: Journal | None = None,
         time_limit: float = TIME_LIMIT,
         end: EndRule = EndRule.ACTOR,
     ) -> None:
         super().__init__()
         self._config = config = session.config
-        self._inbox, self._journal = inbox, journal
+        self._receiver, self._journal = receiver, journal
         self._longest = max(1, round(time_limit / config.task.timing.tick))
         self._rules = EpisodeRules(end)
         self._magnets = config.grasp == "weld"
@@ -66,38 +128,38 @@ class DrivenScene(WatchedState):
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
         self._ticks = 0
-        # Ticks that are left of the second after a stop.
+        # Ticks that are left until the attempt of a stopped recording is judged.
         self._settling: int = 0
         self._begin()
 
     @property
     def tick_seconds(self) -> float:
-        """Length of a control tick, s."""
+        """Duration of a control tick, s."""
         return self._config.task.timing.tick
 
     @property
     def dof(self) -> int:
-        """How many joints each arm has, fingers not counted."""
+        """The number of joints of each arm, without fingers."""
         return self._stage.scene.arms[0].dof
 
     @property
     def time(self) -> float:
-        """Time that has passed in the simulation since the session began, whatever was started and ended, s."""
+        """Simulated time since the session began, over all recordings, s."""
         return self._ticks * self.tick_seconds
 
     @property
     def recording(self) -> bool:
-        """Whether what happens is recorded; the second after a stop is."""
+        """Whether a recording goes on, or comes to rest after a stop."""
         return self._recording
 
     @property
     def target(self) -> Array:
-        """Where the pinch frame is to be: pose (4, 4) in `world`."""
+        """Target pose (4, 4) of the pinch frame in `world`."""
         return self._arm.target
 
     @property
     def status(self) -> DriveStatus:
-        """How things stand."""
+        """The state of the session."""
         with self.lock:
             arm = self._arm
             return DriveStatus(
@@ -124,24 +186,24 @@ class DrivenScene(WatchedState):
             self.driven = (self.driven + 1) % len(self.sides)
 
     def drive(self, side: str) -> None:
-        """Drive the arm of a side, "left" or "right", which has to be there."""
+        """Drive the arm of a side, "left" or "right", which has to exist."""
         with self.lock:
             self.driven = self.sides.index(side)
 
     def aim(self, T_pinch_in_world: Array) -> None:
-        """Give the hand another target (4, 4); one in the table is lifted out of it."""
-        self._tell(lambda arm: arm.aim(T_pinch_in_world))
+        """Set the hand's target (4, 4); a target inside the table is lifted above it."""
+        self._command(lambda arm: arm.aim(T_pinch_in_world))
 
     def aim_grasp(self, T_grasp_in_base: Array) -> None:
-        """Give the hand another target: a pose (4, 4) of `grasp_site` in the base that frames' `ee_pose` is in."""
-        self._tell(lambda arm: arm.aim_grasp(self._stage.scene.T_base_in_world @ T_grasp_in_base))
+        """Set the hand's target: a pose (4, 4) of `grasp_site` in the base to which frames' `ee_pose` refers."""
+        self._command(lambda arm: arm.aim_grasp(self._stage.scene.T_base_in_world @ T_grasp_in_base))
 
     def aim_joints(self, joints: Array) -> None:
-        """Give the arm joints (rad) to go to, as a leader arm would; beyond a stop counts as at it."""
-        self._tell(lambda arm: arm.aim_joints(joints))
+        """Set the arm's target joints, rad, as a leader arm does; they are clipped to the stops."""
+        self._command(lambda arm: arm.aim_joints(joints))
 
     def aim_all(self, joints: Array) -> None:
-        """Give every arm joints and an opening, if it has fingers, (arms, drives) to go to, rad and m."""
+        """Set all arms' target joints and openings (arms, drives), rad and m; arms without fingers have no opening."""
         with self.lock:
             if not self._settling:
                 for arm, row in zip(self._arms, joints, strict=True):
@@ -150,25 +212,25 @@ class DrivenScene(WatchedState):
                     arm.set_gripper(stand.opening)
 
     def set_gripper(self, opening: float) -> None:
-        """Open each finger by so much, m; beyond its range counts as the end of it."""
-        self._tell(lambda arm: arm.set_gripper(opening))
+        """Set the opening of each finger, m, clipped to its range."""
+        self._command(lambda arm: arm.set_gripper(opening))
 
     def toggle_gripper(self) -> None:
-        """Open the gripper wide, or close it, see `DrivenArm.toggle_gripper`."""
-        self._tell(lambda arm: arm.toggle_gripper())
+        """Open the gripper fully, or close it, see `DrivenArm.toggle_gripper`."""
+        self._command(lambda arm: arm.toggle_gripper())
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the magnet, which holds the object where the hand is at it."""
-        self._tell(lambda arm: arm.set_magnet(on))
+        """Switch the magnet, which holds an object within its reach."""
+        self._command(lambda arm: arm.set_magnet(on))
 
-    def _tell(self, order: Callable[[DrivenArm], None]) -> None:
-        """Give the driven arm an order, unless all is coming to rest."""
+    def _command(self, command: Callable[[DrivenArm], None]) -> None:
+        """Command the driven arm, unless a stopped recording comes to rest."""
         with self.lock:
             if not self._settling:
-                order(self._arm)
+                command(self._arm)
 
     def start(self) -> None:
-        """Record from the attempt's beginning: everything goes back to where it was at first."""
+        """Reset everything to the attempt's start, and record."""
         with self.lock:
             self.settle()
             self._begin(recording=True)
@@ -177,8 +239,8 @@ class DrivenScene(WatchedState):
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording: once everything has had the time to rest, and the goal the time to hold, it is handed in.
-        What magnets hold is let go first.
+        """End the recording, and release what magnets hold. The attempt is submitted after the time in which things
+        settle and the goal has to hold.
         """
         with self.lock:
             if not self._recording or self._settling:
@@ -187,15 +249,15 @@ class DrivenScene(WatchedState):
             self._end()
 
     def _end(self) -> None:
-        self._leave_off()
+        self._halt_arms()
         if self._journal:
             self._journal.stop()
         self._settling = self._rest_ticks
         self.message = f"{'letting go, and ' if self._magnets else ''}waiting until all is at rest"
         if not self._settling:
-            self._hand_in()
+            self._finish_recording()
 
-    def _leave_off(self) -> None:
+    def _halt_arms(self) -> None:
         for arm in self._arms:
             if self._magnets:
                 arm.release()
@@ -204,21 +266,21 @@ class DrivenScene(WatchedState):
 
     @property
     def _rest_ticks(self) -> int:
-        """How many ticks follow a stop."""
+        """Ticks of a recording after a stop."""
         task = self._config.task
         return task.timing.settle_ticks + task.hold_ticks
 
     def leave(self) -> None:
-        """Nobody watches any more: a recording stands still until somebody plays on."""
+        """Pause a recording that nobody watches any more."""
         with self.lock:
             if self._recording and not self.paused:
                 self.paused = True
                 self.message = "paused, since nobody was watching: Play goes on"
 
     def take_up(self, left: Unfinished) -> None:
-        """Hand in what a killed session left; what it had not come to, to let go and to rest, is done now."""
+        """Submit the recording of a killed session, after the release and the rest that it still lacks."""
         with self.lock:
-            self._put(self._stage.again(left.job, left.start), self._rules)
+            self._put(self._stage.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.asked)
             for k, arm in enumerate(self._arms):
@@ -227,30 +289,30 @@ class DrivenScene(WatchedState):
                     last = arm.stand(asked[-1])
                     arm.reset(last)
                     arm.aim_joints(last.joints)
-            self._leave_off()
+            self._halt_arms()
             since = 0 if left.stopped is None else len(left.ticks) - left.stopped
             for _ in range(max(0, self._rest_ticks - since)):
                 self._act()
             self._deliver()
 
     def settle(self) -> None:
-        """Have what is left of a stop's second pass at once."""
+        """Let the ticks after a stop pass at once."""
         with self.lock:
             while self._settling:
                 self._tick()
 
-    def _hand_in(self) -> None:
+    def _finish_recording(self) -> None:
         if self._journal:
             self._journal.end()
         self._deliver()
 
     def _deliver(self) -> None:
-        self._inbox.hand_in(self._stage.result(self._attempt, self._episode))
+        self._receiver.submit(self._stage.result(self._attempt, self._episode))
         self.message = f"attempt {self._attempt.job.attempt} is being rendered"
         self._begin()
 
     def discard(self) -> None:
-        """End the recording as if it had never been: the same layout comes again."""
+        """Discard the recording; the same layout comes again."""
         with self.lock:
             if not self._recording:
                 self.message = "nothing was being recorded"
@@ -262,7 +324,7 @@ class DrivenScene(WatchedState):
             self._begin()
 
     def reset(self) -> None:
-        """Back to the attempt's beginning; a recording that is going on is discarded."""
+        """Reset everything to the attempt's start; a present recording is discarded."""
         with self.lock:
             if self._recording:
                 self.discard()
@@ -270,23 +332,22 @@ class DrivenScene(WatchedState):
                 self._begin()
 
     def tick(self) -> None:
-        """One control tick."""
+        """Let a control tick pass, unless paused."""
         with self.lock:
             if not self.paused:
                 self._tick()
 
     def advance(self, now: float) -> None:
-        """One control tick; whoever calls keeps the time."""
+        """Let a control tick pass; the caller keeps the time."""
         self.tick()
 
     def _begin(self, *, recording: bool = False) -> None:
-        """Put the scene into its attempt's layout, at rest, with open fingers. Only a recording ends by itself."""
-        attempt = self._stage.begin(EpisodeJob(self._config.seed, self._inbox.next_attempt))
+        """Put the scene to the next attempt's start. Only a recording can end by the rules."""
+        attempt = self._stage.begin(EpisodeJob(self._config.seed, self._receiver.next_attempt))
         self._put(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording
 
     def _put(self, attempt: Attempt, rules: EpisodeRules) -> None:
-        """Put the scene to an attempt's start, at rest."""
         self._attempt = attempt
         self._episode = self._stage.set_up(attempt, rules)
         self.model, self.data = self._stage.scene.model, self._episode.data
@@ -301,7 +362,7 @@ class DrivenScene(WatchedState):
         return self._arms[self.driven]
 
     def _act(self) -> None:
-        """Let what the arms are told act for a tick."""
+        """Let the arms' commands act for a tick."""
         ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])
         magnet = tuple(arm.magnet for arm in self._arms)
         asked = np.array([arm.asked for arm in self._arms])
@@ -320,9 +381,9 @@ class DrivenScene(WatchedState):
         if self._settling:
             self._settling -= 1
             if not self._settling:
-                self._hand_in()
+                self._finish_recording()
         elif self._recording and self._episode.end is not None:
-            self._hand_in()
+            self._finish_recording()
         elif self._recording and self._episode.ticks >= self._longest:
             self._end()
             self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"

@@ -1,4 +1,4 @@
-"""A recording on the disk while it is being driven, so that one whose session is killed can still be judged."""
+"""Recordings on the disk while they are driven, so that the recording of a killed session can still be judged."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _STOP = "stop"
 
 @dataclass(frozen=True)
 class Tick:
-    """What acted in a control tick.
+    """The commands of a control tick.
 
     Attributes:
-        ctrl: what each arm's drives were told (arms, drives), rad and m.
-        magnet: whether each arm's weld was to hold.
-        asked: the joints and the opening (arms, drives) that each arm was asked for, rad and m.
+        ctrl: to each arm's drives (arms, drives), rad and m.
+        magnet: whether each arm's weld was commanded to hold.
+        asked: each arm's reference joints and opening (arms, drives), rad and m, see `DrivenArm.asked`.
     """
 
     ctrl: Array
@@ -35,14 +35,13 @@ class Tick:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A recording that a killed session left behind.
+    """The recording of a killed session.
 
     Attributes:
-        path: its file.
-        job: its attempt's numbers.
+        path: the file.
         start: MuJoCo's positions (nq,) at its beginning.
-        ticks: all that passed.
-        stopped: the number of ticks after which it was stopped; None if it never was.
+        ticks: all ticks that passed.
+        stopped: number of ticks before the stop; None if there was no stop.
     """
 
     path: Path
@@ -53,13 +52,10 @@ class Unfinished:
 
 
 class Journal:
-    """Writes recordings tick by tick, each into a file of its own in a dataset.
+    """Writes recordings tick by tick, each into its own file in a dataset's directory.
 
-    A file is there from a recording's start until its attempt is in the dataset, or discarded. What a tick wrote
-    outlives this process, and at worst the last second of it a loss of power.
-
-    Args:
-        dataset: its directory.
+    A file exists from a recording's start until its attempt is written into the dataset, or discarded. A written tick
+    survives the end of this process; a loss of power may cost the last second.
     """
 
     def __init__(self, dataset: Path) -> None:
@@ -75,9 +71,9 @@ class Journal:
         """
         self.end()
         self._folder.mkdir(exist_ok=True)
-        assert attempt.start is not None, "what is driven has a start"
+        assert attempt.start is not None, "a driven attempt has a start"
         self._attempt = attempt.job.attempt
-        # Unbuffered: what is still in this process's memory would die with it.
+        # Unbuffered, since a buffer would be lost with this process.
         self._file = self._place(self._attempt).open("wb", buffering=0)
         self._write(
             {
@@ -89,13 +85,13 @@ class Journal:
         )
 
     def add(self, tick: Tick) -> None:
-        """Write a tick; nothing where nothing is recorded."""
+        """Write a tick, if a recording goes on."""
         if self._file is not None:
             ctrl, asked = tick.ctrl.ravel().tolist(), tick.asked.ravel().tolist()
             self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": asked})
 
     def stop(self) -> None:
-        """Write that the recording was stopped: what follows is the time in which all comes to rest."""
+        """Write that the recording was stopped; the ticks that follow let everything come to rest."""
         self._write({"event": _STOP})
 
     def end(self) -> None:
@@ -110,13 +106,13 @@ class Journal:
         self.drop(self._attempt)
 
     def drop(self, attempt: int) -> None:
-        """Remove an attempt's file: it is in the dataset, or was not wanted."""
+        """Remove an attempt's file."""
         self._place(attempt).unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._folder.rmdir()
 
     def unfinished(self) -> list[Unfinished]:
-        """What is left of sessions before this one, in order; files that hold no beginning are removed."""
+        """The recordings of killed sessions, in order; files without a beginning are removed."""
         found = []
         for path in sorted(self._folder.glob("*.jsonl")):
             recording = _read(path)
@@ -135,13 +131,13 @@ class Journal:
 
 
 def _read(path: Path) -> Unfinished | None:
-    """A recording as far as it was written; None where not even its beginning was."""
+    """A recording as far as it was written; None without its beginning."""
     lines: list[dict[str, Any]] = []
     for line in path.read_bytes().split(b"\n"):
         try:
             lines.append(json.loads(line))
         except ValueError:
-            # The last one may be cut off, and nothing follows it.
+            # Only the last line can be cut off.
             break
     try:
         job, start = EpisodeJob(int(lines[0]["seed"]), int(lines[0]["attempt"])), np.array(lines[0]["start"], float)

@@ -1,4 +1,4 @@
-"""Let arms be driven: by a stream, or on a page by a person."""
+"""Teleoperation sessions: arms driven by a stream of commands, or by a person on a page."""
 
 from __future__ import annotations
 
@@ -23,28 +23,26 @@ from ..session import Session
 from ..show.view import require_page, task_viewpoint
 from ..viewers.address import PageAddress
 from ..workers.stop import Stop
-from .desk import Desk, open_worker
+from .attempt_writer import AttemptWriter, open_worker
 from .driven_scene import TIME_LIMIT, DrivenScene
 from .journal import Journal
 from .stream import Command, Player
 
-# A loop that fell behind by more goes on from where it is instead of racing, s.
-_LONGEST_CATCH_UP = 0.25
-# How long the end of a session waits for news at a time, s.
-_PATIENCE = 0.5
+_MAX_CATCH_UP = 0.25  # s; a loop that is farther behind continues from the present time
+_POLL_SECONDS = 0.5  # s, that the end of a session waits for an attempt at a time
 
 
 @dataclass(frozen=True)
 class Jitter:
-    """How far the time between two control ticks was from what it should be, ms.
+    """Deviations of the time between control ticks from its nominal value, ms.
 
     Attributes:
-        rate_hz: how many ticks there should be in a second.
+        rate_hz: nominal rate of ticks.
         ticks: how many there were.
-        p50, p95, max: median, 95 % and most.
-        late: how many began more than half a tick after they were due.
-        lost: time that the clock ran on without the simulation, when the loop was too far behind to catch up, ms. What
-            is recorded lacks no tick by it; for whoever drives, it stood still.
+        p50, p95, max: median, 95 % percentile and maximum.
+        late: how many ticks began more than half a tick after they were due.
+        lost: time that the simulation stood still because the loop was too far behind to catch up, ms. The recording
+            lacks no tick by that.
     """
 
     rate_hz: float
@@ -56,8 +54,8 @@ class Jitter:
     lost: float
 
 
-class Pace:
-    """Keeps a loop at one turn a period, on a steady clock, and measures how well."""
+class TickClock:
+    """Paces a loop by the monotonic clock, and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -67,10 +65,10 @@ class Pace:
         self._lost = 0.0
 
     def wait(self) -> None:
-        """Until the next turn is due."""
+        """Sleep until the next tick is due."""
         now = time.monotonic()
         due = self._due
-        if now - self._due > _LONGEST_CATCH_UP:
+        if now - self._due > _MAX_CATCH_UP:
             self._lost += now - self._due
             self._due = now
         time.sleep(max(0.0, self._due - now))
@@ -80,7 +78,7 @@ class Pace:
 
     @property
     def jitter(self) -> Jitter | None:
-        """None before the second turn."""
+        """None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
@@ -91,12 +89,12 @@ class Pace:
 
 @dataclass(frozen=True)
 class TeleopReport:
-    """What a session did.
+    """The result of a session.
 
     Attributes:
-        episodes, attempts: in the dataset now.
+        episodes, attempts: numbers in the dataset now.
         trials: of this session, in order.
-        jitter: of the control ticks; None where they were not held to the clock.
+        jitter: of the control ticks; None if they did not follow the clock.
     """
 
     path: Path
@@ -108,37 +106,37 @@ class TeleopReport:
 
 
 @dataclass(frozen=True)
-class Seat:
-    """All that whoever drives needs: the arms in their scene, and the desk that takes what was done with them."""
+class TeleopSession:
+    """The arms in their scene, and the writer of the attempts."""
 
     scene: DrivenScene
-    desk: Desk
-    writer: DatasetWriter
+    attempts: AttemptWriter
+    dataset: DatasetWriter
 
-    def look(self, timeout: float = 0.0) -> None:
-        """Let the scene know what came of its attempts; raises as `Desk.news`."""
-        scene, desk = self.scene, self.desk
-        news = desk.news(timeout)
-        scene.episodes, scene.waiting = desk.episodes, desk.waiting
-        if news is not None:
-            scene.failures += news.episode is None
-            end = f"failed: {news.outcome.detail}" if news.episode is None else episode_name(news.episode)
-            scene.message = f"attempt {news.attempt}: {end}"
+    def update(self, timeout: float = 0.0) -> None:
+        """Show the scene's user the next written attempt; raises as `AttemptWriter.next_written`."""
+        scene, attempts = self.scene, self.attempts
+        attempt = attempts.next_written(timeout)
+        scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
+        if attempt is not None:
+            scene.failures += attempt.episode is None
+            end = f"failed: {attempt.outcome.detail}" if attempt.episode is None else episode_name(attempt.episode)
+            scene.message = f"attempt {attempt.attempt}: {end}"
 
     def finish(self, jitter: Jitter | None) -> TeleopReport:
-        """Wait for what is not judged yet."""
-        while self.desk.waiting:
-            self.look(_PATIENCE)
-        self.writer.finish()
-        writer, trials = self.writer, tuple(self.desk.trials)
-        return TeleopReport(writer.path, writer.episodes, len(writer.attempts), self.scene.discarded, trials, jitter)
+        """Wait until all attempts are written."""
+        while self.attempts.waiting:
+            self.update(_POLL_SECONDS)
+        data, trials = self.dataset, tuple(self.attempts.trials)
+        data.finish()
+        return TeleopReport(data.path, data.episodes, len(data.attempts), self.scene.discarded, trials, jitter)
 
 
 def check_page(address: PageAddress) -> None:
-    """Make sure that a page can be served, before a dataset is begun for it.
+    """Make sure that a page can be served, before its dataset is made.
 
     Raises:
-        UsageError: the address cannot be had.
+        UsageError: the address is in use.
         ResourceError: the viewer library is not installed.
     """
     require_page()
@@ -148,18 +146,19 @@ def check_page(address: PageAddress) -> None:
 
 
 @contextlib.contextmanager
-def open_seat(
+def open_teleop(
     session: Session,
     out: Path,
     mode: OpenMode,
     warn: Callable[[str], None],
     *,
     time_limit: float = TIME_LIMIT,
-) -> Iterator[Seat]:
-    """Open a dataset and an arm to fill it with; what a killed session left in it is judged first.
+) -> Iterator[TeleopSession]:
+    """Open a dataset and a scene to drive; recordings of killed sessions are judged first.
 
     Args:
-        time_limit: of a recording, s; then it is stopped and judged.
+        warn: called with each warning.
+        time_limit: of a recording, s, which is then stopped and judged.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
@@ -172,8 +171,8 @@ def open_seat(
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
-        for number in sorted(writer.lost_lines):
-            # A demonstration cannot be made again; this says so in the ledger too.
+        for number in sorted(writer.untold):
+            # A demonstration cannot be made again, which the ledger states from now on.
             writer.log(writer.attempts[number])
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
@@ -181,11 +180,11 @@ def open_seat(
             journal = Journal(writer.path)
             with (
                 open_worker(session) as worker,
-                Desk(config_as_stated(config, writer), writer, worker, journal.drop) as desk,
+                AttemptWriter(as_said(config, writer), writer, worker, journal.drop) as attempts,
             ):
-                scene = DrivenScene(session, desk, journal, time_limit)
-                _take_up(scene, desk, journal, warn)
-                yield Seat(scene, desk, writer)
+                scene = DrivenScene(session, attempts, journal, time_limit)
+                _take_up(scene, attempts, journal, warn)
+                yield TeleopSession(scene, attempts, writer)
         except OSError as error:
             raise PartialJobError(
                 f"{explain(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
@@ -196,14 +195,14 @@ def open_seat(
             raise
 
 
-def _take_up(scene: DrivenScene, desk: Desk, journal: Journal, warn: Callable[[str], None]) -> None:
-    """Have what killed sessions left judged, as far as it still fits the dataset."""
+def _take_up(scene: DrivenScene, attempts: AttemptWriter, journal: Journal, warn: Callable[[str], None]) -> None:
+    """Submit the recordings of killed sessions whose attempt is the dataset's next one."""
     for left in journal.unfinished():
         attempt = left.job.attempt
-        if attempt < desk.next_attempt or not left.ticks:
-            # It was written before the session was killed, or nothing ever happened in it.
+        if attempt < attempts.next_attempt or not left.ticks:
+            # The attempt is already written, or has no tick.
             journal.drop(attempt)
-        elif attempt > desk.next_attempt:
+        elif attempt > attempts.next_attempt:
             warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
         else:
             seconds = len(left.ticks) * scene.tick_seconds
@@ -211,61 +210,59 @@ def _take_up(scene: DrivenScene, desk: Desk, journal: Journal, warn: Callable[[s
             scene.take_up(left)
 
 
-def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:
-    """Let a stream drive the arm; a recording that is still going on at its end is stopped, and
-    discarded where the user ends it.
+def run_stream(session: TeleopSession, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:
+    """Drive the arms by a stream of commands. At its end a recording is stopped; if the user ends it, discarded.
 
     Args:
-        realtime: hold the ticks to the clock; else they follow each other as fast as they can, with the same result.
+        realtime: whether ticks follow the clock; otherwise they pass as fast as possible, with the same result.
     """
-    scene, player = seat.scene, Player(commands)
-    pace = Pace(scene.tick_seconds) if realtime else None
+    scene, player = session.scene, Player(commands)
+    clock = TickClock(scene.tick_seconds) if realtime else None
     while not stop.asked:
-        if pace is not None:
-            pace.wait()
+        if clock is not None:
+            clock.wait()
         player.act(scene, scene.time)
         if player.done:
             break
         scene.tick()
-        seat.look()
+        session.update()
     if scene.recording and not stop.asked:
         scene.stop()
-    _leave(scene)
-    return seat.finish(pace.jitter if pace else None)
+    _end_recording(scene)
+    return session.finish(clock.jitter if clock else None)
 
 
-def _leave(scene: DrivenScene) -> None:
-    """What was stopped is handed in; what was not is discarded."""
+def _end_recording(scene: DrivenScene) -> None:
+    """Submit a stopped recording, and discard any other."""
     scene.settle()
     if scene.recording:
         scene.discard()
 
 
 def run_page(
-    seat: Seat, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: Stop
+    session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: Stop
 ) -> TeleopReport:
-    """Serve a page until `stop` says so; a recording that is going on then is discarded.
+    """Serve a page until the user ends it; a recording that is not stopped by then is discarded.
 
     Args:
-        address: see `check_page`.
-        ready: called with the page's URL once it is up, unless it is no longer wanted.
+        ready: called with the page's URL once the page is served.
 
     Raises:
-        UsageError: the address cannot be had.
+        UsageError: the address is in use.
     """
     from ..viewers.teleop_page import TeleopPage
 
-    page = TeleopPage(seat.scene, task_viewpoint(config), address)
-    pace = Pace(seat.scene.tick_seconds)
+    page = TeleopPage(session.scene, task_viewpoint(config), address)
+    clock = TickClock(session.scene.tick_seconds)
     try:
         if not stop.asked:
             ready(page.url)
         while not stop.asked:
-            pace.wait()
-            seat.scene.tick()
+            clock.wait()
+            session.scene.tick()
             page.update()
-            seat.look()
+            session.update()
     finally:
         page.close()
-    _leave(seat.scene)
-    return seat.finish(pace.jitter)
+    _end_recording(session.scene)
+    return session.finish(clock.jitter)

@@ -1,4 +1,4 @@
-"""A stream of commands, as a leader arm sends them: one JSON object a line, each with its time."""
+"""Streams of commands of a leader arm: a JSON object with a time on each line."""
 
 from __future__ import annotations
 
@@ -20,11 +20,8 @@ from .driven_scene import DrivenScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
-# Leader arms that turn farther than ours send what lies beyond its stops, which counts as at them. Farther beyond than
-# this it cannot be meant, rad.
-_BEYOND = math.radians(30)
-# Drives report a little beyond both ends of the opening, m.
-_OPENING = Within("m", -0.02, 0.1)
+_BEYOND = math.radians(30)  # rad, by which joints of a leader arm may lie beyond the stops, to which they are clipped
+_OPENING = Within("m", -0.02, 0.1)  # drives report values a little beyond both ends of the range
 
 
 class PoseTarget(Config):
@@ -40,16 +37,16 @@ class PoseTarget(Config):
 
 
 class Command(Config):
-    """One line of a stream; what it leaves out stays as it is.
+    """One line of a stream; values that it leaves out do not change.
 
     Attributes:
-        t: seconds since the stream's beginning.
-        arm: of two arms, which one this and what follows is for; at first, the one that does the task.
-        joints: of the arm, rad; or all of both, openings included, the left one's first, as frames hold them.
-        ee: `grasp_site` in the arm's base, or in the left one's of two, as frames hold it in `ee_pose`.
+        t: time since the stream's beginning, s.
+        arm: of two arms, the one for this and the following commands; at first, the arm that acts first in the task.
+        joints: of the arm, rad; or of both arms with openings, the left arm's first, as in frames.
+        ee: pose of `grasp_site` in the arm's base, or in the left arm's base of two, as `ee_pose` in frames.
         gripper: opening of one finger, m.
-        magnet: whether it is on.
-        event: what to do with the recording.
+        magnet: whether the magnet is on.
+        event: start, stop or discard a recording.
     """
 
     t: Annotated[FiniteFloat, Within("s", 0, 86400)]
@@ -62,7 +59,7 @@ class Command(Config):
 
     @property
     def T_grasp_in_base(self) -> Array | None:
-        """The end effector's target (4, 4), if this line has one."""
+        """Target pose (4, 4) of `grasp_site`; None if this line has none."""
         if self.ee is None:
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
@@ -85,8 +82,7 @@ def read_stream(file: Path, config: RecordConfig) -> list[Command]:
     """All commands of a file, in order of time, for the arms of a recording.
 
     Raises:
-        ConfigError: the file cannot be read, or a line of it is no command of these arms; the message names line and
-            key.
+        ConfigError: the file cannot be read, or a line is no command of these arms; the message names line and key.
     """
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -112,7 +108,7 @@ def _read(line: str, where: str) -> Command:
     try:
         return Command.model_validate_json(line)
     except ValidationError as error:
-        # Of the two forms of `ee`, the one that is meant goes wrong the deepest.
+        # Of the two forms of `ee`, the error that is nested deepest is that of the intended form.
         first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
         key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
         message = first["msg"].removeprefix("Value error, ")
@@ -120,7 +116,7 @@ def _read(line: str, where: str) -> Command:
 
 
 class _Arms:
-    """Whether commands, one after the other, are for arms that there are, and such as these can do."""
+    """Checks consecutive commands against the arms of a recording."""
 
     def __init__(self, config: RecordConfig) -> None:
         rig = config.rig
@@ -131,7 +127,7 @@ class _Arms:
 
     def check(self, command: Command, where: str) -> None:
         """Raises:
-        ConfigError: there is no such arm or no magnet, or its joints cannot be so.
+        ConfigError: there is no such arm or no magnet, or the joints are not valid.
         """
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
@@ -163,7 +159,7 @@ class _Arms:
 
 
 class Player:
-    """Lets a stream's commands act, each on the first tick that begins at or after its time."""
+    """Applies a stream's commands, each at the first tick that begins at or after its time."""
 
     def __init__(self, commands: Sequence[Command]) -> None:
         self._commands = commands
@@ -175,8 +171,8 @@ class Player:
         return self._next == len(self._commands)
 
     def act(self, scene: DrivenScene, now: float) -> None:
-        """Let those act whose time has come, `now` in seconds since the stream's beginning."""
-        # A tick's beginning is a sum of many: what is meant for it must not miss it by rounding.
+        """Apply the commands that are due at `now`, s since the stream's beginning."""
+        # The tolerance covers the rounding of a tick's time, which is a sum of many ticks.
         while not self.done and self._commands[self._next].t <= now + 1e-9:
             self._apply(scene, self._commands[self._next])
             self._next += 1

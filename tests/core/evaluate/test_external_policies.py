@@ -16,13 +16,12 @@ from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-from yamsim_cli.core.evaluate.builtin_policies import make_policy
 from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.elsewhere import make_elsewhere, station
 from yamsim_cli.core.evaluate.evaluation import Evaluation, instance_of, summary
+from yamsim_cli.core.evaluate.policy_factory import make_policy, policy_station
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.policies.chunks import Chunking
-from yamsim_cli.core.policies.mapped import MappedPolicy, Station
+from yamsim_cli.core.policies.mapped import MappedPolicy, PolicyStation
 from yamsim_cli.core.policies.openpi import pack_openpi, unpack_openpi
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
@@ -56,7 +55,7 @@ class Repeats:
         pass
 
 
-STATION = Station(
+STATION = PolicyStation(
     "station", ("left", "right"), 7, (0.05, 0.04),
     {"left_wrist": "left_wrist_rgb", "right_wrist": "right_wrist_rgb", "top": "top_rgb", "scene": "scene_rgb"},
 )  # fmt: skip
@@ -157,11 +156,11 @@ def test_a_mapping_that_is_wrong_is_told_with_its_line(
 
 def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locations: Locations) -> None:
     with act_server(lambda _: {}) as url, pytest.raises(UsageError) as caught:
-        make_elsewhere(PolicyChoice(url, HERE), Session(config, locations))
+        make_policy(PolicyChoice(url, HERE), Session(config, locations))
     assert str(caught.value) == (
         "--policy-config molmoact2_yam: arms: on rig 'single' there is no left arm; there is right"
     )
-    lone = Station("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
+    lone = PolicyStation("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
     mapping = load_config(PolicyConfig, "policies", "openpi_aloha", locations)
     with pytest.raises(UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; there"):
         MappedPolicy(Repeats(), mapping, lone)
@@ -169,7 +168,7 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
 
 def test_lerobot_that_is_not_installed_is_told(config: RecordConfig, locations: Locations) -> None:
     with pytest.raises(ResourceError, match=r"--policy lerobot:\S+: LeRobot is not here: pip install lerobot"):
-        make_elsewhere(PolicyChoice("lerobot:nowhere", HERE), Session(config, locations))
+        make_policy(PolicyChoice("lerobot:nowhere", HERE), Session(config, locations))
 
 
 @pytest.mark.parametrize(
@@ -224,7 +223,7 @@ def test_every_picture_of_an_export_is_known(
     wanted = [f"observation.images.{name}" for name in config.recorded_cameras]
     for name in ("lerobot_export", "lerobot_joints"):
         mapping = load_config(PolicyConfig, "policies", name, locations)
-        policy = MappedPolicy(Repeats(), mapping, station(config), wanted)
+        policy = MappedPolicy(Repeats(), mapping, policy_station(config), wanted)
         assert len(policy.images) == len(wanted)
 
 
@@ -233,7 +232,7 @@ def test_every_picture_of_an_export_is_known(
 
 def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[TrialResult], dict[int, np.ndarray]]:
     """The scripted policy's trials, and its actions by the trial's seed, grippers as shares, the welds last."""
-    where, results, plans = station(config), [], {}
+    where, results, plans = policy_station(config), [], {}
     with TrialRunner(Session(config, locations), PolicyChoice("scripted", HERE)) as runner:
         for attempt in range(config.episodes):
             job = EpisodeJob(config.seed, attempt)

@@ -1,4 +1,4 @@
-"""Code of the user's, run under a time limit; whatever it does wrong is its own failure and nobody else's."""
+"""Calls of a policy's code under a time limit, with its errors told apart from yamsim's own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from ..policies.base import InvalidActionError
-from ..policies.peer import RemoteError
+from ..policies.policy_client import RemoteError
 from ..policies.policy_faults import Fault, fault_of
 from ..workers.serving import forks_end_here
 
@@ -20,11 +20,7 @@ T = TypeVar("T")
 
 
 class PolicyFailedError(Exception):
-    """The policy raised something.
-
-    Attributes:
-        fault: what.
-    """
+    """The policy raised an exception, which `fault` describes."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault.text)
@@ -35,15 +31,15 @@ class TooSlowError(Exception):
     """The policy did not answer in time."""
 
 
-class Asker:
-    """Asks a policy, under a time limit that stands still while the policy waits for yamsim.
+class PolicyCaller:
+    """Calls a policy under a time limit, which is paused while the policy waits for yamsim.
 
     Attributes:
-        seconds: how long the last question took, without such waits.
+        seconds: duration of the last call without such waits, s.
 
     Args:
-        limit: seconds for one question.
-        folder: where the policy's files are looked for, to name them.
+        limit: for one call, s.
+        folder: paths of the policy's files are named relative to it.
     """
 
     def __init__(self, limit: float, folder: Path) -> None:
@@ -51,25 +47,25 @@ class Asker:
         self.seconds = 0.0
         self._waited = 0.0
 
-    def ask(self, question: Callable[[], T]) -> T:
-        """The answer to a question.
+    def call(self, function: Callable[[], T]) -> T:
+        """The result of a function that calls the policy.
 
         Raises:
-            PolicyFailedError: it raised something.
-            TooSlowError: there was none in time.
-            InvalidActionError: a server says that the answer is none.
+            PolicyFailedError: the policy raised an exception.
+            TooSlowError: the time limit passed.
+            InvalidActionError: a server reports that the policy's answer is not valid.
         """
         began, self._waited = time.monotonic(), 0.0
         try:
-            with talking_on_stderr(), self._limited(), forks_end_here():
-                return question()
+            with output_on_stderr(), self._limited(), forks_end_here():
+                return function()
         except (TooSlowError, TimeoutError) as error:
             raise TooSlowError from error
         except InvalidActionError:
             raise
         except RemoteError as error:
             raise PolicyFailedError(error.fault) from error
-        # Code of others may raise anything; it costs this trial alone.
+        # A policy may raise any exception, which fails its trial alone.
         except Exception as error:
             raise PolicyFailedError(fault_of(error, self._folder)) from error
         finally:
@@ -77,7 +73,7 @@ class Asker:
 
     @contextlib.contextmanager
     def waits(self) -> Iterator[None]:
-        """Stop the clock: in this block the policy waits for yamsim."""
+        """Pause the time limit: in the block the policy waits for yamsim."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
         try:
@@ -88,15 +84,15 @@ class Asker:
 
     @contextlib.contextmanager
     def _limited(self) -> Iterator[None]:
-        """Raise in the block when it takes longer; what does not come back to Python at all is left to the worker
-        pool.
+        """Raise TooSlowError in the block after the time limit. Code that never returns to Python is ended by the
+        worker pool.
         """
 
         def ring(number: int, frame: FrameType | None) -> None:
             raise TooSlowError
 
         before = signal.signal(signal.SIGALRM, ring)
-        # Workers are born deaf to it.
+        # Workers start with the signal blocked.
         mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
         signal.setitimer(signal.ITIMER_REAL, self._limit)
         try:
@@ -107,6 +103,6 @@ class Asker:
             signal.signal(signal.SIGALRM, before)
 
 
-def talking_on_stderr() -> contextlib.AbstractContextManager[Any]:
-    """What a policy prints must not get into a report on stdout."""
+def output_on_stderr() -> contextlib.AbstractContextManager[Any]:
+    """Redirect what a policy prints to stderr, since stdout may carry a report."""
     return contextlib.redirect_stdout(sys.stderr)

@@ -1,4 +1,4 @@
-"""Policies that come with yamsim: a task's expert, standing still, and a dataset's actions."""
+"""Makes policies by name: the built-in ones, those of the user, and those of other programs."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ import numpy as np
 
 from ..attempt.engine import Simulated, demonstrate
 from ..attempt.simulator import Simulator
+from ..config.loader import load_config
+from ..config.policy import PolicyConfig
+from ..config.recording import RecordConfig
 from ..dataset.layout import episode_directories
 from ..dataset.lowdim import recorded_actions
 from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..geometry.se3 import Array
+from ..policies import act, lerobot, openpi
 from ..policies.base import Observation, Policy
-from ..policies.loading import ELSEWHERE, FORMS, check_policy, is_elsewhere, load_policy, takes_keywords
+from ..policies.environment_state import object_pose_keys
+from ..policies.loading import EXTERNAL_FORMS, FORMS, check_policy, is_external, load_policy, takes_keywords
+from ..policies.mapped import MappedPolicy, PolicyClient, PolicyStation
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob, Holds
 from .choice import PolicyChoice
-from .elsewhere import make_elsewhere
+from .observation import offered_cameras
+
+# Scheme of a policy's name -> config of its messages unless another config is named.
+_CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
 class Trial:
-    """What only a privileged policy is told; what it does not ask for is not made.
+    """What a privileged policy knows of its trial.
 
     Attributes:
         attempt: as it was sampled.
-        scene: in which it is made.
+        scene: compiled.
     """
 
     def __init__(self, simulator: Simulator, attempt: Attempt) -> None:
@@ -41,25 +50,25 @@ class Trial:
 
     @functools.cached_property
     def demonstrated(self) -> Simulated:
-        """What the task's expert makes of the attempt."""
+        """The attempt of the task's expert, made when it is first read."""
         return demonstrate(self._simulator, self.attempt)
 
 
 @runtime_checkable
 class Privileged(Protocol):
-    """A policy that is told what a robot cannot see."""
+    """A policy that knows what a robot cannot see."""
 
     def begin(self, trial: Trial) -> Array | None:
-        """Prepare for a trial, ahead of `reset`.
+        """Prepare for a trial, before `reset`.
 
         Returns:
-            MuJoCo's positions (nq,) at which the trial is to begin; None for those that were sampled.
+            MuJoCo's positions (nq,) at which the trial begins; None for the sampled ones.
         """
         ...
 
 
 class _Playback:
-    """Answers with actions that are known beforehand, tick by tick, whatever it sees."""
+    """Answers with given actions, tick by tick."""
 
     images = ()
 
@@ -69,7 +78,7 @@ class _Playback:
         self._tick = 0
 
     def _play(self, ctrl: Array, magnet: Holds, scene: CompiledScene) -> None:
-        """Answer with these, of MuJoCo's drives (ticks, nu) and each arm's weld (ticks, arms), from now on."""
+        """Set the actions: of MuJoCo's drives (ticks, nu) and of each arm's weld (ticks, arms)."""
         self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
 
     def reset(self) -> None:
@@ -81,10 +90,10 @@ class _Playback:
 
 
 class Scripted(_Playback):
-    """Does what a task's expert does in `trials` and `record`: it knows where everything is."""
+    """The task's expert, as in `trials` and `record`."""
 
     def begin(self, trial: Trial) -> Array | None:
-        """Take over the expert's actions, and its start."""
+        """Take the expert's actions and start."""
         states = trial.demonstrated.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
@@ -92,7 +101,7 @@ class Scripted(_Playback):
 
 
 class HoldStill:
-    """Stays where it is."""
+    """Holds the joints of the first observation."""
 
     images = ()
 
@@ -100,21 +109,21 @@ class HoldStill:
         self._ctrl: Any = None
 
     def reset(self) -> None:
-        """Stay where the next observation finds it."""
+        """Hold the joints of the next observation."""
         self._ctrl = None
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """The joints of the first observation."""
+        """Command the joints of the first observation."""
         self._ctrl = observation["joints"] if self._ctrl is None else self._ctrl
         return {"ctrl": self._ctrl}
 
 
 class Replay(_Playback):
-    """Repeats a dataset's actions: those of the trial's own seed and number, or else of another episode, blindly.
+    """Repeats a dataset's actions: those of the trial's own seed and number, or else those of another episode.
 
     Raises:
         UsageError: there are no episodes.
-        DatasetError: one is damaged, or of another scene.
+        DatasetError: an episode is damaged, or of another scene.
     """
 
     def __init__(self, dataset: Path) -> None:
@@ -126,7 +135,7 @@ class Replay(_Playback):
         self._by_job = {EpisodeJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
     def begin(self, trial: Trial) -> Array | None:
-        """Read the trial's episode, which begins where it was recorded."""
+        """Read the trial's episode, and take its recorded start."""
         job = trial.attempt.job
         other = self._episodes[job.attempt % len(self._episodes)]
         episode = self._by_job.get(job, other)
@@ -139,25 +148,25 @@ class Replay(_Playback):
 
 
 def make_policy(choice: PolicyChoice, session: Session) -> Policy:
-    """The policy that a name says.
+    """The policy of a name.
 
     Args:
-        choice: its folder is where the user's modules, files and datasets are looked for.
+        choice: its folder is where the user's modules, files and datasets are looked up.
 
     Raises:
-        ConfigError: the config of a policy from elsewhere is not valid.
-        UsageError: there is no such policy, or it cannot be loaded, or does not fit the rig.
-        ResourceError: nobody answers at its address, or a package is missing.
+        ConfigError: the config of another program's policy is not valid.
+        UsageError: there is no such policy, it cannot be loaded, or does not fit the rig.
+        ResourceError: no server answers at its address, or a package is missing.
     """
     name, folder = choice.name, choice.folder
     kind, colon, rest = name.partition(":")
-    elsewhere = is_elsewhere(name)
-    if choice.mapping is not None and not elsewhere:
-        raise UsageError(f"--policy-config is for policies of other programs: {', '.join(ELSEWHERE)}")
+    external = is_external(name)
+    if choice.mapping is not None and not external:
+        raise UsageError(f"--policy-config is for policies of other programs: {', '.join(EXTERNAL_FORMS)}")
     if choice.arguments and not takes_keywords(name):
         raise UsageError(f"--policy-arg is for a policy of your own, module:Class or file.py:Class, and not for {name}")
-    if elsewhere:
-        return make_elsewhere(choice, session)
+    if external:
+        return _make_external(choice, session)
     if name == "scripted":
         return Scripted()
     if name == "hold_still":
@@ -168,3 +177,35 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
         remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
     return load_policy(name, folder, FORMS, choice.arguments, known_only=choice.known_only)
+
+
+def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
+    """A policy of another program."""
+    kind, _, rest = choice.name.partition(":")
+    mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
+    station = policy_station(session.config)
+    if kind == lerobot.SCHEME:
+        local = choice.folder / rest
+        checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
+        return MappedPolicy(checkpoint, mapping, station, checkpoint.asks)
+    client: PolicyClient
+    if kind == act.SCHEME:
+        client = act.ActClient(choice.name, choice.call_seconds)
+    else:
+        client = openpi.OpenpiClient(choice.name, choice.call_seconds)
+    return MappedPolicy(client, mapping, station)
+
+
+def policy_station(config: RecordConfig) -> PolicyStation:
+    """The arms, cameras and things that a policy acts on."""
+    arms = [config.rig.arms[k] for k in config.rig.recorded]
+    cameras = {name: next(iter(keys)) for name, keys in offered_cameras(config).items() if len(keys) == 1}
+    return PolicyStation(
+        config.rig.name,
+        tuple(arm.side for arm in arms),
+        len(arms[0].robot.joints) + 1,
+        tuple(arm.robot.fingers.full_opening if arm.robot.fingers else 0.0 for arm in arms),
+        cameras,
+        object_pose_keys(config),
+        config.rig.T_base_in_world(config.rig.recorded[0]),
+    )

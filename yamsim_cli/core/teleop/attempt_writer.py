@@ -1,4 +1,4 @@
-"""What a person or a leader arm did, rendered by a worker, and put into the dataset in order."""
+"""Writes driven attempts into the dataset, in order, after a worker process has rendered them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ from ..workers.processes import WorkerPool
 
 SOURCE = "teleop"
 
-# How often a waiting desk looks whether it is still open.
-_POLL_SECONDS = 0.1
+_POLL_SECONDS = 0.1  # s, between two checks whether a waiting writer was closed
 
 
 class DrivenRunner(Closing):
-    """Renders driven attempts that succeeded; they were judged while they were driven.
+    """Renders successful driven attempts, which were judged while they were driven.
 
     Args:
         render: whether successes become files.
@@ -41,11 +40,11 @@ class DrivenRunner(Closing):
         if render:
             require_meshes(session)
         self._simulators = Simulators(session)
-        # Now, since the files that it is made from need not be there any more when the first attempt comes.
+        # Compiled at once, since the scene's files may be gone when the first attempt arrives.
         self._simulators.of(EpisodeJob(session.config.seed, 0))
 
     def run(self, driven: Simulated) -> EpisodePayload:
-        """What is recorded of an attempt."""
+        """The recorded bytes of an attempt."""
         simulator, done = self._simulators.of(driven.attempt.job), driven
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
@@ -60,31 +59,31 @@ DrivenExecutor = Executor[Simulated, EpisodePayload]
 
 
 def open_worker(session: Session) -> WorkerPool[Simulated, EpisodePayload]:
-    """A process beside this one, so that rendering does not hold the arm up."""
+    """A worker process, so that rendering does not delay the arm."""
     return WorkerPool(functools.partial(DrivenRunner, session), 1)
 
 
-class Inbox(Protocol):
-    """Takes driven attempts."""
+class AttemptReceiver(Protocol):
+    """Receives driven attempts."""
 
     @property
     def next_attempt(self) -> int:
-        """The number of the attempt that comes next."""
+        """The number of the next attempt."""
         ...
 
-    def hand_in(self, driven: Simulated) -> None:
-        """Take one, to be judged."""
+    def submit(self, driven: Simulated) -> None:
+        """Receive an attempt."""
         ...
 
 
-class Desk(Closing):
-    """Has driven attempts judged one after the other, and writes them in that order, in a thread of its own.
+class AttemptWriter(Closing):
+    """Has driven attempts rendered, and writes them in order, in a thread of its own.
 
-    Flushing an episode to a disk can take longer than a control tick. A context manager: at its end, what is not judged
-    yet is given up. While it is open, nobody else may use the sink or the executor.
+    Writing an episode can take longer than a control tick. A context manager: on its exit, attempts that are not
+    written yet are given up. While it is open, no other code may use the sink or the executor.
 
     Args:
-        written: called with an attempt's number once it is in the sink.
+        written: called with an attempt's number once the attempt is in the sink.
     """
 
     def __init__(
@@ -96,48 +95,48 @@ class Desk(Closing):
     ) -> None:
         self._config, self._sink, self._executor, self._written = config, sink, executor, written
         self._first = len(sink.attempts)
-        self._handed_in = 0
+        self._submitted = 0
         self._ended = threading.Event()
-        self._thread = ThreadPoolExecutor(1, "yamsim-desk")
+        self._thread = ThreadPoolExecutor(1, "yamsim-writer")
         self._futures: deque[Future[AttemptRecord | None]] = deque()
         self.trials: list[AttemptRecord] = []
         self.episodes = sink.episodes
 
     @property
     def waiting(self) -> int:
-        """How many are not judged yet, or not told of yet."""
+        """The number of submitted attempts that `next_written` has not returned yet."""
         return len(self._futures)
 
     @property
     def next_attempt(self) -> int:
-        """The number of the attempt that comes next."""
-        return self._first + self._handed_in
+        """The number of the next attempt."""
+        return self._first + self._submitted
 
-    def hand_in(self, driven: Simulated) -> None:
-        """Take one, to be judged."""
-        self._handed_in += 1
-        self._futures.append(self._thread.submit(self._judge, driven))
+    def submit(self, driven: Simulated) -> None:
+        """Queue an attempt."""
+        self._submitted += 1
+        self._futures.append(self._thread.submit(self._process, driven))
 
-    def news(self, timeout: float = 0.0) -> AttemptRecord | None:
-        """The next one that is judged and written, waited for at most `timeout` seconds.
+    def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
+        """The next attempt that is written; None if none is within `timeout` seconds.
 
         Raises:
             OSError: the disk refused something.
-            PartialJobError: the worker does not last.
+            PartialJobError: the worker ended in each of several tries.
             ResourceError: nothing can be rendered here.
         """
         if not self._futures:
             return None
-        # Not by its own time limit: a network disk's is the same error.
+        # A TimeoutError of the future could also be that of a network disk.
         if not wait(list(self._futures)[:1], timeout).done:
             return None
         attempt = self._futures.popleft().result()
-        assert attempt is not None  # nobody asks once it is closed
+        assert attempt is not None  # it is None only after `close`
         self.trials.append(attempt)
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _judge(self, driven: Simulated) -> AttemptRecord | None:
+    def _process(self, driven: Simulated) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None
@@ -145,12 +144,12 @@ class Desk(Closing):
             payload = self._payload()
             return None if payload is None else self._write(payload)
         except BaseException:
-            # The ones after it would leave a gap in the ledger.
+            # Later attempts would leave a gap in the ledger.
             self._ended.set()
             raise
 
     def _payload(self) -> EpisodePayload | None:
-        """What the worker makes of it; None where nobody waits for it any more."""
+        """The worker's result; None once the writer is closed."""
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]
@@ -169,7 +168,7 @@ class Desk(Closing):
         return attempt
 
     def close(self) -> None:
-        """Give up what is not judged yet."""
+        """Give up the attempts that are not written yet."""
         self._ended.set()
-        # What is being written is written: never half an episode.
+        # An episode that is being written becomes whole.
         self._thread.shutdown(wait=True, cancel_futures=True)
