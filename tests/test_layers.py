@@ -145,7 +145,7 @@ CONFINED = {
         "core.policies.websocket",
         "core.serve.chiral",
         "core.serve.chiral_wire",
-        "core.viewers.local_server",
+        "core.viewers.bodies_page",
     },
     "lerobot": {"core.policies.lerobot", "lerobot_camera"},
     "raiden": {"raiden_camera"},

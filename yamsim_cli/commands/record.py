@@ -1,4 +1,4 @@
-"""`yamsim record`: make a dataset."""
+"""`yamsim record`: record a dataset."""
 
 from __future__ import annotations
 
@@ -9,25 +9,29 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import (
+from yamsim_cli.flags.session import (
     Arm,
     Cameras,
     ConfigOption,
     Grasp,
+    Json,
     Object,
+    Offline,
     Quality,
     Randomization,
     Randomize,
+    Revision,
     Rig,
+    Robot,
     Seed,
     Size,
     Target,
     Task,
     Workers,
     Wrist,
+    opener,
 )
-from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
@@ -35,11 +39,11 @@ if TYPE_CHECKING:
     from yamsim_cli.core.record.executors import Executors
     from yamsim_cli.core.record.recorder import RecordReport
 
-_STOPPING = "Stopping once the attempts in progress are done. Once more stops at once; nothing is lost either way."
+_STOPPING = "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 
 
 def record(
-    n: Annotated[int | None, typer.Option("--n", help="Successful episodes the dataset is to hold.")] = None,
+    n: Annotated[int | None, typer.Option("--n", help="Number of successful episodes in the dataset.")] = None,
     workers: Workers = None,
     seed: Seed = None,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
@@ -62,8 +66,8 @@ def record(
     action: Annotated[
         Literal["drives", "joints"] | None,
         typer.Option(
-            help="joints: also record state and action as real YAM stations do: of each arm its joints, and the "
-            "share that its gripper is open; needs --grasp contact.  [default: drives]"
+            help="joints: also record state and action as real YAM stations do: each arm's joints, and its "
+            "gripper's opening from 0 to 1; needs --grasp contact.  [default: drives]"
         ),
     ] = None,
     fps: Annotated[
@@ -73,16 +77,17 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
     stage: Annotated[
-        Path | None, typer.Option(help="A local directory; episodes are moved from there to a slow --out.")
+        Path | None,
+        typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
     ] = None,
     executor: Annotated[
-        Literal["process", "ray"], typer.Option(help="What workers are: processes here, or actors of a Ray cluster.")
+        Literal["process", "ray"], typer.Option(help="Workers: processes of this machine, or actors of a Ray cluster.")
     ] = "process",
     address: Annotated[
         str | None,
-        typer.Option(help="Address of a running Ray cluster, such as auto; without it, one is started here."),
+        typer.Option(help="Address of a running Ray cluster, such as auto; without it, a cluster is started here."),
     ] = None,
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
@@ -91,7 +96,7 @@ def record(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Record successful episodes of a task into a dataset. Nothing half-written is ever visible.
+    """Record successful episodes of a task into a dataset. Episodes appear whole or not at all.
 
     Example: yamsim record --n 500 --workers 4
     """
@@ -131,11 +136,11 @@ def record(
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
         report = run(session, Output(out, mode, stage), executors, watch, stop)
-    _show(report, json)
+    _print(report, json)
 
 
 def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
-    """What to do with an output that is not empty."""
+    """The treatment of an output that is not empty."""
     from yamsim_cli.core.dataset.writing.opening import OpenMode
 
     if resume and overwrite:
@@ -150,15 +155,14 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         if address is not None:
             raise UsageError("--address is of a Ray cluster; give --executor ray with it")
         return LocalProcesses(attempt_timeout)
-    # Ray reports its use over the network unless told not to.
+    # By default, Ray reports its use over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
     return RayCluster(address, rendering, attempt_timeout)
 
 
-def _show(report: RecordReport, json: bool) -> None:
-    if report.moved_aside:
-        note(f"What was in {report.path} is now in {report.moved_aside}.")
+def _print(report: RecordReport, json: bool) -> None:
+    note_moved(report.path, report.moved_aside)
     if json:
         print_json(
             {

@@ -10,8 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
+from yamsim_cli.flags.session import (
+    Arm,
+    ConfigOption,
+    Json,
+    Object,
+    Offline,
+    Quality,
+    Revision,
+    Rig,
+    Robot,
+    Seed,
+    Size,
+    Target,
+    Task,
+    Wrist,
+    opener,
+)
 from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
@@ -21,7 +36,7 @@ from .record import mode_of
 if TYPE_CHECKING:
     from yamsim_cli.core.teleop.loop import TeleopReport
 
-_ENDING = "Ending: what was recorded is judged and rendered first. Once more ends at once; whole episodes are safe."
+_ENDING = "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 
 
 def teleop(
@@ -48,16 +63,16 @@ def teleop(
         float, typer.Option(min=1, max=3600, help="Seconds after which a recording is stopped and judged.")
     ] = 600.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Add to a dataset; what a killed session left there is judged first.")
+        bool, typer.Option("--resume", help="Add to a dataset; attempts of a killed session are judged first.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
     port: Port = None,
     host: Host = None,
     config: ConfigOption = "default",
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Drive the arm from a browser page, or by a stream of commands, and record what succeeds. Ctrl-C ends it.
+    """Drive the arm from a browser page, or by a stream of commands, and record successes. Ctrl-C ends it.
 
     Example: yamsim teleop --out teleop
     """
@@ -66,7 +81,7 @@ def teleop(
         if stream is not None and given:
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
-        raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
+        raise UsageError("--realtime is for --input; the page always keeps to the clock")
     session = opener.open(
         config,
         resumes=out if resume else None,
@@ -93,7 +108,7 @@ def teleop(
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is kept for the report.
+        # Standard output is for the report.
         note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
@@ -106,10 +121,10 @@ def teleop(
             report = run_stream(seat, commands, stop, realtime=realtime)
         else:
             report = run_page(seat, session.config, page, ready, stop)
-    _show(report, json)
+    _print(report, json)
 
 
-def _show(report: TeleopReport, json: bool) -> None:
+def _print(report: TeleopReport, json: bool) -> None:
     if json:
         print_json(_summary(report))
         return

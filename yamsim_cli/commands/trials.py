@@ -1,4 +1,4 @@
-"""`yamsim trials`: run a task many times without recording, and count."""
+"""`yamsim trials`: run a task many times without recording, and count the successes."""
 
 from __future__ import annotations
 
@@ -7,27 +7,42 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.flags.outputs import require_free
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import (
+from yamsim_cli.flags.outputs import ReportFile, require_free_reports, write_json_report
+from yamsim_cli.flags.session import (
     Arm,
     ConfigOption,
     Grasp,
+    Json,
     MinSuccess,
     Object,
-    ReportFile,
+    Offline,
+    Revision,
     Rig,
+    Robot,
     Seed,
     Target,
     Task,
     Threshold,
     Workers,
+    opener,
 )
-from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
-from yamsim_cli.terminal.films import film, films_at
-from yamsim_cli.terminal.trial_tables import trials_table
+from yamsim_cli.terminal.console import note, print_report, progress_bar
+from yamsim_cli.terminal.trial_tables import film, films_at, trials_table
+
+# `yamsim pickplace batch` is another name of `yamsim trials`.
+pickplace = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
 
 
+@pickplace.callback()
+def _pickplace() -> None:
+    """Run pick-and-place trials."""
+
+
+@pickplace.command(
+    "batch",
+    help="Run trials of the task pickplace without rendering, and count the successes: `yamsim trials` by another "
+    "name.\n\nExample: yamsim pickplace batch --n 200 --seed 2 --json",
+)
 def trials(
     n: Annotated[int, typer.Option("--n", help="Trials.")] = 100,
     seed: Seed = None,
@@ -37,7 +52,7 @@ def trials(
     workers: Workers = None,
     min_success: MinSuccess = None,
     out: ReportFile = None,
-    html: Annotated[Path | None, typer.Option(help="Also write a page with plots, over the sampling box too.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Also write a page with plots.")] = None,
     video: Annotated[
         Path | None, typer.Option(help="Film trials: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
@@ -45,7 +60,7 @@ def trials(
         int, typer.Option(min=1, metavar="N", help="With --video: how many at most, failures first.")
     ] = 10,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Move older videos aside, and replace reports that exist.")
+        bool, typer.Option("--overwrite", help="Rename older videos, and replace reports that exist.")
     ] = False,
     task: Task = None,
     item: Object = None,
@@ -61,9 +76,7 @@ def trials(
 
     Example: yamsim trials --task tower --n 200 --seed 2 --json
     """
-    for flag, file in (("--out", out), ("--html", html)):
-        if file is not None:
-            require_free(flag, file, overwrite=overwrite)
+    require_free_reports(out, html, overwrite=overwrite)
     session = opener.open(
         config,
         renders=video is not None,
@@ -82,8 +95,6 @@ def trials(
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.documents.json_text import json_text
-    from yamsim_cli.core.files import write_output
     from yamsim_cli.core.trials.batch import run_batch
     from yamsim_cli.core.trials.films import film_trials
     from yamsim_cli.core.trials.tally import require_success
@@ -92,18 +103,13 @@ def trials(
     with progress_bar("trials", "trials") as advance:
         report = run_batch(session, THRESHOLDS, advance)
     if films:
-        report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
-    if out is not None:
-        write_output(out, json_text(report).encode())
-        note(f"Written to {out}.")
+        report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
+    write_json_report(report, out)
     if html:
         from yamsim_cli.core.summarize.report_files import write_trials_page
 
         write_trials_page(report, session.config, html)
         report["html"] = str(html)
         note(f"The page is in {html}.")
-    if json:
-        print_json(report)
-    else:
-        print_table(trials_table(report))
+    print_report(report, lambda: trials_table(report), json)
     require_success(report, min_success)

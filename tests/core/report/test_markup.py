@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.report.axes import Scale, number, percent
-from yamsim_cli.core.report.markup import Markup, join, tag
+from yamsim_cli.core.report.markup import Markup, join, percent, tag
+from yamsim_cli.core.report.plots import Scale, number
 
 EVIL = "<script>alert(1)</script>\"' onload=x --> ]]> &amp;"
 

@@ -15,7 +15,7 @@ from tests.core.report.test_markup import Reader, read
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.report.page import Strip, page
+from yamsim_cli.core.report.dataset_page import Strip, dataset_page
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.summarize.report_files import contact_sheet, write_report
 
@@ -33,7 +33,7 @@ def report(tmp_path: Path, locations: Locations) -> Callable[[Sample], str]:
         path = sample.write(tmp_path / "dataset")
         change(path)
         survey = look(path, locations)
-        return page(survey, summarize(survey, (0.001, 0.05)), contact_sheet(survey), "Made by a test.")
+        return dataset_page(survey, summarize(survey, (0.001, 0.05)), contact_sheet(survey), "Made by a test.")
 
     return of
 
@@ -144,7 +144,7 @@ def test_one_episode_alone(sample: Sample, report: Any) -> None:
 
 def test_a_plain_recording(sample: Sample, tmp_path: Path, locations: Locations) -> None:
     survey = look(sample.write_plain(tmp_path / "plain"), locations)
-    text = page(survey, summarize(survey, (0.05,)), contact_sheet(survey), "")
+    text = dataset_page(survey, summarize(survey, (0.05,)), contact_sheet(survey), "")
     needs_nothing_else(text)
     assert pictures_are_well_formed(text) == 6
     assert "y, m, in the robot&#x27;s base" in text
@@ -167,7 +167,7 @@ def test_nothing_in_a_dataset_becomes_markup(sample: Sample, tmp_path: Path, loc
     (path / "ep_000002" / EVIL).touch()
     (path / f"ep_{EVIL}").mkdir()
     survey = look(path, locations)
-    text = page(survey, summarize(survey, (0.05,)), [*contact_sheet(survey), Strip(EVIL, EVIL, [b"x"])], EVIL)
+    text = dataset_page(survey, summarize(survey, (0.05,)), [*contact_sheet(survey), Strip(EVIL, EVIL, [b"x"])], EVIL)
     reader = needs_nothing_else(text)
     assert EVIL not in text
     assert all(attributes.get("src") != "x" for _, attributes in reader.tags)

@@ -31,8 +31,7 @@ from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.live import LiveRig
-from yamsim_cli.core.viewers.player import EpisodePlayer
+from yamsim_cli.core.viewers.viewed_scene import EpisodePlayer, LiveRig
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -257,7 +256,7 @@ def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
         panel = page._cameras
         page.update()
         assert not panel._images, "nothing is drawn before it is asked for"
-        panel._want(None)
+        panel._request(None)
         page.update()
         assert set(panel._images) == {"right_wrist_camera", "left_wrist_camera"}
         before = panel._images["right_wrist_camera"].image
@@ -265,7 +264,7 @@ def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
         assert before.std() > 5
         live.command(live.drives[0], 1.0)
         run(live, 2.0)
-        panel._want(None)
+        panel._request(None)
         page.update()
         assert np.abs(panel._images["right_wrist_camera"].image.astype(int) - before).mean() > 1
     finally:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..report import page_files
+from ..report import markup
 from ..report.certificate_page import certificate_page
 from .codes import CHECKS
 from .pictures import draw
@@ -18,5 +18,5 @@ def write_page(certified: Certified, path: Path) -> None:
         ResourceError: nothing can be drawn here, or the file cannot be written.
     """
     titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
-    text = certificate_page(certified.plain(), titles, draw(certified.outcomes), page_files.made_line())
-    page_files.write_page(text, path)
+    text = certificate_page(certified.plain(), titles, draw(certified.outcomes), markup.made_line())
+    markup.write_page(text, path)

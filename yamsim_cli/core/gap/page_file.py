@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ..report.gap_page import JointCurves, Shown, gap_page
-from ..report.page_files import made_line, write_page
+from ..report.gap_page import CaptionedJpeg, JointCurves, gap_page
+from ..report.markup import made_line, write_page
 from ..sim.follow import held
 from .figures import Gap
 
 
-def write_gap_page(report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[Shown], path: Path) -> None:
+def write_gap_page(
+    report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[CaptionedJpeg], path: Path
+) -> None:
     """Write the page, replacing what is there.
 
     Args:

@@ -11,9 +11,9 @@ from ..config.recording import RecordConfig
 from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.survey import Survey
 from ..images.jpeg import thumbnail
+from ..report.dataset_page import Strip, dataset_page
 from ..report.leaderboard_page import leaderboard_page
-from ..report.page import Strip, page
-from ..report.page_files import made_line, write_page
+from ..report.markup import made_line, write_page
 from ..report.trials_page import start_boxes, trials_page
 
 _STRIPS = 6
@@ -26,7 +26,7 @@ def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None
     Raises:
         ResourceError: the file cannot be written.
     """
-    write_page(page(survey, summary, contact_sheet(survey), made_line()), path)
+    write_page(dataset_page(survey, summary, contact_sheet(survey), made_line()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:

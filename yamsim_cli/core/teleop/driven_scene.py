@@ -10,8 +10,7 @@ from ..episode.rules import EndRule, EpisodeRules
 from ..geometry.se3 import Array
 from ..session import Session
 from ..types import Attempt, EpisodeJob
-from ..viewers.driven import DriveStatus
-from ..viewers.watched_state import WatchedState
+from ..viewers.driven import Driven, DriveStatus
 from .desk import Inbox
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
@@ -21,7 +20,7 @@ from .stage import Stage
 TIME_LIMIT = 600.0
 
 
-class DrivenScene(WatchedState):
+class DrivenScene(Driven):
     """A scene and its state; a `viewers.driven.Driven`. Its methods may be called from any thread.
 
     Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
