@@ -14,7 +14,7 @@ from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_text
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.doctor import Check
+    from yamsim_cli.core.doctor import HealthCheck
 
 _STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
@@ -43,7 +43,7 @@ def doctor(
         print_line("Nothing is in the way.")
 
 
-def _print(check: Check) -> None:
+def _print(check: HealthCheck) -> None:
     print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _STYLES[check.health])
     if check.fix:
         print_line(f"{'':8}  -> {check.fix}")

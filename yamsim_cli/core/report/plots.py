@@ -29,7 +29,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Scale:
+class PixelScale:
     """A linear scale from values to pixels. `start` is the pixel of `low`, `end` that of `high`; both may decrease."""
 
     low: float
@@ -60,8 +60,8 @@ class Scale:
 class Axes:
     """Two scales: `x` along the lower edge of a rectangle, `y` along its left edge."""
 
-    x: Scale
-    y: Scale
+    x: PixelScale
+    y: PixelScale
 
     def draw(self, x_label: str, y_label: str, *, x_ticks: int = 6, y_ticks: int = 5, x_grid: bool = True) -> Markup:
         """Grid, numbers and labels."""
@@ -105,7 +105,7 @@ def distances(
     high = max([high, *(limit * 1000 for limit in near)]) + (high - low) * 0.04
     # At least 4, so that ticks are whole numbers.
     top = max(max(counts) * 1.08, 4.0)
-    axes = Axes(Scale(low, high, 44, right), Scale(0, top, height - 46, 26))
+    axes = Axes(PixelScale(low, high, 44, right), PixelScale(0, top, height - 46, 26))
     parts = [
         tag(
             "rect",
@@ -133,7 +133,7 @@ def distances(
 def failure_bars(counts: Mapping[str, int]) -> Markup:
     """A horizontal bar for each cause of failure, the longest first."""
     row, left = 26.0, 130.0
-    scale = Scale(0, max(counts.values()), 0, _WIDTH - left - 56)
+    scale = PixelScale(0, max(counts.values()), 0, _WIDTH - left - 56)
     parts = []
     for k, (name, count) in enumerate(sorted(counts.items(), key=lambda item: -item[1])):
         y = 4 + k * row
@@ -151,7 +151,7 @@ def rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
     row, left, top = 30.0, 150.0, 6.0
     height = top + row * len(rows) + 26
     low = max(0.0, math.floor(min(interval[0] for _, _, interval in rows) * 10 - 0.5) / 10)
-    x = Scale(low, 1.0, left, _WIDTH - 20)
+    x = PixelScale(low, 1.0, left, _WIDTH - 20)
     parts = []
     for value in x.ticks(6):
         px = x(value)
@@ -199,7 +199,8 @@ def curves(
         low, high = (low + high - min_span) / 2, (low + high + min_span) / 2
     room = (high - low) * _CURVE_ROOM or 1e-9
     axes = Axes(
-        Scale(float(times[0]), float(times[-1]), 52, _WIDTH - 12), Scale(low - room, high + room, height - 46, 26)
+        PixelScale(float(times[0]), float(times[-1]), 52, _WIDTH - 12),
+        PixelScale(low - room, high + room, height - 46, 26),
     )
     parts = [
         tag("polyline", points=_points(axes, times, values), class_=f"curve {kind}") for kind, values in lines.items()
@@ -251,7 +252,7 @@ def workspace(places: Places, box: tuple[Point, Point] | None, frame: str, title
     # A metre is as long on both axes. A plot that would get too tall is made narrower.
     scale = min((right - left) / (y_high - y_low), _PLAN_MAX_HEIGHT / (x_high - x_low))
     right, bottom = left + scale * (y_high - y_low), top + scale * (x_high - x_low)
-    axes = Axes(Scale(y_high, y_low, left, right), Scale(x_low, x_high, bottom, top))
+    axes = Axes(PixelScale(y_high, y_low, left, right), PixelScale(x_low, x_high, bottom, top))
     return _svg(
         title,
         _PLAN_WIDTH,
