@@ -8,29 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags import session as flags
 from yamsim_cli.flags.outputs import ReportFile, require_free_reports, write_json_report
-from yamsim_cli.flags.session import (
-    Arm,
-    ConfigOption,
-    Grasp,
-    Json,
-    MinSuccess,
-    Object,
-    Offline,
-    Quality,
-    Randomization,
-    Randomize,
-    Revision,
-    Rig,
-    Robot,
-    Seed,
-    Size,
-    Target,
-    Task,
-    Threshold,
-    Workers,
-    opener,
-)
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film, films_at
 
@@ -50,8 +30,8 @@ def evaluate(
         ),
     ],
     n: Annotated[int, typer.Option("--n", min=1, help="Trials.")] = 50,
-    seed: Seed = None,
-    workers: Workers = None,
+    seed: flags.Seed = None,
+    workers: flags.Workers = None,
     policy_arg: Annotated[
         list[str] | None,
         typer.Option(
@@ -88,7 +68,7 @@ def evaluate(
             metavar="TIME",
         ),
     ] = "0ms",
-    threshold: Threshold = None,
+    threshold: flags.Threshold = None,
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: the task's]")
     ] = None,
@@ -98,7 +78,7 @@ def evaluate(
     trial_timeout: Annotated[
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
-    min_success: MinSuccess = None,
+    min_success: flags.MinSuccess = None,
     compare: Annotated[
         list[str] | None,
         typer.Option(
@@ -122,21 +102,21 @@ def evaluate(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Rename older videos, and replace reports that exist.")
     ] = False,
-    grasp: Grasp = None,
-    randomize: Randomize = None,
-    randomization: Randomization = None,
-    size: Size = None,
-    quality: Quality = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    grasp: flags.Grasp = None,
+    randomize: flags.Randomize = None,
+    randomization: flags.Randomization = None,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Run a policy from sampled starts, the same as those of `yamsim trials` for that seed, and count its successes.
 
@@ -152,27 +132,8 @@ def evaluate(
 
     arguments, chunking = read_arguments(policy_arg or []), Chunking(execute, ensemble, read_latency(latency))
     others = compare or []
-    session = opener.open(
-        config,
-        renders=video is not None or any(sees_images(name) for name in (policy, *others)),
-        n=n,
-        seed=seed,
-        workers=workers,
-        threshold=threshold,
-        grasp=grasp,
-        randomize=randomize,
-        randomization=randomization,
-        size=size,
-        quality=quality,
-        task=task,
-        object=item,
-        target=target,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        wrist=True,
-    )
+    renders = video is not None or any(sees_images(name) for name in (policy, *others))
+    session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.rules import EndRule
     from yamsim_cli.core.evaluate import evaluation

@@ -9,28 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import (
-    Arm,
-    Cameras,
-    ConfigOption,
-    Grasp,
-    Json,
-    Object,
-    Offline,
-    Quality,
-    Randomization,
-    Randomize,
-    Revision,
-    Rig,
-    Robot,
-    Seed,
-    Size,
-    Target,
-    Task,
-    Workers,
-    Wrist,
-    opener,
-)
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 from yamsim_cli.terminal.signals import stoppable
 
@@ -44,21 +24,21 @@ _STOPPING = "Stopping once the attempts in progress are done. Another signal sto
 
 def record(
     n: Annotated[int | None, typer.Option("--n", help="Number of successful episodes in the dataset.")] = None,
-    workers: Workers = None,
-    seed: Seed = None,
+    workers: flags.Workers = None,
+    seed: flags.Seed = None,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    grasp: Grasp = None,
-    wrist: Wrist = None,
-    camera: Cameras = None,
-    randomize: Randomize = None,
-    randomization: Randomization = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    grasp: flags.Grasp = None,
+    wrist: flags.Wrist = None,
+    camera: flags.Cameras = None,
+    randomize: flags.Randomize = None,
+    randomization: flags.Randomization = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
@@ -73,9 +53,9 @@ def record(
     fps: Annotated[
         float | None, typer.Option(min=1, max=100, help="Frames a second: 30, 15 or 10.  [default: 15.625]")
     ] = None,
-    size: Size = None,
+    size: flags.Size = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
-    quality: Quality = None,
+    quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
     stage: Annotated[
@@ -92,41 +72,16 @@ def record(
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
     ] = 600.0,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Record successful episodes of a task into a dataset. Episodes appear whole or not at all.
 
     Example: yamsim record --n 500 --workers 4
     """
     mode = mode_of(resume=resume, overwrite=overwrite)
-    session = opener.open(
-        config,
-        resumes=out if resume else None,
-        workers=workers,
-        n=n,
-        seed=seed,
-        task=task,
-        object=item,
-        target=target,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        grasp=grasp,
-        wrist=wrist,
-        camera=camera,
-        randomize=randomize,
-        randomization=randomization,
-        boards=boards,
-        truth=truth,
-        action=action,
-        fps=fps,
-        size=size,
-        jpeg_quality=jpeg_quality,
-        quality=quality,
-    )
+    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
     from yamsim_cli.core.record.collect import Notifier
     from yamsim_cli.core.record.destination import Output

@@ -14,21 +14,8 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.serve.places import default_folder
-from yamsim_cli.flags.session import (
-    ConfigOption,
-    Json,
-    Object,
-    Offline,
-    Quality,
-    Revision,
-    Rig,
-    Robot,
-    Seed,
-    Size,
-    Target,
-    Task,
-    opener,
-)
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
 
@@ -50,13 +37,13 @@ Folder = Annotated[
 
 
 def serve_robot(
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    seed: Seed = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    seed: flags.Seed = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(help="Name of an arm's bus, the left one's first.  [default: can0, or can_left and can_right]"),
@@ -94,15 +81,15 @@ def serve_robot(
     cameras: Annotated[
         bool, typer.Option("--cameras", help="Also serve pictures to the camera readers of LeRobot and raiden.")
     ] = False,
-    size: Size = None,
-    quality: Quality = None,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
     camera_fps: Annotated[float, typer.Option(min=0.1, max=120, help="Most pictures a second of each camera.")] = 30.0,
     seconds: Annotated[
         float | None, typer.Option(min=0.1, max=1e6, help="Seconds until the command ends by itself.")
     ] = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Simulate arms in real time, with motors on CAN buses that the maker's own SDK drives. Ctrl-C ends it.
 
@@ -111,20 +98,9 @@ def serve_robot(
     from yamsim_cli.core.motors.faults import parse_fault
 
     faults = [parse_fault(text) for text in fault or ()]
-    session = opener.open(
-        config,
-        renders=cameras or chiral is not None,
-        parallel=False,
-        rig=rig or "yam_v1+linear_4310",
-        revision=revision,
-        robot=robot,
-        task=task,
-        object=item,
-        target=target,
-        seed=seed,
-        size=size,
-        quality=quality,
-    )
+    rig = rig or "yam_v1+linear_4310"
+    settings = session_settings(locals())
+    session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop

@@ -10,23 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import (
-    Arm,
-    ConfigOption,
-    Json,
-    Object,
-    Offline,
-    Quality,
-    Revision,
-    Rig,
-    Robot,
-    Seed,
-    Size,
-    Target,
-    Task,
-    Wrist,
-    opener,
-)
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
@@ -48,17 +33,17 @@ def teleop(
         bool, typer.Option("--realtime", help="With --input: at the clock's pace instead of as fast as possible.")
     ] = False,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
-    seed: Seed = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    wrist: Wrist = None,
-    size: Size = None,
-    quality: Quality = None,
+    seed: flags.Seed = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    wrist: flags.Wrist = None,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
     time_limit: Annotated[
         float, typer.Option(min=1, max=3600, help="Seconds after which a recording is stopped and judged.")
     ] = 600.0,
@@ -68,9 +53,9 @@ def teleop(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
     port: Port = None,
     host: Host = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Drive the arm from a browser page, or by a stream of commands, and record successes. Ctrl-C ends it.
 
@@ -82,21 +67,7 @@ def teleop(
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page always keeps to the clock")
-    session = opener.open(
-        config,
-        resumes=out if resume else None,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        task=task,
-        object=item,
-        target=target,
-        seed=seed,
-        wrist=wrist,
-        size=size,
-        quality=quality,
-    )
+    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
     quiet_page()
 
     from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream

@@ -7,25 +7,9 @@ from typing import Annotated
 
 import typer
 
+from yamsim_cli.flags import session as flags
 from yamsim_cli.flags.outputs import ReportFile, require_free_reports, write_json_report
-from yamsim_cli.flags.session import (
-    Arm,
-    ConfigOption,
-    Grasp,
-    Json,
-    MinSuccess,
-    Object,
-    Offline,
-    Revision,
-    Rig,
-    Robot,
-    Seed,
-    Target,
-    Task,
-    Threshold,
-    Workers,
-    opener,
-)
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import film, films_at, trials_table
 
@@ -45,12 +29,12 @@ def _pickplace() -> None:
 )
 def trials(
     n: Annotated[int, typer.Option("--n", help="Trials.")] = 100,
-    seed: Seed = None,
-    threshold: Threshold = None,
-    grasp: Grasp = None,
-    arm: Arm = None,
-    workers: Workers = None,
-    min_success: MinSuccess = None,
+    seed: flags.Seed = None,
+    threshold: flags.Threshold = None,
+    grasp: flags.Grasp = None,
+    arm: flags.Arm = None,
+    workers: flags.Workers = None,
+    min_success: flags.MinSuccess = None,
     out: ReportFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots.")] = None,
     video: Annotated[
@@ -62,37 +46,22 @@ def trials(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Rename older videos, and replace reports that exist.")
     ] = False,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Run trials of a task's expert from sampled starts without rendering, and count the successes.
 
     Example: yamsim trials --task tower --n 200 --seed 2 --json
     """
     require_free_reports(out, html, overwrite=overwrite)
-    session = opener.open(
-        config,
-        renders=video is not None,
-        n=n,
-        seed=seed,
-        threshold=threshold,
-        grasp=grasp,
-        arm=arm,
-        workers=workers,
-        task=task,
-        object=item,
-        target=target,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-    )
+    session = opener.open(config, renders=video is not None, **session_settings(locals()))
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.trials.batch import run_batch

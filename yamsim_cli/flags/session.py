@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
@@ -98,6 +99,18 @@ def _flag(setting: str) -> str:
 
 # Opens the sessions of all commands: error messages name flags, and notes go to stderr.
 opener = Opener(os.environ, note, _flag, config_of, task_of, fetch_bar, note_at_end)
+
+
+# Settings of a session that a command may have as parameters, see `Opener.config`.
+_SETTINGS = (
+    "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
+    "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+)  # fmt: skip
+
+
+def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings for `opener.open` among a command's parameters, of which `item` is the setting `object`."""
+    return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 
 def _stay_offline(wanted: bool) -> bool:
