@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Grasp, Json, Margin, Offline, Revision, Rig, Robot, opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line
 
@@ -34,7 +35,7 @@ def compose_xml(
         ),
     ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")] = False,
+    overwrite: Rename = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:

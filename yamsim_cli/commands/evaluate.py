@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import ReportFile, require_free_reports, write_json_report
+from yamsim_cli.flags.outputs import ReportFile, VideoTrials, require_free_reports, write_json_report
 from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film, films_at
@@ -90,7 +90,7 @@ def evaluate(
     video: Annotated[
         Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
-    video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")] = 10,
+    video_trials: VideoTrials = 10,
     video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
     end: Annotated[
         Literal["success", "actor"],
@@ -99,9 +99,7 @@ def evaluate(
             "so that the goal has to hold at the end."
         ),
     ] = "success",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Rename older videos, and replace reports that exist.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,
     grasp: flags.Grasp = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, counted
+from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 
@@ -43,7 +44,6 @@ RealActions = Annotated[
         show_default=False,
     ),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
 
 
 @app.callback()
@@ -76,7 +76,7 @@ def raiden(
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
     actions: RealActions = None,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -155,7 +155,7 @@ def lerobot(
         bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
     ] = True,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
     """LeRobotDataset v3.0: Parquet, and H.264 with exact times. Of two arms the left one comes first, the welds last.
@@ -194,7 +194,7 @@ def mp4(
     speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How fast time passes in videos.")] = 1.0,
     fps: RealFps = None,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
     """A video of each episode, or one picture of all: a contact sheet.
@@ -214,9 +214,7 @@ def mp4(
 
 
 @app.command()
-def rerun(
-    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
-) -> None:
+def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rename = False, json: Json = False) -> None:
     """An .rrd file of each episode for the rerun viewer: images, joints, poses, camera frusta.
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9

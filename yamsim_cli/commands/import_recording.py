@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import UsageError, counted
+from yamsim_cli.core.errors import counted
+from yamsim_cli.flags.outputs import Rename, open_mode
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 
@@ -49,24 +50,21 @@ def import_recording(
         bool, typer.Option("--swap-arms", help="The left arm's measurements belong to the right arm, and the reverse.")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Add to an existing dataset.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
     """Make a dataset from recordings of real arms, marked `source: real`. Missing data stays missing.
 
     Example: yamsim import log.csv --rig single --out real
     """
-    if resume and overwrite:
-        raise UsageError("--resume continues a dataset, and --overwrite renames it: give one of them")
+    mode = open_mode(resume=resume, overwrite=overwrite)
     where = opener.locations()
     opener.skip_gl()
     settings = opener.rig(rig, where)
 
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.import_recording.corrections import Corrections
     from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 
-    mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
     corrections = Corrections(degrees, swap_arms, gripper, mirror_gripper)
     request = ImportRequest(source, settings, kind, mapping, corrections, out, mode)
     with progress_bar("import", "episodes") as advance:

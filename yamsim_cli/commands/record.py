@@ -10,12 +10,12 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, counted
 from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.outputs import Rename, open_mode
 from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.record.executors import Executors
     from yamsim_cli.core.record.recorder import RecordReport
 
@@ -57,7 +57,7 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
+    overwrite: Rename = False,
     stage: Annotated[
         Path | None,
         typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
@@ -80,7 +80,7 @@ def record(
 
     Example: yamsim record --n 500 --workers 4
     """
-    mode = mode_of(resume=resume, overwrite=overwrite)
+    mode = open_mode(resume=resume, overwrite=overwrite)
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
     from yamsim_cli.core.record.collect import Notifier
@@ -92,15 +92,6 @@ def record(
         watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
         report = run(session, Output(out, mode, stage), executors, watch, stop)
     _print(report, json)
-
-
-def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
-    """The treatment of an output that is not empty."""
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
-
-    if resume and overwrite:
-        raise UsageError("--resume and --overwrite exclude each other; give one")
-    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
 
 
 def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:

@@ -10,6 +10,7 @@ import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.opener import parse_size
+from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, print_now
@@ -37,7 +38,7 @@ def replay(
     render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an older video.")] = False,
+    overwrite: Rename = False,
     web: Web = None,
     port: Port = None,
     host: Host = None,

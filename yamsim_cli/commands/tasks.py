@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.outputs import Rename, VideoTrials
 from yamsim_cli.flags.session import ConfigOption, Json, Offline, Rig, Seed, Workers, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_report, progress_bar
 from yamsim_cli.terminal.tables import Listing, print_item, print_items
@@ -73,8 +74,8 @@ def check(
     video: Annotated[
         Path | None, typer.Option(help="Film trials that fail: all in one FILE.mp4, or one each in a folder.")
     ] = None,
-    video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")] = 10,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos.")] = False,
+    video_trials: VideoTrials = 10,
+    overwrite: Rename = False,
     seed: Seed = None,
     workers: Workers = None,
     rig: Rig = None,

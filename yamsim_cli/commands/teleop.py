@@ -11,12 +11,11 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, counted
 from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.outputs import Rename, open_mode
 from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
-
-from .record import mode_of
 
 if TYPE_CHECKING:
     from yamsim_cli.core.teleop.loop import TeleopReport
@@ -50,7 +49,7 @@ def teleop(
     resume: Annotated[
         bool, typer.Option("--resume", help="Add to a dataset; attempts of a killed session are judged first.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename an existing dataset.")] = False,
+    overwrite: Rename = False,
     port: Port = None,
     host: Host = None,
     config: flags.ConfigOption = "default",
@@ -61,7 +60,7 @@ def teleop(
 
     Example: yamsim teleop --out teleop
     """
-    mode = mode_of(resume=resume, overwrite=overwrite)
+    mode = open_mode(resume=resume, overwrite=overwrite)
     for flag, given in (("--port", port is not None), ("--host", host is not None)):
         if stream is not None and given:
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import ReportFile, require_free_reports, write_json_report
+from yamsim_cli.flags.outputs import ReportFile, VideoTrials, require_free_reports, write_json_report
 from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import film, films_at, trials_table
@@ -40,12 +40,8 @@ def trials(
     video: Annotated[
         Path | None, typer.Option(help="Film trials: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
-    video_trials: Annotated[
-        int, typer.Option(min=1, metavar="N", help="With --video: how many at most, failures first.")
-    ] = 10,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Rename older videos, and replace reports that exist.")
-    ] = False,
+    video_trials: VideoTrials = 10,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,
     task: flags.Task = None,
     item: flags.Object = None,
     target: flags.Target = None,

@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,10 +17,26 @@ from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files import nearest_directory, write_output
 from yamsim_cli.terminal.console import note
 
+if TYPE_CHECKING:
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
+
 MIN_FREE_BYTES = 1 << 16  # bytes of free space under which no output is begun: reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
+VideoTrials = Annotated[
+    int, typer.Option(min=1, metavar="N", help="With --video: most trials to film, failures first.")
+]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
+
+
+def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
+    """The treatment of an output dataset that exists."""
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
+
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one of them")
+    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
 
 
 def require_free(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
