@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -131,6 +132,7 @@ def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAdd
         print_now({"episode": str(stored.directory), "url": url} | physics, line, json)
         if not json:
             _print_physics(physics)
+            sys.stdout.flush()
 
     if isinstance(stored, StoredEpisode):
         session = opener.with_meshes(_session(stored, where))

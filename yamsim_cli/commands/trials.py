@@ -38,7 +38,8 @@ def trials(
     out: ReportFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots.")] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Film trials: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
+        Path | None,
+        typer.Option(help="Film trials, failures first: all in one FILE.mp4, or one each in a folder.", metavar="PATH"),
     ] = None,
     video_trials: VideoTrials = 10,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,

@@ -24,9 +24,7 @@ MIN_FREE_BYTES = 1 << 16  # bytes of free space under which no output is begun: 
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
-VideoTrials = Annotated[
-    int, typer.Option(min=1, metavar="N", help="With --video: most trials to film, failures first.")
-]
+VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
 
