@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -34,7 +36,7 @@ def test_every_type_of_geom_is_shown() -> None:
         assert (list(nodes.frames), nodes.colliders) == ([0], ())
         shown = server.scene._handle_from_node_name
         assert {f"/world/look/{model.geom(k).name}" for k in range(model.ngeom)} <= set(shown)
-        ball = shown["/world/look/ellipsoid"].vertices
-        assert np.allclose(np.abs(ball).max(axis=0), (0.1, 0.2, 0.3), atol=1e-3)
+        ball: Any = shown["/world/look/ellipsoid"]
+        assert np.allclose(np.abs(ball.vertices).max(axis=0), (0.1, 0.2, 0.3), atol=1e-3)
     finally:
         server.stop()
