@@ -141,7 +141,7 @@ CONFINED = {
     "websockets": {
         "core.policies.openpi",
         "core.serve.chiral",
-        "core.viewers.local_server",
+        "core.viewers.bodies_page",
     },
     "lerobot": {"core.policies.lerobot", "lerobot_camera"},
     "raiden": {"raiden_camera"},

@@ -1,4 +1,4 @@
-"""The `yamsim` executable: its commands, and the one place where errors become messages and exit codes."""
+"""The `yamsim` executable: its commands, and the conversion of errors to messages and exit codes."""
 
 from __future__ import annotations
 
@@ -14,25 +14,23 @@ import typer
 from typer.exceptions import TyperException
 
 from . import __version__
-from .commands import assets, config, export, pickplace, robots, tasks
+from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
-from .commands.can_run import can_run
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
-from .commands.excite import excite
 from .commands.gap import gap
-from .commands.identify import identify
+from .commands.identify import excite, identify
 from .commands.import_recording import import_recording
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
 from .commands.serve_policy import serve_policy
-from .commands.serve_robot import serve_robot
+from .commands.serve_robot import can_run, serve_robot
 from .commands.summarize import summarize
 from .commands.teleop import teleop
-from .commands.trials import trials
+from .commands.trials import pickplace, trials
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import ResourceError, YamsimError
@@ -67,13 +65,13 @@ app.command()(doctor)
 app.add_typer(export.app, name="export")
 app.command()(teleop)
 app.command()(trials)
-app.add_typer(pickplace.app, name="pickplace")
+app.add_typer(pickplace, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(robots.app, name="robots")
 app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
-# Packages whose versions decide what is recorded; `yamsim doctor` shows those of all packages.
+# Packages whose versions change recorded data; `yamsim doctor` shows all packages.
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -88,16 +86,14 @@ def _show_version(wanted: bool) -> None:
 def _root(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_show_version, is_eager=True, help="Show the versions that matter and exit."
-        ),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show versions and exit."),
     ] = False,
 ) -> None:
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-_INTERRUPTED = 130
-# Commands that only a signal ends, which is then no failure.
+_INTERRUPTED = 130  # exit code
+# Commands that run until a signal, which is then no failure.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
@@ -105,7 +101,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
     """Run the command line; a `YamsimError` is one line and its exit code, anything else a traceback and 1.
 
     Args:
-        interrupted: whether a signal to end came before this call.
+        interrupted: returns whether a signal came before this call.
     """
     raise_signals()
     try:
@@ -113,17 +109,18 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
-            # Typer has turned a KeyboardInterrupt into this code.
+            # Typer turns a KeyboardInterrupt into this code.
             raise KeyboardInterrupt
         write_end_notes()
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Raised wherever a path of the user's is looked at first: asking whether the file exists is enough.
+        # Raised by any first look at a user's path, such as `exists`.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
-            f"{error.filename} is no path: a name may have 255 bytes, and a whole path 4,095", ResourceError.exit_code
+            f"{error.filename} is no path: a name may have 255 bytes, and a whole path 4,095",
+            ResourceError.exit_code,
         )
     except TyperException as error:
         if message := error.format_message():
@@ -147,7 +144,7 @@ def _command(error: TyperException) -> str:
 
 def _decimal_point(error: TyperException) -> str:
     """A hint for a number that was given with a decimal comma; empty for anything else."""
-    # The error of pydantic, by which Typer checks values.
+    # Typer checks values by pydantic, whose error is the cause.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""
     if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):

@@ -69,7 +69,7 @@ def test_a_viewer_that_is_still_starting_ends_with_0(module: str, number: signal
     assert run(SIGNALLED_AT, *args) == (0, "", [])
 
 
-@pytest.mark.parametrize("module", ["typer", "yamsim_cli.commands.pickplace", "mujoco._specs"])
+@pytest.mark.parametrize("module", ["typer", "yamsim_cli.commands.trials", "mujoco._specs"])
 def test_any_other_command_ends_with_130_and_one_line(module: str) -> None:
     args = (str(int(signal.SIGINT)), module, "pickplace", "batch", "--n", "1", "--workers", "1")
     code, out, (line,) = run(SIGNALLED_AT, *args)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli.core import doctor
-from yamsim_cli.core.doctor import Check, Health, examine, faults
+from yamsim_cli.core.doctor import Health, HealthCheck, examine, faults
 from yamsim_cli.core.gl import GlBackend
 from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.resources import Locations
@@ -17,7 +17,7 @@ from yamsim_cli.core.resources import Locations
 SOFTWARE = GlBackend("egl", "llvmpipe (LLVM 19)")
 GPU = GlBackend("egl", "NVIDIA H200/PCIe")
 
-Look = Callable[..., dict[str, Check]]
+Look = Callable[..., dict[str, HealthCheck]]
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         environ: Mapping[str, str] | None = None,
         gpu: bool = False,
         out: Path | None = None,
-    ) -> dict[str, Check]:
+    ) -> dict[str, HealthCheck]:
         found = backends or {"egl": SOFTWARE, "osmesa": "no library"}
         monkeypatch.setattr(doctor, "probe_backend", lambda name, environ: found[name])
         monkeypatch.setattr(doctor, "_GPUS", (str(tmp_path),) if gpu else ())
@@ -41,7 +41,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_every_check_is_told_as_it_ends(locations: Locations, tmp_path: Path, look: Look) -> None:
     names = list(look())
-    told: list[Check] = []
+    told: list[HealthCheck] = []
     checks = examine({}, locations, tmp_path, told.append)
     assert told == checks
     assert [check.name for check in checks] == names

@@ -14,7 +14,7 @@ import pytest
 from yamsim_cli.core.page_origin import refusal
 from yamsim_cli.core.policies.remote import pack
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.bodies_page import _serve
+from yamsim_cli.core.viewers.bodies_page import serve_page
 from yamsim_cli.policy_server import PolicyServer
 
 _WEBSOCKET = {
@@ -86,7 +86,7 @@ def _asked(port: int, method: str, path: str, body: bytes | None = None, **heade
 
 @contextmanager
 def _page() -> Iterator[int]:
-    server = _serve(PageAddress(), "test")
+    server = serve_page(PageAddress(), "test")
     try:
         yield server.get_port()
     finally:

@@ -30,7 +30,7 @@ from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import open_teleop, run_page
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.target_fields import heading_of
+from yamsim_cli.core.viewers.teleop_page import heading_of
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG
 from yamsim_cli.core.workers.stop import Stop
 

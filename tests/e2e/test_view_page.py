@@ -21,9 +21,9 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.show.view import live_rig, view_in_browser
+from yamsim_cli.core.show.view import live_rig, view_rig
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.live import LiveRig
+from yamsim_cli.core.viewers.viewed_scene import LiveRig
 from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,7 @@ def served(live: LiveRig, *, pictures: bool = False) -> Iterator[str]:
     urls: list[str] = []
     ended = threading.Event()
     thread = threading.Thread(
-        target=view_in_browser,
+        target=view_rig,
         args=(live, PageAddress(), urls.append, ended.is_set),
         kwargs={"pictures": pictures},
     )

@@ -1,34 +1,39 @@
-"""`yamsim assets`: the meshes that yamsim uses but does not ship."""
+"""`yamsim assets`: the meshes that yamsim uses but does not ship, and objects of your own."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from yamsim_cli.core.errors import ConfigError, ResourceError
-from yamsim_cli.terminal.tables import Listing, file_size, listing
-
-from .certify_object import certify_object
-from .import_object import import_object
+from yamsim_cli import __version__
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, file_size
+from yamsim_cli.flags.outputs import Overwrite, require_free
+from yamsim_cli.flags.session import Json, Offline, opener
+from yamsim_cli.terminal.console import note, print_json, print_line, print_report, progress_bar
+from yamsim_cli.terminal.tables import Listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
+    from yamsim_cli.core.certify.run import Certified
+    from yamsim_cli.core.import_thing.from_file import ImportedFile
+    from yamsim_cli.core.import_thing.ycb import ImportedObject
+    from yamsim_cli.core.thing_files.read import Told
+    from yamsim_cli.core.things.wishes import Wishes
 
 app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
 )
-app.command("import")(import_object)
-app.command("certify")(certify_object)
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+_VERDICTS = {True: "passed", False: "FAILED", None: "not checked"}
 
 
 @app.command("list")
 def list_assets(json: Json = False) -> None:
-    """List every mesh file with its set, size, state and place, and how each object's certificate stands.
+    """List every mesh file with its set, size, state and path, and the state of each object's certificate.
 
     Example: yamsim assets list --json
     """
@@ -89,9 +94,8 @@ def fetch(
 
 def _open() -> tuple[AssetLock, AssetStore]:
     from yamsim_cli.core.assets import AssetStore, load_lock
-    from yamsim_cli.core.resources import Locations
 
-    locations = Locations.find(os.environ)
+    locations = opener.locations()
     return load_lock(locations), AssetStore(locations.assets)
 
 
@@ -112,13 +116,12 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 
 
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
-    """Every object there is a config of, and how it stands with its certificate."""
+    """Every object that has a config, and the state of its certificate."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.things.thing import ObjectConfig
-    from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.things.certificates import find_certificate
 
-    where = Locations.find(os.environ)
+    where = opener.locations()
     found = list[dict[str, Any]]()
     for name in where.config_names("objects"):
         try:
@@ -126,18 +129,17 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
         except ConfigError as error:
             found.append({"name": name, "certificate": f"its config is not valid: {error}", "failed": [], "path": None})
             continue
-        stands = find_certificate(where.assets, item, lock)
-        path = stands.path and str(stands.path)
-        found.append({"name": name, "certificate": stands.standing.value, "failed": list(stands.failed), "path": path})
+        state = find_certificate(where.assets, item, lock)
+        path = state.path and str(state.path)
+        found.append({"name": name, "certificate": state.standing.value, "failed": list(state.failed), "path": path})
     return found
 
 
 def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
-    """What was fetched, and set -> its reduced meshes, as far as they could be made."""
+    """The fetched sets, and set -> its reduced meshes, for sets whose meshes could be reduced."""
     from yamsim_cli.core.assets import default_sources, fetch, make_reduced
-    from yamsim_cli.terminal.console import note
     from yamsim_cli.terminal.fetch_bar import fetch_bar
 
     with fetch_bar() as advance:
@@ -157,7 +159,7 @@ def _fetch_with_progress(
 
 
 def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> Listing:
-    table = listing([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
+    table = Listing([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
         table.add_row(*(_shown(column, item[column]) for column in columns))
     return table
@@ -171,3 +173,221 @@ def _shown(column: str, value: Any) -> str:
     if column == "size":
         return file_size(value)
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+@app.command("certify")
+def certify_object(
+    thing: Annotated[str, typer.Argument(metavar="THING", help="An object: a name from configs/objects/ or a file.")],
+    html: Annotated[Path | None, typer.Option(help="Also write a page with pictures of every check.")] = None,
+    overwrite: Overwrite = False,
+    offline: Offline = False,
+    json: Json = False,
+) -> None:
+    """Check a thing's size, surfaces, weight, rest, falls, hollow, joints and grasp. Exit code 4 if a check fails.
+
+    Example: yamsim assets certify kitchen_bowl --html bowl.html
+    """
+    if html:
+        require_free("--html", html, overwrite=overwrite)
+        opener.use_gl(opener.locations())
+    else:
+        opener.skip_gl()
+    certified = _certify(thing)
+    found = certified.plain()
+    if html:
+        from yamsim_cli.core.certify.report import write_page
+
+        write_page(certified, html)
+        found["html"] = str(html)
+    print_report(found, lambda: _certificate_table(found["checks"]), json)
+    if html and not json:
+        note(f"The page is in {html}.")
+    if not certified.ok:
+        raise ResourceError(_failure(certified))
+
+
+def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> Listing:
+    table = Listing(["check", "", "figures"], numbers_from=3)
+    for check in checks:
+        figures = ", ".join(f"{name} {value}" for name, value in check["figures"].items())
+        table.add_row(check["code"], _VERDICTS[check["ok"]], "; ".join(filter(None, (check["note"], figures))))
+    return table
+
+
+def _certify(thing: str) -> Certified:
+    """Certify an object by its name or file, and store the certificate."""
+    from yamsim_cli.core.assets import load_lock
+    from yamsim_cli.core.certify.run import certify
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.things.thing import ObjectConfig
+    from yamsim_cli.core.things.certificates import store_certificate
+
+    where = opener.locations()
+    item = load_config(ObjectConfig, "objects", thing, where)
+    where = opener.find_meshes(where, item.mesh_sets)
+    with progress_bar(f"certifying {item.name}", "checks") as advance:
+        certified = certify(item, where.meshes, where, advance)
+    made_with = {"yamsim": __version__, "mujoco": version("mujoco")}
+    store_certificate(where.assets, item, load_lock(where), certified.plain(), made_with)
+    return certified
+
+
+def _failure(certified: Certified) -> str:
+    """One line on the first check that failed, and the number of other failures."""
+    from yamsim_cli.core.certify.codes import CHECKS
+
+    code = certified.failed[0]
+    check, outcome = CHECKS[code], certified.outcomes[code]
+    more = f" (and {len(certified.failed) - 1} more)" if len(certified.failed) > 1 else ""
+    return f"{certified.looked.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
+
+
+@app.command("import")
+def import_object(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="YCB_ID|FILE",
+            help="A YCB object such as 013_apple, or a file: .sdf .glb .gltf .obj .stl .ply .dae .urdf .xml (MJCF).",
+        ),
+    ],
+    name: Annotated[str | None, typer.Option(help="Name of a file's thing.  [default: the file's]")] = None,
+    mass: Annotated[
+        float | None, typer.Option(min=5e-4, max=50, help="Mass in kg.  [default: the published mass, or the file's]")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(min=1, max=25_000, help="Density in kg/m3 of an even filling, in place of a mass.")
+    ] = None,
+    unit: Annotated[
+        Literal["m", "cm", "mm", "in"] | None, typer.Option(help="The file's unit, if the file names none.")
+    ] = None,
+    up: Annotated[
+        Literal["x", "y", "z"] | None, typer.Option(help="The file's upward axis, if the file names none.")
+    ] = None,
+    scale: Annotated[float, typer.Option(min=1e-6, max=1e6, help="Factor of all lengths.")] = 1.0,
+    collision: Annotated[
+        Literal["auto", "primitives", "decompose", "sdf", "hull"],
+        typer.Option(help="auto: the file's own, or primitives within 1.5 mm, or else convex parts."),
+    ] = "auto",
+    base: Annotated[
+        Literal["free", "fixed"] | None, typer.Option(help="Whether the thing can be moved.  [default: as in the file]")
+    ] = None,
+    friction: Annotated[float | None, typer.Option(min=0.01, max=5, help="Sliding friction.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The YAML file to write.  [default: $YAMSIM_DATA_DIR/configs/objects/NAME.yaml]")
+    ] = None,
+    certify: Annotated[
+        bool, typer.Option("--certify/--no-certify", help="Check the thing in physics, as `assets certify` does.")
+    ] = True,
+    json: Json = False,
+) -> None:
+    """Make an object's config: looks, collision shapes, inertia and grasps. Exit code 4 if a check of it fails.
+
+    Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
+    """
+    from yamsim_cli.core.thing_files.endings import ENDINGS
+
+    if Path(source).suffix.lower() not in ENDINGS:
+        if name is not None:
+            raise UsageError("--name is for a file of your own; a YCB object has its name")
+        item, lines = _import_ycb(source, mass, out)
+    else:
+        if mass is not None and density is not None:
+            raise UsageError("--mass and --density: give one of them")
+        from yamsim_cli.core.import_thing.from_file import name_of
+        from yamsim_cli.core.thing_files.read import Told
+        from yamsim_cli.core.things.wishes import Wishes
+
+        file = Path(source)
+        wishes = Wishes(name or name_of(file), mass, density, collision, base, friction)
+        item, lines = _import_file(file, Told(unit, up, scale), wishes, out)
+    certified = None
+    if certify:
+        opener.skip_gl()
+        certified = _certify(item["path"])
+    item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed)}
+    if json:
+        print_json({"items": [item]})
+    else:
+        for line in lines:
+            print_line(line)
+    if certified is not None:
+        if not certified.ok:
+            raise ResourceError(f"{item['path']} is written, but its certificate failed: {_failure(certified)}")
+        note("Certificate: passed")
+
+
+def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """The import of a YCB object as JSON has it, and in words."""
+    from yamsim_cli.core.import_thing.ycb import import_ycb
+
+    made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
+    item = _ycb_item(made)
+    held = f"{item['width_mm']:g} mm wide where it is held" if item["width_mm"] else "a vessel to put things in or on"
+    return item, [
+        f"{item['path']}: {', '.join(item['primitives'])}; {item['rms_mm']:.1f} mm off the scan (rms), 99 % within "
+        f"{item['p99_mm']:.1f} mm",
+        f"{item['name']} is {held}; look the file over: its colour and friction are guesses",
+    ]
+
+
+def _import_file(file: Path, told: Told, wishes: Wishes, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """The import of a file as JSON has it, and in words; guesses are noted on stderr."""
+    from yamsim_cli.core.import_thing.from_file import import_file
+
+    with progress_bar(f"importing {file.name}", "%") as advance:
+        imported = import_file(
+            file, told, wishes, opener.locations(), out, lambda done: advance(round(100 * done), 100)
+        )
+    made = imported.made
+    for text in made.notes:
+        note(f"{file.name}: {text}")
+    if made.guessed:
+        kind = "evenly filled" if made.closed else "as a sheet 2 mm thick, since its surface encloses nothing"
+        note(f"{file.name}: {made.mass * 1000:.3g} g is a guess, {kind} with 1,000 kg/m3: give --mass or --density")
+    item = _file_item(imported)
+    collision = item["collision"]
+    near = "" if collision["p99_mm"] is None else f", 99 % within {collision['p99_mm']:.1f} mm of the surface"
+    held = "nothing of it fits between fingers" if item["width_mm"] is None else f"{item['width_mm']:g} mm wide"
+    moves = f"; moves: {', '.join(item['links'])}" if item["links"] else ""
+    return item, [
+        f"{item['path']}: collides by {collision['kind']} ({collision['parts']} parts{near}), "
+        f"{item['textures']} of {item['meshes']} meshes with a picture{moves}",
+        f"{item['name']}: {item['mass_kg'] * 1000:.4g} g, {held} where it is held",
+    ]
+
+
+def _ycb_item(made: ImportedObject) -> dict[str, Any]:
+    fit, data = made.description.fit, made.description.data
+    return {
+        "name": data["name"],
+        "path": str(made.path),
+        "primitives": [part.type for part in fit.parts],
+        "rms_mm": round(fit.rms * 1000, 3),
+        "p99_mm": round(fit.most * 1000, 3),
+        "width_mm": round(2000 * data["grasp"]["opening"], 1) if "grasp" in data else None,
+        "vessel": "grasp" not in data,
+    }
+
+
+def _file_item(imported: ImportedFile) -> dict[str, Any]:
+    config, made = imported.config, imported.made
+    fits = [touch.fit for touch in made.touches if touch.fit is not None]
+    return {
+        "name": config.name,
+        "path": str(imported.path),
+        "set": config.mesh.set,
+        "mass_kg": round(made.mass, 6),
+        "mass_is_a_guess": made.guessed,
+        "closed": made.closed,
+        "collision": {
+            "kind": made.touches[0].kind,
+            "parts": sum(len(touch.parts) for touch in made.touches),
+            "p99_mm": round(1000 * max(fit.most for fit in fits), 3) if fits else None,
+        },
+        "meshes": len(config.all_meshes),
+        "textures": sum(mesh.texture is not None for mesh in config.all_meshes),
+        "links": [link.name for link in config.links],
+        "width_mm": None if config.grasp is None else round(2000 * config.grasp.opening, 1),
+        "carries": config.carries,
+    }

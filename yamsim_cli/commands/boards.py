@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PaperSize(StrEnum):
-    """The papers of `core.boards.sheet`, named here so that --help need not load OpenCV."""
+    """The papers of `core.boards.sheet`, repeated here so that --help loads no OpenCV."""
 
     A4 = "A4"
     LETTER = "Letter"

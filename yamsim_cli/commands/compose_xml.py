@@ -1,4 +1,4 @@
-"""`yamsim compose-xml`: a scene for any MuJoCo program."""
+"""`yamsim compose-xml`: write a scene for any MuJoCo program."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import Grasp, Rig
-from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.flags.outputs import Rename
+from yamsim_cli.flags.session import Grasp, Json, Margin, Offline, Revision, Rig, Robot, opener
+from yamsim_cli.terminal.console import note_moved, print_json, print_line
 
 
 def compose_xml(
@@ -26,7 +26,7 @@ def compose_xml(
     task: Annotated[
         str | None, typer.Option(help="Also add the table and the objects of this task, such as pickplace.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed that decides where the task's objects stand.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the places of the task's objects.")] = 0,
     grasp: Grasp = None,
     mujoco: Annotated[
         Literal["3.3", "4"],
@@ -35,7 +35,7 @@ def compose_xml(
         ),
     ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    overwrite: Rename = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -44,7 +44,7 @@ def compose_xml(
     Example: yamsim compose-xml --rig russet --out russet_scene
     """
     if grasp is not None and task is None:
-        raise UsageError("--grasp says how a task's object is held: give --task too, or leave it out")
+        raise UsageError("--grasp is for a task's object: give --task too, or leave --grasp out")
     where = opener.locations()
     opener.skip_gl()
 
@@ -70,8 +70,7 @@ def compose_xml(
     spec, model = at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)
-    if report.moved_aside:
-        note(f"What was in {target} is now in {report.moved_aside}.")
+    note_moved(target, report.moved_aside)
     if json:
         print_json(
             {

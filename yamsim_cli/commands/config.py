@@ -1,4 +1,4 @@
-"""`yamsim config`: what can be configured, and whether a file is valid."""
+"""`yamsim config`: list, show and check configs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_table
-from yamsim_cli.terminal.tables import facts
+from yamsim_cli.terminal.tables import Facts
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
@@ -36,13 +36,13 @@ def list_configs(json: Json = False) -> None:
     if json:
         print_json({"items": items})
         return
-    print_table(facts((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
+    print_table(Facts((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
     for root in where.data:
-        print_line(f"They are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
+        print_line(f"Configs are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
 def _named(context: typer.Context, name: str) -> str:
-    """The name that was given. A missing one is refused here, where the message can list the valid ones."""
+    """The given name; the refusal of a missing name lists the valid ones."""
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name
@@ -77,12 +77,12 @@ def show(
 @app.command()
 def validate(
     file: Annotated[Path, typer.Argument(help="The file.", show_default=False)],
-    kind: Annotated[str | None, typer.Option(help="Its kind; by default the name of its folder.")] = None,
+    kind: Annotated[str | None, typer.Option(help="The file's kind.  [default: the name of its folder]")] = None,
     json: Json = False,
 ) -> None:
     """Check a file; exit code 3 and one line naming file, key and value if it is not valid.
 
-    The file is YAML. A camera's file may come from another program. If it holds several cameras, each is checked, or
+    The file is YAML. A camera's file may come from another program. Of a file with several cameras, each is checked, or
     the one that FILE:CAMERA names.
 
     Example: yamsim config validate my_rig.yaml --kind rigs
@@ -92,7 +92,7 @@ def validate(
 
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:
-        raise UsageError(f"{file} is in no folder named after a kind of config; say --kind: {', '.join(KINDS)}")
+        raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(KINDS)}")
     model, where = model_of(guessed), opener.locations()
     parts = model.within(file)
     for part in parts:

@@ -1,4 +1,4 @@
-"""`yamsim doctor`: whether this machine can do the work, and the fix for each fault."""
+"""`yamsim doctor`: check this machine, and show the fix for each fault."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_text
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.doctor import Check
+    from yamsim_cli.core.doctor import HealthCheck
 
 _STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
 
 def doctor(
-    out: Annotated[Path, typer.Option(help="Where datasets are to go.")] = Path("dataset"), json: Json = False
+    out: Annotated[Path, typer.Option(help="Directory of future datasets.")] = Path("dataset"), json: Json = False
 ) -> None:
-    """Check OpenGL, meshes, the disk, memory and packages, and say how to put right what is wrong.
+    """Check OpenGL, meshes, the disk, memory and packages, and show a fix for each fault.
 
     Every OpenGL backend is tried in a process of its own, under a time limit. Three made-up episodes are written to the
     disk and removed again. Nothing else is changed. The exit code is 4 if there is a fault.
@@ -31,19 +31,19 @@ def doctor(
     """
     from yamsim_cli.core.doctor import examine, faults
 
-    checks = examine(os.environ, opener.locations(), out, (lambda check: None) if json else _show)
-    wrong = faults(checks)
+    checks = examine(os.environ, opener.locations(), out, (lambda check: None) if json else _print)
+    found = faults(checks)
     if json:
-        print_json({"ok": not wrong, "checks": [asdict(check) for check in checks]})
-    if wrong:
-        first = wrong[0]
-        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        print_json({"ok": not found, "checks": [asdict(check) for check in checks]})
+    if found:
+        first = found[0]
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         raise ResourceError(f"{first.name}: {first.detail}{more}; {first.fix}")
     if not json:
         print_line("Nothing is in the way.")
 
 
-def _show(check: Check) -> None:
+def _print(check: HealthCheck) -> None:
     print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _STYLES[check.health])
     if check.fix:
         print_line(f"{'':8}  -> {check.fix}")

@@ -3,34 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import require_free
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import (
-    Arm,
-    ConfigOption,
-    Grasp,
-    MinSuccess,
-    Object,
-    Quality,
-    Randomization,
-    Randomize,
-    ReportFile,
-    Rig,
-    Seed,
-    Size,
-    Target,
-    Task,
-    Threshold,
-    Workers,
-)
-from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
-from yamsim_cli.terminal.films import film, films_at
-from yamsim_cli.terminal.trial_tables import evaluation_table
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.outputs import ReportFile, VideoTrials, require_free_reports, write_json_report
+from yamsim_cli.flags.session import opener, session_settings
+from yamsim_cli.terminal.console import note, print_report, progress_bar
+from yamsim_cli.terminal.trial_tables import evaluation_table, film, films_at
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.evaluate.choice import PolicyChoice
+    from yamsim_cli.core.evaluate.evaluation import Evaluation
+    from yamsim_cli.core.session import Session
 
 
 def evaluate(
@@ -43,8 +30,8 @@ def evaluate(
         ),
     ],
     n: Annotated[int, typer.Option("--n", min=1, help="Trials.")] = 50,
-    seed: Seed = None,
-    workers: Workers = None,
+    seed: flags.Seed = None,
+    workers: flags.Workers = None,
     policy_arg: Annotated[
         list[str] | None,
         typer.Option(
@@ -55,28 +42,33 @@ def evaluate(
     policy_config: Annotated[
         str | None,
         typer.Option(
-            help="What policies of other programs call things: a config of the kind policies.  "
+            help="Names that a policy of another program uses: a config of the kind policies.  "
             "[default: by the policy's protocol]"
         ),
     ] = None,
     execute: Annotated[
         int | None,
-        typer.Option(min=1, metavar="K", help="Ask again after so many actions of a chunk.  [default: all of it]"),
+        typer.Option(
+            min=1, metavar="K", help="Actions of a chunk to execute before the policy is called again.  [default: all]"
+        ),
     ] = None,
     ensemble: Annotated[
         float | None,
         typer.Option(
-            min=0, max=100, metavar="DECAY", help="Average chunks that overlap, newer ones by exp(-DECAY) less each."
+            min=0,
+            max=100,
+            metavar="DECAY",
+            help="Average chunks that overlap; each newer chunk weighs less by exp(-DECAY).",
         ),
     ] = None,
     latency: Annotated[
         str,
         typer.Option(
-            help="From a question to when its answer acts, in simulated time: 80ms, 0.08s, or measured.",
+            help="Simulated time from an observation until the policy's answer acts: 80ms, 0.08s, or measured.",
             metavar="TIME",
         ),
     ] = "0ms",
-    threshold: Threshold = None,
+    threshold: flags.Threshold = None,
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: the task's]")
     ] = None,
@@ -86,7 +78,7 @@ def evaluate(
     trial_timeout: Annotated[
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
-    min_success: MinSuccess = None,
+    min_success: flags.MinSuccess = None,
     compare: Annotated[
         list[str] | None,
         typer.Option(
@@ -98,7 +90,7 @@ def evaluate(
     video: Annotated[
         Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
-    video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
+    video_trials: VideoTrials = 10,
     video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
     end: Annotated[
         Literal["success", "actor"],
@@ -107,111 +99,94 @@ def evaluate(
             "so that the goal has to hold at the end."
         ),
     ] = "success",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Move older videos aside, and replace reports that exist.")
-    ] = False,
-    grasp: Grasp = None,
-    randomize: Randomize = None,
-    randomization: Randomization = None,
-    size: Size = None,
-    quality: Quality = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,
+    grasp: flags.Grasp = None,
+    randomize: flags.Randomize = None,
+    randomization: flags.Randomization = None,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
-    """Run a policy from sampled starts, the same as `yamsim trials` has for that seed, and count its successes.
+    """Run a policy from sampled starts, the same as those of `yamsim trials` for that seed, and count its successes.
 
-    Exit code 6 if the policy failed in every trial before its end, so that nothing was measured.
+    Exit code 6 if the policy failed in every trial, so that nothing was measured.
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
     if video_all and video is None:
         raise UsageError("--video-all is for videos: give --video")
-    for flag, file in (("--out", out), ("--html", html)):
-        if file is not None:
-            require_free(flag, file, overwrite=overwrite)
+    require_free_reports(out, html, overwrite=overwrite)
     from yamsim_cli.core.policies.chunks import Chunking, read_latency
     from yamsim_cli.core.policies.loading import read_arguments, sees_images
 
     arguments, chunking = read_arguments(policy_arg or []), Chunking(execute, ensemble, read_latency(latency))
     others = compare or []
+    renders = video is not None or any(sees_images(name) for name in (policy, *others))
+    session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
-    session = opener.open(
-        config,
-        renders=video is not None or any(sees_images(name) for name in (policy, *others)),
-        n=n,
-        seed=seed,
-        workers=workers,
-        threshold=threshold,
-        grasp=grasp,
-        randomize=randomize,
-        randomization=randomization,
-        size=size,
-        quality=quality,
-        task=task,
-        object=item,
-        target=target,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        wrist=True,
-    )
-
-    from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.documents.json_text import json_text
     from yamsim_cli.core.episode.rules import EndRule
     from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.choice import PolicyChoice
-    from yamsim_cli.core.evaluate.compare import compare as compared
-    from yamsim_cli.core.evaluate.compare import read_report, require_same
-    from yamsim_cli.core.files import write_output
     from yamsim_cli.core.trials import require_success, what_ran
+    from yamsim_cli.core.trials.tally import require_success
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
-    # Read first: a file that is no report, or one of other trials, is told before hours of trials.
-    known = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
-    for told in known.values():
-        require_same(what_ran(session.config), told)
-
-    def run(choice: PolicyChoice) -> evaluation.Evaluation:
-        with progress_bar("trials", "trials") as advance:
-            return evaluation.evaluate(session, choice, advance, trial_timeout)
-
+    known = _read_reports(others, session)
     choice = PolicyChoice(
         policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
     )
-    found = run(choice)
-    report = evaluation.summary(found, session.config, THRESHOLDS)
-    reports = [report]
-    for name in others:
-        other = known.get(name) or evaluation.summary(run(choice.compared_with(name)), session.config, THRESHOLDS)
-        reports.append(other)
+    found, report = _evaluate(session, choice, trial_timeout)
+    compared_reports = [
+        known.get(name) or _evaluate(session, choice.compared_with(name), trial_timeout)[1] for name in others
+    ]
     if others:
-        report["compared"] = [compared(report, other) for other in reports[1:]]
+        from yamsim_cli.core.evaluate.compare import compare as compare_reports
+
+        report["compared"] = [compare_reports(report, other) for other in compared_reports]
     if films:
         report["videos"] = film(
-            films,
-            lambda told: evaluation.film(found, video_trials, films, session, told, successes=video_all),
+            films, lambda shown: evaluation.film(found, video_trials, films, session, shown, successes=video_all)
         )
-    if out is not None:
-        write_output(out, json_text(report).encode())
-        note(f"Written to {out}.")
+    write_json_report(report, out)
     if html is not None:
         from yamsim_cli.core.summarize import write_leaderboard
 
-        write_leaderboard(reports, report.get("compared", []), html)
+        write_leaderboard([report, *compared_reports], report.get("compared", []), html)
         note(f"The page is in {html}.")
-    if json:
-        print_json(report)
-    else:
-        print_table(evaluation_table(report))
+    print_report(report, lambda: evaluation_table(report), json)
     evaluation.require_run(report)
     require_success(report["stats"], min_success)
+
+
+def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
+    """File -> the report of an earlier evaluation, for names that are files.
+
+    Raises:
+        UsageError: a file is no report, or a report of other trials.
+    """
+    from yamsim_cli.core.evaluate.compare import read_report, require_same
+    from yamsim_cli.core.trials.tally import what_ran
+
+    reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
+    for report in reports.values():
+        require_same(what_ran(session.config), report)
+    return reports
+
+
+def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
+    """Run a policy's trials while progress is shown, and return the evaluation and its report."""
+    from yamsim_cli.core.dataset.statistics import THRESHOLDS
+    from yamsim_cli.core.evaluate import evaluation
+
+    with progress_bar("trials", "trials") as advance:
+        found = evaluation.evaluate(session, choice, advance, trial_timeout)
+    return found, evaluation.summary(found, session.config, THRESHOLDS)

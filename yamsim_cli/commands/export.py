@@ -1,4 +1,4 @@
-"""`yamsim export`: a dataset in the formats of others."""
+"""`yamsim export`: a dataset in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, counted
+from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Json, Offline, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.export.raiden_schema import RaidenOptions
@@ -17,10 +18,9 @@ if TYPE_CHECKING:
     from yamsim_cli.core.export.target import Exported
     from yamsim_cli.core.resources import Locations
 
-# Physics takes so many steps a second: no more states can be told apart.
-_MOST_FPS = 500
+_MAX_FPS = 500  # frames a second: physics takes as many steps
 
-app = typer.Typer(help="Write a dataset in the formats of others.", no_args_is_help=True)
+app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
 
 Dataset = Annotated[
     Path, typer.Argument(help="The directory that `yamsim record` or `yamsim import` wrote.", show_default=False)
@@ -32,37 +32,34 @@ RealFps = Annotated[
     typer.Option(
         "--fps",
         min=1,
-        max=_MOST_FPS,
-        help="Of real recordings: frames at even times, each the nearest recorded one.  [default: those recorded]",
+        max=_MAX_FPS,
+        help="Of real recordings: frames at even times, each the nearest recorded one.  [default: the recorded frames]",
         show_default=False,
     ),
 ]
 RealActions = Annotated[
     Literal["recorded", "measured", "none"] | None,
     typer.Option(
-        help="Of real recordings: what was commanded, what was measured one frame later, or none.  [default: recorded]",
+        help="Of real recordings: the commands, the joints measured one frame later, or none.  [default: recorded]",
         show_default=False,
     ),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")]
 
 
 @app.callback()
 def _export() -> None:
-    """Write a dataset in the formats of others; what is at OUT is whole or not there."""
+    """Write a dataset in the formats of other programs. OUT is written whole or not at all."""
 
 
 @app.command()
 def raiden(
     dataset: Dataset,
     out: Out,
-    fps: Annotated[
-        str, typer.Option(metavar="RATE", help="Frames a second, or `source`: the recorded frames and no others.")
-    ] = "30",
+    fps: Annotated[str, typer.Option(metavar="RATE", help="Frames a second, or `source`: the recorded frames.")] = "30",
     pictures: Annotated[
         Literal["draw", "nearest"] | None,
         typer.Option(
-            help="Pictures at those times: rendered anew (draw), or the nearest recorded ones, which repeat.  "
+            help="Pictures at the frames' times: rendered anew (draw), or the nearest recorded pictures.  "
             "[default: draw]",
             show_default=False,
         ),
@@ -74,12 +71,12 @@ def raiden(
     single: Annotated[bool, typer.Option("--single", help="Arrays of one arm: 7 and 13 wide, not 14 and 26.")] = False,
     hand_frame: Annotated[
         Literal["yamsim", "i2rt"],
-        typer.Option(help="Hand poses as the simulated arm has them, or as raiden's kinematics of the same joints do."),
+        typer.Option(help="Hand poses by the simulated arm's kinematics, or by raiden's for the same joints."),
     ] = "yamsim",
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
     actions: RealActions = None,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -91,16 +88,16 @@ def raiden(
     from yamsim_cli.core.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
-        raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
+        raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
     if is_real(dataset):
         if pictures == "draw":
-            raise UsageError(f"--pictures draw: {dataset} is real, and its pictures are those that were recorded")
+            raise UsageError(f"--pictures draw: {dataset} is real, and only recorded pictures can be exported")
         done = _real_raiden(dataset, out, options, actions, episodes, overwrite)
     else:
         _require_real("--actions", actions, dataset)
         done = _simulated_raiden(dataset, out, options, workers, episodes, overwrite)
-    _show(done, json)
+    _print(done, json)
 
 
 def _simulated_raiden(
@@ -132,7 +129,7 @@ def _real_raiden(
     episodes: str | None,
     overwrite: bool,
 ) -> Exported:
-    """Export real recordings, of which nothing is rendered."""
+    """Export real recordings, without rendering."""
     opener.skip_gl()
 
     from yamsim_cli.core.export.raiden import export_real_raiden
@@ -152,13 +149,13 @@ def lerobot(
     actions: RealActions = None,
     environment_state: Annotated[
         bool,
-        typer.Option("--environment-state", help="Also write where things are, as observation.environment_state."),
+        typer.Option("--environment-state", help="Also write the things' poses, as observation.environment_state."),
     ] = False,
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
     ] = True,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
     """LeRobotDataset v3.0: Parquet, and H.264 with exact times. Of two arms the left one comes first, the welds last.
@@ -182,7 +179,7 @@ def lerobot(
             done = export_lerobot(
                 source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
             )
-    _show(done, json)
+    _print(done, json)
 
 
 @app.command()
@@ -198,7 +195,7 @@ def mp4(
     speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How fast time passes in videos.")] = 1.0,
     fps: RealFps = None,
     episodes: Episodes = None,
-    overwrite: Overwrite = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
     """A video of each episode, or one picture of all: a contact sheet.
@@ -214,13 +211,11 @@ def mp4(
             done = export_sheet(source, out, camera or (), advance, columns=columns, width=width, overwrite=overwrite)
         else:
             done = export_mp4(source, out, camera or (), advance, speed=speed, overwrite=overwrite)
-    _show(done, json)
+    _print(done, json)
 
 
 @app.command()
-def rerun(
-    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
-) -> None:
+def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rename = False, json: Json = False) -> None:
     """An .rrd file of each episode for the rerun viewer: images, joints, poses, camera frusta.
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
@@ -231,24 +226,24 @@ def rerun(
 
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, advance, overwrite=overwrite)
-    _show(done, json)
+    _print(done, json)
 
 
 def _rate(text: str) -> float | None:
-    """Frames a second; None for the recorded ones."""
+    """Frames a second; None for the recorded frames."""
     if text == "source":
         return None
     try:
         rate = float(text)
     except ValueError:
         rate = 0.0
-    if not 1 <= rate <= _MOST_FPS:
-        raise UsageError(f"--fps {text!r} is not valid: give a number in 1..{_MOST_FPS}, such as 30, or source")
+    if not 1 <= rate <= _MAX_FPS:
+        raise UsageError(f"--fps {text!r} is not valid: give a number in 1..{_MAX_FPS}, such as 30, or source")
     return rate
 
 
 def _with_renderer(where: Locations) -> Locations:
-    """The locations, once an OpenGL backend is settled; where none works, the error says what needs none."""
+    """The locations, once an OpenGL backend is chosen; the error names flags that need none."""
     try:
         return opener.use_gl(where, workers=True)
     except ResourceError as error:
@@ -277,14 +272,13 @@ def _require_real(flag: str, value: object, dataset: Path) -> None:
         )
 
 
-def _show(done: Exported, json: bool) -> None:
+def _print(done: Exported, json: bool) -> None:
     for line in done.notes:
         note(line)
-    if done.moved_aside:
-        note(f"What was at {done.path} is now at {done.moved_aside}.")
+    note_moved(done.path, done.moved_aside)
     if json:
         moved = str(done.moved_aside) if done.moved_aside else None
-        told = {"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved}
-        print_json(told | {"notes": list(done.notes)})
+        report = {"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved}
+        print_json(report | {"notes": list(done.notes)})
     else:
         print_line(f"{counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')} in {done.path}")

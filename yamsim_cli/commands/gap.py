@@ -1,4 +1,4 @@
-"""`yamsim gap`: how far recordings lie from what the simulation does with the same commands."""
+"""`yamsim gap`: the distance between recordings and the simulation of the same commands."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import Overwrite, require_free
+from yamsim_cli.flags.outputs import Overwrite, ReportFile, require_free_reports, write_json_report
 from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import ReportFile
-from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
+from yamsim_cli.terminal.console import note, print_report, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.gap.figures import Gap
     from yamsim_cli.core.gap_photos.compare import PhotoRequest
     from yamsim_cli.core.motion import Motion
-    from yamsim_cli.core.report.gap_page import Shown
+    from yamsim_cli.core.report.gap_page import CaptionedJpeg
     from yamsim_cli.core.resources import Locations
 
 
@@ -29,7 +28,7 @@ def gap(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            help="Each a CSV, an episode, a dataset with all its episodes, or what else `yamsim import` reads.",
+            help="Each a CSV, an episode, a dataset with all its episodes, or another file that `yamsim import` reads.",
             show_default=False,
         ),
     ],
@@ -43,8 +42,7 @@ def gap(
     mapping: Annotated[
         str | None,
         typer.Option(
-            help="How columns of somebody else's are called: a name from configs/recordings/ or a YAML.  "
-            "[default: found out]"
+            help="Names of a recording's columns: a name from configs/recordings/ or a YAML file.  [default: detected]"
         ),
     ] = None,
     begin: Annotated[
@@ -52,13 +50,15 @@ def gap(
     ] = None,
     end: Annotated[float | None, typer.Option("--to", min=0, metavar="S", help="Compare up to here, s.")] = None,
     pictures: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Photos to compare too, of recordings with any: so many at most.")
+        int, typer.Option(min=0, metavar="N", help="Also compare up to N photos of the recordings.")
     ] = 0,
     camera: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE[:CAMERA]", help="The photos' calibration, in place of the recording's own."),
     ] = None,
-    episode_camera: Annotated[str | None, typer.Option(help="Which camera's photos; else the fixed one's.")] = None,
+    episode_camera: Annotated[
+        str | None, typer.Option(help="Camera whose photos are compared.  [default: the fixed camera]")
+    ] = None,
     fail_above: Annotated[
         float | None, typer.Option(min=0, metavar="MRAD", help="Exit 5 if a joint's RMS error is above this.")
     ] = None,
@@ -68,18 +68,15 @@ def gap(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Let the simulated arms follow recorded commands, and say how far what was measured lies from what they do.
+    """Simulate recorded commands, and report the distance between measured and simulated joints.
 
     Example: yamsim gap log.csv --rig single --html gap.html
     """
     if begin is not None and end is not None and begin >= end:
         raise UsageError(f"--from {begin:g} and --to {end:g}: nothing lies between; give --from below --to")
     if (camera or episode_camera) and not pictures:
-        raise UsageError("--camera and --episode-camera are of photos; give --pictures N with them")
-    if html:
-        require_free("--html", html, overwrite=overwrite)
-    if out is not None:
-        require_free("--out", out, overwrite=overwrite)
+        raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
+    require_free_reports(out, html, overwrite=overwrite)
     where = opener.locations()
     settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
@@ -95,29 +92,47 @@ def gap(
         opener.skip_gl()
 
     from yamsim_cli.core.gap.report import report_of, require_small
-    from yamsim_cli.core.recordings.faults import find_faults, require_units
-    from yamsim_cli.core.recordings.reading import read_motions
 
-    motions = read_motions(recordings, settings, where, mapping)
-    problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
-    for name, problem in problems:
-        require_units(name, [problem])
-    for name, problem in problems:
-        note(f"{name}: {problem.text}")
+    motions, problems = _read(recordings, settings, where, mapping)
     gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
     report = report_of(gaps, settings.name)
-    report["problems"] = [
-        {"recording": name, "fault": str(problem.fault), "time_s": problem.time, "text": problem.text}
-        for name, problem in problems
-    ]
-    shown: list[Shown] = []
+    report["problems"] = problems
+    shown: list[CaptionedJpeg] = []
     if pictures:
         from yamsim_cli.core.gap_photos.compare import PhotoRequest
 
         request = PhotoRequest(pictures, model, episode_camera)
         report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
-    _tell(report, gaps, shown, html, out, json)
+    if html:
+        from yamsim_cli.core.gap.page_file import write_gap_page
+
+        write_gap_page(report, gaps, shown, html)
+        report["html"] = str(html)
+        note(f"The page is in {html}.")
+    write_json_report(report, out)
+    from yamsim_cli.terminal.gap_table import gap_tables
+
+    print_report(report, lambda: gap_tables(report), json)
     require_small(report, fail_above)
+
+
+def _read(
+    recordings: Sequence[Path], rig: RigConfig, where: Locations, mapping: str | None
+) -> tuple[list[Motion], list[dict[str, Any]]]:
+    """The recorded motions, and their faults as JSON has them, which are noted on stderr."""
+    from yamsim_cli.core.recordings.faults import find_faults, require_units
+    from yamsim_cli.core.recordings.reading import read_motions
+
+    motions = read_motions(recordings, rig, where, mapping)
+    problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, rig)]
+    for name, problem in problems:
+        require_units(name, [problem])
+    for name, problem in problems:
+        note(f"{name}: {problem.text}")
+    return motions, [
+        {"recording": name, "fault": str(problem.fault), "time_s": problem.time, "text": problem.text}
+        for name, problem in problems
+    ]
 
 
 def _rig(
@@ -163,8 +178,8 @@ def _gaps(
 
 def _photos(
     gaps: Sequence[Gap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, where: Locations
-) -> tuple[dict[str, Any], list[Shown]]:
-    """What the recordings' photos say, as plain data, and pictures for the page."""
+) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
+    """The figures of the recordings' photos as plain data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.gap_photos.compare import compare_photos
@@ -174,27 +189,3 @@ def _photos(
     where = opener.find_meshes(where, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
         return compare_photos(gaps, rig, request, surroundings, quality, where, advance)
-
-
-def _tell(
-    report: dict[str, Any], gaps: Sequence[Gap], shown: Sequence[Shown], html: Path | None, out: Path | None, json: bool
-) -> None:
-    """Write and print the report."""
-    if html:
-        from yamsim_cli.core.gap.report import write_gap_page
-
-        write_gap_page(report, gaps, shown, html)
-        report["html"] = str(html)
-        note(f"The page is in {html}.")
-    if out is not None:
-        from yamsim_cli.core.documents.json_text import json_text
-        from yamsim_cli.core.files import write_output
-
-        write_output(out, json_text(report).encode())
-        note(f"Written to {out}.")
-    if json:
-        print_json(report)
-    else:
-        from yamsim_cli.terminal.gap_table import gap_tables
-
-        print_table(gap_tables(report))

@@ -1,4 +1,4 @@
-"""`yamsim identify`: how an arm really moves, from what was logged of it."""
+"""`yamsim excite` and `yamsim identify`: a motion for a real arm, and the arm's dynamics from its log."""
 
 from __future__ import annotations
 
@@ -12,10 +12,94 @@ from yamsim_cli.core.errors import SimulationError, UsageError
 from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, print_table, progress_bar
-from yamsim_cli.terminal.tables import listing
+from yamsim_cli.terminal.tables import Listing
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.identify.excitation import Excitation
     from yamsim_cli.core.identify.identify import Identified
+
+
+def excite(
+    rig: RigName = "single",
+    revision: Revision = None,
+    robot: Robot = None,
+    margin: Margin = None,
+    arm: Annotated[
+        Literal["left", "right"] | None,
+        typer.Option(help="Which arm of a rig with two moves; the other rests.  [default: right]"),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="The CSV of commands.")] = Path("motion.csv"),
+    seconds: Annotated[float, typer.Option(min=20, max=600, help="Duration of the motion.")] = 60.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    log: Annotated[
+        Path | None, typer.Option(help="Also simulate the motion, and write the simulated arm's log.")
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> None:
+    """Write a motion that swings an arm's joints quickly and slowly, within its stops and without collisions.
+
+    Example: yamsim excite --rig single --out motion.csv
+    """
+    where = opener.locations()
+    settings = opener.rig(rig, where, margin, revision, robot)
+    _require_arm(arm, settings)
+    for flag, file in (("--out", out), ("--log", log)):
+        if file is not None and file.suffix != ".csv":
+            raise UsageError(f"{flag} {file}: motions and logs are written as .csv")
+        if file is not None:
+            require_free(flag, file, overwrite=overwrite)
+    opener.skip_gl()
+
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.files import write_output
+    from yamsim_cli.core.identify.excitation import excite as run
+    from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
+
+    number = next((k for k, each in enumerate(settings.arms) if each.side == (arm or "right")), 0)
+    scene = load_config(SceneConfig, "scenes", "tabletop", where)
+    found = run(settings, number, scene, where, seconds, seed)
+    write_output(out, commands_csv(settings, number, found))
+    if log is not None:
+        write_output(log, log_csv(settings, number, found, scene, where), "--log")
+    if json:
+        print_json(_excitation(found, out, log))
+        return
+    print_line(
+        f"{out}: {len(found.times)} commands over {found.times[-1]:g} s, up to {found.speed:.0%} of the motors' speed "
+        f"and {found.torque:.0%} of their torque"
+    )
+    start = ", ".join(f"{angle:g}" for angle in _start(found))
+    print_line(f"Bring the arm slowly to {start} rad first: the motion begins and ends there")
+    if log is not None:
+        print_line(f"{log}: what the simulated arm did")
+
+
+def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any]:
+    return {
+        "path": str(out),
+        "log": None if log is None else str(log),
+        "seconds": float(found.times[-1]),
+        "commands": len(found.times),
+        "start_rad": _start(found),
+        "half_width_rad": found.box.half.tolist(),
+        "share_of_speed": found.speed,
+        "share_of_torque": found.torque,
+    }
+
+
+def _start(found: Excitation) -> list[float]:
+    """The first joint angles, rad."""
+    return [round(float(angle), 4) for angle in found.commands[0]]
+
+
+def _require_arm(arm: str | None, rig: RigConfig) -> None:
+    """Refuse an arm that a rig lacks."""
+    sides = [each.side for each in rig.arms]
+    if arm is not None and arm not in sides:
+        raise UsageError(f"--arm {arm}: rig {rig.name!r} has only a {sides[0]} one; leave --arm out")
 
 
 def identify(
@@ -35,7 +119,7 @@ def identify(
     ] = None,
     held_out: Annotated[
         list[Path] | None,
-        typer.Option(help="A recording that the result is judged by.  [default: the last third of each]"),
+        typer.Option(help="A recording to test the result on; may be repeated.  [default: the last third of each log]"),
     ] = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -46,8 +130,7 @@ def identify(
     """
     where = opener.locations()
     settings = opener.rig(rig, where, margin, revision, robot)
-    if arm is not None and arm not in (sides := [each.side for each in settings.arms]):
-        raise UsageError(f"--arm {arm}: rig {settings.name!r} has only a {sides[0]} one; leave --arm out")
+    _require_arm(arm, settings)
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"--out {out}: the file of a revision ends in .yaml")
     sides = [each.side for each in settings.arms if arm in (None, each.side)]
@@ -68,13 +151,13 @@ def identify(
         print_json(_plain(found, settings.name, files))
     else:
         for one, file in zip(found, files, strict=True):
-            _show(one, file)
+            _print_arm(one, file)
     for one in found:
         if one.gap.fallen <= 0:
             raise SimulationError(
                 f"{one.side or one.arm}: on {one.gap.source}, which was held out, the gap did not fall: "
-                f"{1000 * one.gap.before:.2f} mrad before, {1000 * one.gap.after:.2f} after; record a log that shows "
-                "more, by `yamsim excite`"
+                f"{1000 * one.gap.before:.2f} mrad before, {1000 * one.gap.after:.2f} after; record a log of a "
+                "motion of `yamsim excite`"
             )
 
 
@@ -104,16 +187,16 @@ def _file(out: Path, side: str, arms: int) -> Path:
 
 
 def _plain(found: Sequence[Identified], rig: str, files: Sequence[Path]) -> dict[str, Any]:
-    """As JSON has it: of two arms each under its side, and their joints also together."""
+    """The JSON report: of two arms each under its side, and their joints also together."""
     arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
     if len(arms) == 1:
         return data | {key: value for key, value in arms[0].items() if key != "out"}
     sides = [one.side for one in found]
     data["joints"] = {
-        f"{side}_{joint}": told
+        f"{side}_{joint}": values
         for side, each in zip(sides, arms, strict=True)
-        for joint, told in each["joints"].items()
+        for joint, values in each["joints"].items()
     }
     data["params"] = [
         {**param, "arm": side} for side, each in zip(sides, arms, strict=True) for param in each["params"]
@@ -140,8 +223,8 @@ def _plain_arm(one: Identified) -> dict[str, Any]:
     }
 
 
-def _show(one: Identified, file: Path) -> None:
-    table = listing(("joint", "parameter", "value", "from", "to", "model"), numbers_from=2, numbers_to=6)
+def _print_arm(one: Identified, file: Path) -> None:
+    table = Listing(("joint", "parameter", "value", "from", "to", "model"), numbers_from=2, numbers_to=6)
     for each in one.estimates:
         figures = [f"{number:.4g}" for number in (each.value, each.low, each.high, each.before)]
         table.add_row(each.joint or "all", each.name, *figures)

@@ -1,4 +1,4 @@
-"""`yamsim import`: recordings of real arms become a dataset."""
+"""`yamsim import`: make a dataset from recordings of real arms."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import UsageError, counted
+from yamsim_cli.core.errors import counted
+from yamsim_cli.flags.outputs import Rename, open_mode
 from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 
 
 def import_recording(
@@ -20,61 +21,61 @@ def import_recording(
             show_default=False,
         ),
     ],
-    rig: Annotated[str, typer.Option(help="Whose arms they are: a name from configs/rigs/ or a YAML file.")] = "single",
+    rig: Annotated[
+        str, typer.Option(help="Rig of the recorded arms: a name from configs/rigs/ or a YAML file.")
+    ] = "single",
     out: Annotated[Path, typer.Option(help="The dataset to write.")] = Path("real"),
     kind: Annotated[
         Literal["csv", "lowdim", "raiden_raw", "lerobot", "mcap"] | None,
-        typer.Option("--format", help="Of the recordings.  [default: found out]"),
+        typer.Option("--format", help="Format of the recordings.  [default: detected]"),
     ] = None,
     mapping: Annotated[
         str | None,
-        typer.Option(
-            help="How their columns are called: a name from configs/recordings/ or a YAML.  [default: found out]"
-        ),
+        typer.Option(help="Names of the columns: a name from configs/recordings/ or a YAML file.  [default: detected]"),
     ] = None,
     gripper: Annotated[
         Literal["metres", "share", "closed_share"] | None,
-        typer.Option(help="Of one finger; 0 closed .. 1 open; 0 open .. 1 closed.  [default: the format's]"),
+        typer.Option(
+            help="Unit of openings: m of one finger; 0 closed .. 1 open; 0 open .. 1 closed.  [default: the format's]"
+        ),
     ] = None,
     mirror_gripper: Annotated[
         Literal["measured", "commanded", "both"] | None,
-        typer.Option(help="Which openings are upside down: 0 open, and the widest closed.", show_default=False),
+        typer.Option(
+            help="Openings that are reversed: 0 is open, and the largest value is closed.", show_default=False
+        ),
     ] = None,
     degrees: Annotated[bool, typer.Option("--degrees", help="Joints are in degrees.")] = False,
     swap_arms: Annotated[
-        bool, typer.Option("--swap-arms", help="What was measured of the left arm is the right one's.")
+        bool, typer.Option("--swap-arms", help="The left arm's measurements belong to the right arm, and the reverse.")
     ] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Keep the episodes that are there.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is at --out aside.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Add to an existing dataset.")] = False,
+    overwrite: Rename = False,
     json: Json = False,
 ) -> None:
-    """Bring recordings of real arms into a dataset, marked `source: real`. What is missing stays missing.
+    """Make a dataset from recordings of real arms, marked `source: real`. Missing data stays missing.
 
     Example: yamsim import log.csv --rig single --out real
     """
-    if resume and overwrite:
-        raise UsageError("--resume continues a dataset, and --overwrite moves it aside: give one of them")
+    mode = open_mode(resume=resume, overwrite=overwrite)
     where = opener.locations()
     opener.skip_gl()
     settings = opener.rig(rig, where)
 
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.import_recording.importing import Corrections, ImportRequest, import_recordings
 
-    mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
-    said = Corrections(degrees, swap_arms, gripper, mirror_gripper)
-    request = ImportRequest(source, settings, kind, mapping, said, out, mode)
+    corrections = Corrections(degrees, swap_arms, gripper, mirror_gripper)
+    request = ImportRequest(source, settings, kind, mapping, corrections, out, mode)
     with progress_bar("import", "episodes") as advance:
         report = import_recordings(request, where, advance)
     if json:
         print_json(report.plain())
         return
-    if report.moved_aside:
-        note(f"What was at {out} is now at {report.moved_aside}.")
+    note_moved(out, report.moved_aside)
     for episode, problems in report.problems.items():
         for problem in problems:
             note(f"{episode}: {problem}")
-    kept = f", {report.kept} were there" if report.kept else ""
+    kept = f", {report.kept} were there before" if report.kept else ""
     print_line(
         f"{report.path}: {counted(report.episodes, 'episode')}, {counted(report.frames, 'frame')}{kept}, source: real"
     )

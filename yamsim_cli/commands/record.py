@@ -1,4 +1,4 @@
-"""`yamsim record`: make a dataset."""
+"""`yamsim record`: record a dataset."""
 
 from __future__ import annotations
 
@@ -9,52 +9,36 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import (
-    Arm,
-    Cameras,
-    ConfigOption,
-    Grasp,
-    Object,
-    Quality,
-    Randomization,
-    Randomize,
-    Rig,
-    Seed,
-    Size,
-    Target,
-    Task,
-    Workers,
-    Wrist,
-)
-from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.outputs import Rename, open_mode
+from yamsim_cli.flags.session import opener, session_settings
+from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.record.executors import Executors
     from yamsim_cli.core.record.recorder import RecordReport
 
-_STOPPING = "Stopping once the attempts in progress are done. Once more stops at once; nothing is lost either way."
+_STOPPING = "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 
 
 def record(
-    n: Annotated[int | None, typer.Option("--n", help="Successful episodes the dataset is to hold.")] = None,
-    workers: Workers = None,
-    seed: Seed = None,
+    n: Annotated[int | None, typer.Option("--n", help="Number of successful episodes in the dataset.")] = None,
+    workers: flags.Workers = None,
+    seed: flags.Seed = None,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    grasp: Grasp = None,
-    wrist: Wrist = None,
-    camera: Cameras = None,
-    randomize: Randomize = None,
-    randomization: Randomization = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    grasp: flags.Grasp = None,
+    wrist: flags.Wrist = None,
+    camera: flags.Cameras = None,
+    randomize: flags.Randomize = None,
+    randomization: flags.Randomization = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
@@ -62,66 +46,42 @@ def record(
     action: Annotated[
         Literal["drives", "joints"] | None,
         typer.Option(
-            help="joints: also record state and action as real YAM stations do: of each arm its joints, and the "
-            "share that its gripper is open; needs --grasp contact.  [default: drives]"
+            help="joints: also record state and action as real YAM stations do: each arm's joints, and its "
+            "gripper's opening from 0 to 1; needs --grasp contact.  [default: drives]"
         ),
     ] = None,
     fps: Annotated[
         float | None, typer.Option(min=1, max=100, help="Frames a second: 30, 15 or 10.  [default: 15.625]")
     ] = None,
-    size: Size = None,
+    size: flags.Size = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
-    quality: Quality = None,
+    quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    overwrite: Rename = False,
     stage: Annotated[
-        Path | None, typer.Option(help="A local directory; episodes are moved from there to a slow --out.")
+        Path | None,
+        typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
     ] = None,
     executor: Annotated[
-        Literal["process", "ray"], typer.Option(help="What workers are: processes here, or actors of a Ray cluster.")
+        Literal["process", "ray"], typer.Option(help="Workers: processes of this machine, or actors of a Ray cluster.")
     ] = "process",
     address: Annotated[
         str | None,
-        typer.Option(help="Address of a running Ray cluster, such as auto; without it, one is started here."),
+        typer.Option(help="Address of a running Ray cluster, such as auto; without it, a cluster is started here."),
     ] = None,
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
     ] = 600.0,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
-    """Record successful episodes of a task into a dataset. Nothing half-written is ever visible.
+    """Record successful episodes of a task into a dataset. Episodes appear whole or not at all.
 
     Example: yamsim record --n 500 --workers 4
     """
-    mode = mode_of(resume=resume, overwrite=overwrite)
-    session = opener.open(
-        config,
-        resumes=out if resume else None,
-        workers=workers,
-        n=n,
-        seed=seed,
-        task=task,
-        object=item,
-        target=target,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        grasp=grasp,
-        wrist=wrist,
-        camera=camera,
-        randomize=randomize,
-        randomization=randomization,
-        boards=boards,
-        truth=truth,
-        action=action,
-        fps=fps,
-        size=size,
-        jpeg_quality=jpeg_quality,
-        quality=quality,
-    )
+    mode = open_mode(resume=resume, overwrite=overwrite)
+    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
     from yamsim_cli.core.record.collect import Notifier
     from yamsim_cli.core.record.destination import Output
@@ -131,16 +91,7 @@ def record(
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
         report = run(session, Output(out, mode, stage), executors, watch, stop)
-    _show(report, json)
-
-
-def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
-    """What to do with an output that is not empty."""
-    from yamsim_cli.core.dataset.writing.opening import OpenMode
-
-    if resume and overwrite:
-        raise UsageError("--resume and --overwrite exclude each other; give one")
-    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+    _print(report, json)
 
 
 def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:
@@ -150,15 +101,14 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         if address is not None:
             raise UsageError("--address is of a Ray cluster; give --executor ray with it")
         return LocalProcesses(attempt_timeout)
-    # Ray reports its use over the network unless told not to.
+    # By default, Ray reports its use over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
     return RayCluster(address, rendering, attempt_timeout)
 
 
-def _show(report: RecordReport, json: bool) -> None:
-    if report.moved_aside:
-        note(f"What was in {report.path} is now in {report.moved_aside}.")
+def _print(report: RecordReport, json: bool) -> None:
+    note_moved(report.path, report.moved_aside)
     if json:
         print_json(
             {

@@ -1,4 +1,4 @@
-"""`yamsim render-views`: pictures of a rig."""
+"""`yamsim render-views`: render pictures of a rig."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import typer
 
 from yamsim_cli.core.opener import parse_size
 from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, RigName, Robot, opener
-from yamsim_cli.flags.settings import Quality
+from yamsim_cli.flags.session import Json, Margin, Offline, Quality, Revision, RigName, Robot, opener
 from yamsim_cli.terminal.console import print_json, print_line
 
 
@@ -44,7 +43,7 @@ def render_views(
     # A bad name is refused before OpenGL is tried, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
     where = opener.use_gl(where)
-    spending = load_config(RenderConfig, "quality", quality or "auto", where)
+    render = load_config(RenderConfig, "quality", quality or "auto", where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
@@ -52,8 +51,8 @@ def render_views(
     from yamsim_cli.core.show.views import set_up_views, write_views
 
     blueprint = Blueprint(settings, scene)
-    where = opener.find_meshes(where, mesh_sets(blueprint), spending)
-    files = write_views(run(set_up_views(blueprint, where, spending, pixels)), out)
+    where = opener.find_meshes(where, mesh_sets(blueprint), render)
+    files = write_views(run(set_up_views(blueprint, where, render, pixels)), out)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

@@ -11,25 +11,27 @@ import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.opener import parse_size
+from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
-from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, print_now
 from yamsim_cli.terminal.signals import noted_signals
 
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.reader import RecordedEpisode, StoredEpisode
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.session import Session
-    from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.viewers.address import PageAddress
 
-# Of what cannot be repeated.
+# The report on actions that cannot be repeated.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
 def replay(
     episode: Annotated[Path, typer.Argument(help="An episode, such as dataset/ep_000003.", show_default=False)],
-    number: Annotated[int | None, typer.Option("--episode", min=0, help="Its number, given a dataset.")] = None,
+    number: Annotated[
+        int | None, typer.Option("--episode", min=0, help="The episode's number, if a dataset is given.")
+    ] = None,
     video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Write an H.264 video instead.")] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="Camera of the video; several are put side by side.  [default: the first]")
@@ -37,14 +39,14 @@ def replay(
     render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move an older video aside.")] = False,
+    overwrite: Rename = False,
     web: Web = None,
     port: Port = None,
     host: Host = None,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Play a recorded episode in a viewer, or make a video of it; its actions are repeated in physics and compared.
+    """Play a recorded episode in a viewer, or make a video of it, and compare its actions repeated in physics.
 
     Example: yamsim replay dataset/ep_000003 --video ep3.mp4
     """
@@ -62,25 +64,21 @@ def replay(
 
     stored, where = find_episode(episode, number), opener.locations()
     if render and not isinstance(stored, StoredEpisode):
-        raise UsageError("--render: a real recording was not simulated; leave it out, and its pictures are shown")
+        raise UsageError(
+            "--render: a real recording cannot be rendered; leave --render out to show its recorded pictures"
+        )
     if video is None:
         watch(stored, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
-    film = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
-    if film.moved_aside:
-        note(f"What was at {video} is now at {film.moved_aside}.")
-    report = {
-        "episode": str(stored.directory),
-        "video": str(film.path),
-        "frames": film.frames,
-        "seconds": round(film.seconds, 6),
-        "size": list(film.size),
-        "cameras": list(film.cameras),
-        "rendered": render,
-        "moved_aside": str(film.moved_aside) if film.moved_aside else None,
-    }
-    _say(report | (_physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS), json)
+    report = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
+    report |= _physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS
+    if json:
+        print_json(report)
+        return
+    frames = f"{report['frames']} frames, {report['seconds']:.2f} s, {'x'.join(map(str, report['size']))}"
+    print_line(f"{report['video']}: {frames}, {', '.join(report['cameras'])}")
+    _print_physics(report)
 
 
 def _film(
@@ -92,7 +90,8 @@ def _film(
     size: tuple[int, int] | None,
     speed: float,
     overwrite: bool,
-) -> Film:
+) -> dict[str, Any]:
+    """Make the video, and return its report."""
     if render:
         opener.use_gl(where)
     else:
@@ -102,53 +101,51 @@ def _film(
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.core.show.replay import film_recorded, film_rendered, shown_again
 
-    if not render or not isinstance(stored, StoredEpisode):
-        return film_recorded(stored, cameras, video, period, overwrite=overwrite)
-
-    from yamsim_cli.core.show.replay import simulator_of
-
-    session = opener.with_meshes(shown_again(_session(stored, where), size))
-    with simulator_of(stored, session) as simulator:
-        return film_rendered(stored, simulator, cameras, video, period, overwrite=overwrite)
+    if render and isinstance(stored, StoredEpisode):
+        session = opener.with_meshes(shown_again(_session(stored, where), size))
+        film = film_rendered(stored, session, cameras, video, period, overwrite=overwrite)
+    else:
+        film = film_recorded(stored, cameras, video, period, overwrite=overwrite)
+    note_moved(video, film.moved_aside)
+    return {
+        "episode": str(stored.directory),
+        "video": str(film.path),
+        "frames": film.frames,
+        "seconds": round(film.seconds, 6),
+        "size": list(film.size),
+        "cameras": list(film.cameras),
+        "rendered": render,
+        "moved_aside": str(film.moved_aside) if film.moved_aside else None,
+    }
 
 
 def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real one, its arms alone."""
-    from yamsim_cli.core.dataset.reader import StoredEpisode
-
-    if not isinstance(stored, StoredEpisode):
-        _watch_real(stored, where, speed, page, json)
-        return
+    """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real recording, its arms alone."""
     prepare_viewer(page)
+    from yamsim_cli.core.dataset.reader import StoredEpisode
+    from yamsim_cli.core.show.replay import play, play_real
 
-    from yamsim_cli.core.show.replay import play
+    physics = _NO_PHYSICS
 
     def ready(url: str | None) -> None:
-        _say({"episode": str(stored.directory), "url": url} | found, json)
-        # A program that reads the pipe needs it now and not at the end.
-        sys.stdout.flush()
+        line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses"
+        print_now({"episode": str(stored.directory), "url": url} | physics, line, json)
+        if not json:
+            _print_physics(physics)
+            sys.stdout.flush()
 
-    session = opener.with_meshes(_session(stored, where))
-    # A server or a window that is interrupted while it starts cannot be closed.
-    with noted_signals() as stopped:
-        found = _physics(stored, where)
-        play(stored, session, speed, page, ready, stopped)
-
-
-def _watch_real(stored: RecordedEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Show a real recording's arms as they were measured, in a page or in MuJoCo's window, until a signal ends it."""
-    prepare_viewer(page)
-
+    if isinstance(stored, StoredEpisode):
+        session = opener.with_meshes(_session(stored, where))
+        # A server or a window that is interrupted while it starts cannot be closed.
+        with noted_signals() as stopped:
+            physics = _physics(stored, where)
+            play(stored, session, speed, page, ready, stopped)
+        return
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.dataset.real import real_config
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.show.real import play_real
-
-    def ready(url: str | None) -> None:
-        _say({"episode": str(stored.directory), "url": url} | _NO_PHYSICS, json)
-        sys.stdout.flush()
 
     blueprint = Blueprint(real_config(stored.dataset, where).rig, load_config(SceneConfig, "scenes", "studio", where))
     where = opener.find_meshes(where, mesh_sets(blueprint))
@@ -157,7 +154,7 @@ def _watch_real(stored: RecordedEpisode, where: Locations, speed: float, page: P
 
 
 def _session(stored: StoredEpisode, where: Locations) -> Session:
-    """Of the episode's dataset, without meshes so far."""
+    """The session of the episode's dataset, without meshes."""
     from yamsim_cli.core.dataset.reader import dataset_config
     from yamsim_cli.core.session import Session
 
@@ -165,7 +162,7 @@ def _session(stored: StoredEpisode, where: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
-    """How far the episode's actions, repeated in physics, lead from its recorded states; null if they cannot be."""
+    """The distance between recorded states and those of the actions repeated in physics; null without such actions."""
     from yamsim_cli.core.show.replay import repeat
 
     try:
@@ -178,16 +175,7 @@ def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
     return {"max_error": found.max_error, "first_divergence": found.first and asdict(found.first)}
 
 
-def _say(report: dict[str, Any], json: bool) -> None:
-    if json:
-        print_json(report)
-        return
-    if "video" in report:
-        size = "x".join(map(str, report["size"]))
-        what = f"{report['frames']} frames, {report['seconds']:.2f} s, {size}, {', '.join(report['cameras'])}"
-        print_line(f"{report['video']}: {what}")
-    else:
-        print_line(f"{report['url']}  (Ctrl-C ends)" if report["url"] else "MuJoCo's window: space pauses")
+def _print_physics(report: dict[str, Any]) -> None:
     if (first := report["first_divergence"]) is not None:
         since = "" if first["frame"] is None else f", from frame {first['frame']} on, {first['quantity']} first"
         note(f"Its actions, repeated in physics, lead up to {report['max_error']:.3g} away{since}.")

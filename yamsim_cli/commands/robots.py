@@ -1,8 +1,8 @@
-"""`yamsim robots`: which arms, grippers and stations there are."""
+"""`yamsim robots`: list, show, make and check arms, grippers and stations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,31 +12,30 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.items import print_item, print_items
+from yamsim_cli.terminal.console import note, print_json, print_line, print_report
+from yamsim_cli.terminal.tables import Listing, print_item, print_items
 
 app = typer.Typer(
-    help="List the arms, grippers and stations, show one, and make and check one of yours.", no_args_is_help=True
+    help="List and show arms, grippers and stations, and make and check your own arm.", no_args_is_help=True
 )
 
-
-_WORDS = {True: "passed", False: "FAILED", None: "does not apply"}
+_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
 
 _Data = Annotated[
     Path | None,
-    typer.Option("--data", help="Your folder of data; without it, the one that YAMSIM_DATA_DIR names.", metavar="DIR"),
+    typer.Option("--data", help="Your folder of data.  [default: $YAMSIM_DATA_DIR]", metavar="DIR"),
 ]
 
 
 @app.command("list")
 def list_robots(json: Json = False) -> None:
-    """List arms, grippers and stations: what goes together, where figures are from, and whether meshes are here.
+    """List arms, grippers and stations with what fits them, the source of their figures, and their meshes.
 
     An arm or a station that is not valid is listed with its fault.
 
     Example: yamsim robots list
     """
     from yamsim_cli.core.robot_catalog import robots_there
-    from yamsim_cli.terminal.console import note
 
     items = robots_there(opener.locations())
     print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _row, json)
@@ -47,7 +46,7 @@ def list_robots(json: Json = False) -> None:
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="Of an arm, a family of arms, a gripper or a station.")],
+    name: Annotated[str, typer.Argument(help="Name of an arm, a family of arms, a gripper or a station.")],
     json: Json = False,
 ) -> None:
     """Show one arm, gripper or station.
@@ -56,12 +55,12 @@ def show(
     """
     from yamsim_cli.core.robot_catalog import robot_there
 
-    print_item(robot_there(name, opener.locations()), json, {"meshes": _told_meshes})
+    print_item(robot_there(name, opener.locations()), json, {"meshes": _mesh_states})
 
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Of the new arm: letters, digits and underscores.")],
+    name: Annotated[str, typer.Argument(help="The new arm's name: letters, digits and underscores.")],
     data: _Data = None,
     json: Json = False,
 ) -> None:
@@ -70,7 +69,6 @@ def new(
     Example: yamsim robots new my_arm --data my_data
     """
     from yamsim_cli.core.robot_catalog import new_robot
-    from yamsim_cli.terminal.console import print_json, print_line
 
     where = _locations(data)
     if len(where.data) < 2:
@@ -86,7 +84,7 @@ def new(
 
 @app.command()
 def check(
-    name: Annotated[str, typer.Argument(help="Of an arm.")],
+    name: Annotated[str, typer.Argument(help="An arm's name.")],
     data: _Data = None,
     json: Json = False,
 ) -> None:
@@ -99,22 +97,22 @@ def check(
     opener.skip_gl()
 
     from yamsim_cli.core.robot_catalog import check_robot, require_checked
-    from yamsim_cli.terminal.console import print_json, print_table
-    from yamsim_cli.terminal.tables import listing
 
     found = check_robot(name, _locations(data))
-    if json:
-        print_json({"ok": all(one["ok"] is not False for one in found), "grippers": found})
-    else:
-        table = listing(["gripper", "", "found"], numbers_from=3)
-        for one in found:
-            table.add_row(one["gripper"], _WORDS[one["ok"]], one["detail"])
-        print_table(table)
+    report = {"ok": all(one["ok"] is not False for one in found), "grippers": found}
+    print_report(report, lambda: _check_table(found), json)
     require_checked(name, found)
 
 
+def _check_table(found: Sequence[Mapping[str, Any]]) -> Listing:
+    table = Listing(["gripper", "", "found"], numbers_from=3)
+    for one in found:
+        table.add_row(one["gripper"], _VERDICTS[one["ok"]], one["detail"])
+    return table
+
+
 def _locations(data: Path | None) -> Locations:
-    """Where configs are; a folder given by --data comes first."""
+    """The folders of configs; a folder given by --data comes first."""
     where = opener.locations()
     return where if data is None else replace(where, data=(data, *where.data))
 
@@ -126,7 +124,7 @@ def _row(item: Mapping[str, Any]) -> list[str]:
 
 
 def _of(item: Mapping[str, Any]) -> str:
-    """The family and revision of an arm; nothing of anything else."""
+    """The family and revision of an arm; empty for grippers and stations."""
     if item.get("family") is None:
         return ""
     return f"{item['family']} {item['revision']}" + (" (newest)" if item["newest"] else "")
@@ -139,5 +137,5 @@ def _meshes(item: Mapping[str, Any]) -> str:
     return f"yamsim assets fetch {' '.join(missing)}" if missing else "here"
 
 
-def _told_meshes(meshes: Mapping[str, bool]) -> str:
+def _mesh_states(meshes: Mapping[str, bool]) -> str:
     return ", ".join(f"{name}: {'here' if here else 'not here'}" for name, here in meshes.items()) or "none"

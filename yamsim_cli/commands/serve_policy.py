@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from yamsim_cli.flags.session import Json
-from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.terminal.console import note, print_now
 
 
 def serve_policy(
     policy: Annotated[str, typer.Option(help="module:Class or file.py:Class.", show_default=False)],
     host: Annotated[
-        str, typer.Option(help="Address to listen on. Beyond 127.0.0.1, anybody who reaches it can use it.")
+        str,
+        typer.Option(help="Address to listen on. Beyond 127.0.0.1, anyone who reaches the address can use the policy."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8080,
     json: Json = False,
@@ -27,15 +27,10 @@ def serve_policy(
     from yamsim_cli.core.policies.loading import load_policy
     from yamsim_cli.policy_server import LOOPBACK, PolicyServer
 
-    # Loaded once now, so that a policy that cannot be loaded is refused before anybody connects.
+    # A policy that cannot be loaded is refused before a client connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:
-            note(f"Anybody who reaches {server.url} can use it: there is no password.")
-        if json:
-            print_json({"url": server.url})
-        else:
-            print_line(f"{server.url}  (Ctrl-C ends)")
-        # A program that reads the pipe needs it now and not at the end.
-        sys.stdout.flush()
+            note(f"Anyone who reaches {server.url} can use the policy: there is no password.")
+        print_now({"url": server.url}, f"{server.url}  (Ctrl-C ends)", json)
         server.serve_forever()

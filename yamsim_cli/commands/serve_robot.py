@@ -1,7 +1,8 @@
-"""`yamsim serve-robot`: the simulated arms behind what the real ones are reached by."""
+"""`yamsim serve-robot` and `yamsim can-run`: simulated arms on the interfaces of the real ones."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from contextlib import ExitStack
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.serve.places import default_folder
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
-
-from .can_run import Folder, bus_folder
 
 if TYPE_CHECKING:
     from yamsim_cli.core.serve.arms import Served
@@ -26,25 +27,29 @@ if TYPE_CHECKING:
     from yamsim_cli.core.serve.policy_robot import PolicyRobot
     from yamsim_cli.core.session import Session
 
-# What two frames of 130 bits at 1 Mbit/s and the adapter's way through USB take: with seven motors 4 ms, the
-# 250 Hz that the maker's SDK is made for.
-_GAP_US = 571.0
+# Two frames of 130 bits at 1 Mbit/s and the adapter's path through USB: with seven motors 4 ms, the 250 Hz that the
+# maker's SDK is made for.
+_GAP_US = 571.0  # us
+
+Folder = Annotated[
+    Path | None, typer.Option(metavar="DIRECTORY", help="Folder of the buses' sockets.  [default: one of yours]")
+]
 
 
 def serve_robot(
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    seed: Seed = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    seed: flags.Seed = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(help="Name of an arm's bus, the left one's first.  [default: can0, or can_left and can_right]"),
     ] = None,
     start: Annotated[
-        str, typer.Option(metavar="rest|home|task", help="Where the arms stand at first, without power.")
+        str, typer.Option(metavar="rest|home|task", help="First pose of the arms, without power.")
     ] = "rest",
     fault: Annotated[
         list[str] | None,
@@ -54,58 +59,48 @@ def serve_robot(
         float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time from one answer to the next.")
     ] = _GAP_US,
     kernel: Annotated[
-        bool, typer.Option("--kernel", help="On CAN interfaces of the kernel's, such as vcan, instead of sockets.")
+        bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
     ] = False,
     folder: Folder = None,
     portal: Annotated[
         int | None,
         typer.Option(
-            min=0, max=65534, help="Also answer calls of portal's on this port, as 11333; the second arm on the next."
+            min=0,
+            max=65534,
+            help="Also answer portal's calls on this port, as 11333; for the second arm on the next port.",
         ),
     ] = None,
     chiral: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Also be the robot of raiden's policies on this port, as 8765."),
+        typer.Option(min=0, max=65535, help="Also serve raiden's policies on this port, as 8765."),
     ] = None,
     host: Annotated[
         str,
-        typer.Option(help="Address of --portal and --chiral. Beyond 127.0.0.1, anybody who reaches it drives the arm."),
+        typer.Option(help="Address of --portal and --chiral. Beyond 127.0.0.1, anyone who reaches it drives the arm."),
     ] = "127.0.0.1",
     cameras: Annotated[
-        bool, typer.Option("--cameras", help="Also hand out pictures, to camera readers of LeRobot's and raiden's.")
+        bool, typer.Option("--cameras", help="Also serve pictures to the camera readers of LeRobot and raiden.")
     ] = False,
-    size: Size = None,
-    quality: Quality = None,
-    camera_fps: Annotated[
-        float, typer.Option(min=0.1, max=120, help="Pictures a second of each camera, at most.")
-    ] = 30.0,
-    seconds: Annotated[float | None, typer.Option(min=0.1, max=1e6, help="End by itself after so long.")] = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
+    camera_fps: Annotated[float, typer.Option(min=0.1, max=120, help="Most pictures a second of each camera.")] = 30.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, max=1e6, help="Seconds until the command ends by itself.")
+    ] = None,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
     """Simulate arms in real time, with motors on CAN buses that the maker's own SDK drives. Ctrl-C ends it.
 
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
-    from yamsim_cli.core.errors import UsageError
     from yamsim_cli.core.motors.bus import parse_fault
 
     faults = [parse_fault(text) for text in fault or ()]
-    session = opener.open(
-        config,
-        renders=cameras or chiral is not None,
-        parallel=False,
-        rig=rig or "yam_v1+linear_4310",
-        revision=revision,
-        robot=robot,
-        task=task,
-        object=item,
-        target=target,
-        seed=seed,
-        size=size,
-        quality=quality,
-    )
+    rig = rig or "yam_v1+linear_4310"
+    settings = session_settings(locals())
+    session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop
@@ -114,7 +109,7 @@ def serve_robot(
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stoppable("Ending.") as stop:
-        where = bus_folder(folder)
+        where = _bus_folder(folder)
         sockets = _sockets(stack, served, None if kernel else where)
         ports = _portals(stack, served, host, portal)
         driven = None
@@ -168,7 +163,7 @@ def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> l
         server = PortalServer(follower, host, port + k if port else 0)
         stack.callback(server.close)
         ports.append(server)
-        note(f"{host}:{server.port}: calls of portal's for the {served.sides[k]} arm")
+        note(f"{host}:{server.port}: portal's calls for the {served.sides[k]} arm")
     return ports
 
 
@@ -197,3 +192,33 @@ def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> Port:
     stack.callback(server.close)
     note(f"{host}:{server.port}: chiral, for raiden's policies")
     return server
+
+
+def can_run(
+    program: Annotated[list[str], typer.Argument(metavar="PROGRAM...", help="The program and its arguments.")],
+    folder: Folder = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Run nothing; print the variables that the program would get, as JSON.")
+    ] = False,
+) -> None:
+    """Run a program of python-can's with the buses of `yamsim serve-robot` in place of the machine's own.
+
+    Example: yamsim can-run -- python -m i2rt.robots.motor_chain_robot --channel can0
+    """
+    from yamsim_cli.core.serve.program import program_environment
+
+    where = _bus_folder(folder)
+    added = program_environment(os.environ, where)
+    if json:
+        print_json({"program": program, "environ": added})
+        return
+    try:
+        os.execvpe(program[0], program, {**os.environ, **added})
+    except OSError as error:
+        kind = UsageError if isinstance(error, FileNotFoundError) else ResourceError
+        raise kind(f"{program[0]}: cannot be run: {error.strerror}") from error
+
+
+def _bus_folder(given: Path | None) -> Path:
+    """The folder of the buses' sockets: the given one, or one of the user's own."""
+    return default_folder(os.environ) if given is None else given

@@ -1,4 +1,4 @@
-"""`yamsim summarize`: a dataset's statistics, and everything that is wrong with it."""
+"""`yamsim summarize`: a dataset's statistics and faults."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
+from yamsim_cli.terminal.console import note, print_report, progress_bar
 
 
 def summarize(
     dataset: Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)],
     threshold: Annotated[
         list[float] | None,
-        typer.Option(help="Score by this distance in m; may be given again. By default 0.05 and 0.08."),
+        typer.Option(help="Distance in m that counts as a success; may be repeated.  [default: 0.05 and 0.08]"),
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a report with plots and pictures, one page.")] = None,
     overwrite: Overwrite = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Processes that read; by default one a core.")
+        int | None, typer.Option(min=1, max=1024, help="Processes that read.  [default: one a core]")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Open every file of a dataset, count, and name what is wrong. Exit code 4 for errors; warnings are only told.
+    """Open every file of a dataset, count, and report faults. Exit code 4 for errors; warnings are only reported.
 
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """
@@ -52,14 +52,11 @@ def summarize(
 
         write_report(survey, report, html)
         report["html"] = str(html)
-    if json:
-        print_json(report)
-    else:
-        from yamsim_cli.terminal.summary_table import findings
+    from yamsim_cli.terminal.summary_table import summary_tables
 
-        print_table(findings(report))
-        if html:
-            note(f"The report is in {html}.")
+    print_report(report, lambda: summary_tables(report), json)
+    if html and not json:
+        note(f"The report is in {html}.")
     if report["errors"] or (strict and report["warnings"]):
         raise DatasetError(_verdict(dataset, report, strict))
 

@@ -1,4 +1,4 @@
-"""`yamsim tasks`: which tasks there are, and whether one is what it says."""
+"""`yamsim tasks`: list, show, make and check tasks."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session import Json, Offline, opener
-from yamsim_cli.flags.settings import ConfigOption, Rig, Seed, Workers
-from yamsim_cli.terminal.films import film, films_at
-from yamsim_cli.terminal.items import print_item, print_items
+from yamsim_cli.flags.outputs import Rename, VideoTrials
+from yamsim_cli.flags.session import ConfigOption, Json, Offline, Rig, Seed, Workers, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_report, progress_bar
+from yamsim_cli.terminal.tables import Listing, print_item, print_items
+from yamsim_cli.terminal.trial_tables import film, films_at
 
-app = typer.Typer(help="List the tasks, show one, and make and check one of yours.", no_args_is_help=True)
+app = typer.Typer(help="List and show tasks, and make and check your own.", no_args_is_help=True)
 
-_WORDS = {True: "passed", False: "FAILED", None: "does not apply"}
+_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
 
 
 @app.command("list")
 def list_tasks(json: Json = False) -> None:
-    """List the tasks: what is done in each, with what.
+    """List the tasks with their things, skills and instructions.
 
     Example: yamsim tasks list
     """
@@ -32,7 +33,7 @@ def list_tasks(json: Json = False) -> None:
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="Of a task, or a YAML file.")],
+    name: Annotated[str, typer.Argument(help="A task's name or a YAML file.")],
     json: Json = False,
 ) -> None:
     """Show one task: things by role, where they start, phrasings, skills and goal.
@@ -46,8 +47,8 @@ def show(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Of the new task: letters, digits and underscores.")],
-    folder: Annotated[Path, typer.Option("--folder", help="Where NAME.yaml is written.")] = Path(),
+    name: Annotated[str, typer.Argument(help="The new task's name: letters, digits and underscores.")],
+    folder: Annotated[Path, typer.Option("--folder", help="Folder of NAME.yaml.")] = Path(),
     json: Json = False,
 ) -> None:
     """Write the file of a new task, with comments, that passes `yamsim tasks check`. No file is overwritten.
@@ -55,7 +56,6 @@ def new(
     Example: yamsim tasks new my_task
     """
     from yamsim_cli.core.task_proof.catalog import new_task
-    from yamsim_cli.terminal.console import print_json, print_line
 
     path = new_task(name, folder)
     if json:
@@ -66,16 +66,16 @@ def new(
 
 @app.command()
 def check(
-    name: Annotated[str, typer.Argument(help="Of a task, or a YAML file.")],
+    name: Annotated[str, typer.Argument(help="A task's name or a YAML file.")],
     n: Annotated[int, typer.Option("--n", min=1, help="Attempts of the expert.")] = 20,
     least: Annotated[
-        float, typer.Option("--min-success", min=0, max=1, help="The share of attempts that has to succeed.")
+        float, typer.Option("--min-success", min=0, max=1, help="Smallest share of attempts that has to succeed.")
     ] = 0.85,
     video: Annotated[
         Path | None, typer.Option(help="Film trials that fail: all in one FILE.mp4, or one each in a folder.")
     ] = None,
-    video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
+    video_trials: VideoTrials = 10,
+    overwrite: Rename = False,
     seed: Seed = None,
     workers: Workers = None,
     rig: Rig = None,
@@ -83,7 +83,7 @@ def check(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Prove a task: its region is in reach, its expert does it, and neither doing nothing nor near misses count.
+    """Prove a task: its region is in reach, its expert succeeds, and neither doing nothing nor near misses count.
 
     The exit code is 3 if its file is not valid, and 5 if a check fails.
 
@@ -94,8 +94,6 @@ def check(
     session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
     from yamsim_cli.core.task_proof.proof import prove, require_proof
-    from yamsim_cli.terminal.console import print_json, print_table, progress_bar
-    from yamsim_cli.terminal.tables import listing
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
@@ -103,17 +101,18 @@ def check(
     if films:
         from yamsim_cli.core.trials import film_trials
 
-        report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
-    if json:
-        print_json(report)
-    else:
-        table = listing(["check", "", "found"], numbers_from=3)
-        for found in report["checks"]:
-            table.add_row(found["name"].replace("_", " "), _WORDS[found["ok"]], found["detail"])
-        for trial in report["trials"]:
-            table.add_row(f"trial {trial['trial']}", trial["outcome"]["cause"], trial["outcome"]["detail"])
-        print_table(table)
+        report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
+    print_report(report, lambda: _table(report), json)
     require_proof(report)
+
+
+def _table(report: Mapping[str, Any]) -> Listing:
+    table = Listing(["check", "", "found"], numbers_from=3)
+    for check in report["checks"]:
+        table.add_row(check["name"].replace("_", " "), _VERDICTS[check["ok"]], check["detail"])
+    for trial in report["trials"]:
+        table.add_row(f"trial {trial['trial']}", trial["outcome"]["cause"], trial["outcome"]["detail"])
+    return table
 
 
 def _row(item: Mapping[str, Any]) -> list[str]:

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
+from yamsim_cli.flags import session as flags
+from yamsim_cli.flags.outputs import Rename, open_mode
+from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
 
-from .record import mode_of
-
 if TYPE_CHECKING:
     from yamsim_cli.core.teleop.loop import TeleopReport
 
-_ENDING = "Ending: what was recorded is judged and rendered first. Once more ends at once; whole episodes are safe."
+_ENDING = "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 
 
 def teleop(
@@ -33,55 +32,41 @@ def teleop(
         bool, typer.Option("--realtime", help="With --input: at the clock's pace instead of as fast as possible.")
     ] = False,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
-    seed: Seed = None,
-    task: Task = None,
-    item: Object = None,
-    target: Target = None,
-    rig: Rig = None,
-    revision: Revision = None,
-    robot: Robot = None,
-    arm: Arm = None,
-    wrist: Wrist = None,
-    size: Size = None,
-    quality: Quality = None,
+    seed: flags.Seed = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    wrist: flags.Wrist = None,
+    size: flags.Size = None,
+    quality: flags.Quality = None,
     time_limit: Annotated[
         float, typer.Option(min=1, max=3600, help="Seconds after which a recording is stopped and judged.")
     ] = 600.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Add to a dataset; what a killed session left there is judged first.")
+        bool, typer.Option("--resume", help="Add to a dataset; attempts of a killed session are judged first.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    overwrite: Rename = False,
     port: Port = None,
     host: Host = None,
-    config: ConfigOption = "default",
-    offline: Offline = False,
-    json: Json = False,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
 ) -> None:
-    """Drive the arm from a browser page, or by a stream of commands, and record what succeeds. Ctrl-C ends it.
+    """Drive the arm from a browser page, or by a stream of commands, and record successes. Ctrl-C ends it.
 
     Example: yamsim teleop --out teleop
     """
-    mode = mode_of(resume=resume, overwrite=overwrite)
+    mode = open_mode(resume=resume, overwrite=overwrite)
     for flag, given in (("--port", port is not None), ("--host", host is not None)):
         if stream is not None and given:
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
-        raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
-    session = opener.open(
-        config,
-        resumes=out if resume else None,
-        rig=rig,
-        revision=revision,
-        robot=robot,
-        arm=arm,
-        task=task,
-        object=item,
-        target=target,
-        seed=seed,
-        wrist=wrist,
-        size=size,
-        quality=quality,
-    )
+        raise UsageError("--realtime is for --input; the page always keeps to the clock")
+    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
     quiet_page()
 
     from yamsim_cli.core.teleop.loop import check_page, open_teleop, run_page, run_stream
@@ -93,7 +78,7 @@ def teleop(
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is kept for the report.
+        # Standard output is for the report.
         note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
@@ -106,10 +91,10 @@ def teleop(
             report = run_stream(driven, commands, stop, realtime=realtime)
         else:
             report = run_page(driven, session.config, page, ready, stop)
-    _show(report, json)
+    _print(report, json)
 
 
-def _show(report: TeleopReport, json: bool) -> None:
+def _print(report: TeleopReport, json: bool) -> None:
     if json:
         print_json(_summary(report))
         return

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
-from yamsim_cli.flags.settings import Rig, Seed, Task
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Rig, Robot, Seed, Task, opener
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
-from yamsim_cli.terminal.console import print_json, print_line
+from yamsim_cli.terminal.console import print_now
 from yamsim_cli.terminal.signals import noted_signals
 
 if TYPE_CHECKING:
@@ -20,7 +18,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.viewers.live import LiveRig
+    from yamsim_cli.core.viewers.viewed_scene import LiveRig
     from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 
@@ -43,7 +41,7 @@ def view(
 ) -> None:
     """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends it.
 
-    With --task, its objects stand where the seed's first attempt has them; with --episode, it is played as by replay.
+    With --task, the objects stand as in the seed's first attempt; with --episode, the episode is played as by replay.
 
     Example: yamsim view --rig russet --web
     """
@@ -73,27 +71,20 @@ def view(
     pictures = page is not None and _can_render(where)
     prepare_viewer(page)
 
-    from yamsim_cli.core.show.view import view_in_browser, view_in_window
+    from yamsim_cli.core.show.view import view_rig
 
     def ready(url: str | None) -> None:
-        if json:
-            print_json({"url": url})
-        else:
-            print_line(f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home")
-        # A program that reads the pipe needs it now and not at the end.
-        sys.stdout.flush()
+        line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
+        print_now({"url": url}, line, json)
 
     # A server or a window that is interrupted while it starts cannot be closed.
     with noted_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
-        if page is None:
-            view_in_window(live, lambda: ready(None), stopped, viewpoint)
-        else:
-            view_in_browser(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
+        view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
 def _can_render(where: Locations) -> bool:
-    """Whether cameras' pictures can be rendered here; if so, an OpenGL backend is settled."""
+    """Whether cameras' pictures can be rendered here; if so, an OpenGL backend is chosen."""
     try:
         opener.use_gl(where)
     except ResourceError:

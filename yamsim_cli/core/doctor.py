@@ -1,4 +1,4 @@
-"""Whether this machine can do what yamsim is for, and what to do where it cannot."""
+"""Checks of this machine for `yamsim doctor`, each with a fix where something is wrong."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .resources import Locations
 
 # Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# Extra -> its package, and what it is for.
+# Extra -> its package, and its purpose.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -41,25 +41,25 @@ EXTRAS = {
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
-# Resident memory of a worker that renders, and of the recorder. Source: measured at 640x480, rounded up.
-_WORKER_BYTES = 300_000_000
+# Resident memory. Source: measured at 640x480, rounded up.
+_WORKER_BYTES = 300_000_000  # of a worker that renders
 _RECORDER_BYTES = 150_000_000
 
-# Size of an episode with one camera at 640x480, roughly: its frames, and what each of them takes.
+# An episode with one camera at 640x480, roughly.
 _FRAMES = 57
-_IMAGE_BYTES = 22_000
-_LOWDIM_BYTES = 2_000
-_EPISODES_WRITTEN = 3
-# If writing an episode takes longer, it keeps up with no more than one worker.
-_SLOW_S = 1.0
-# Room for fewer episodes gets a warning.
-_FEW_EPISODES = 500
+_IMAGE_BYTES = 22_000  # of a frame
+_LOWDIM_BYTES = 2_000  # of a frame
+_BLOCK_BYTES = 4096  # of a file system, which rounds files up
+
+_EPISODES_WRITTEN = 3  # to measure the disk
+_SLOW_S = 1.0  # s to write an episode, above which the disk keeps up with one worker at most
+_FEW_EPISODES = 500  # room for fewer episodes gives a warning
 
 _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")
 
 
 class Health(StrEnum):
-    """How a check ended. Only a fault keeps something from working."""
+    """The result of a check. Only a fault keeps something from working."""
 
     OK = "ok"
     WARNING = "warning"
@@ -67,13 +67,13 @@ class Health(StrEnum):
 
 
 @dataclass(frozen=True)
-class Check:
-    """One thing that was looked at.
+class HealthCheck:
+    """One check of the machine.
 
     Attributes:
-        detail: what was found.
-        fix: what to do about it; empty where nothing has to be done.
-        figures: what was measured, by name, in SI units and bytes.
+        detail: the result in words.
+        fix: what to do; empty where nothing has to be done.
+        figures: measured values by name, in SI units and bytes.
     """
 
     name: str
@@ -84,16 +84,19 @@ class Check:
 
 
 def examine(
-    environ: Mapping[str, str], locations: Locations, out: Path, on_check: Callable[[Check], None] = lambda check: None
-) -> list[Check]:
-    """All checks, made one after the other. Nothing is changed, and every wait has a limit.
+    environ: Mapping[str, str],
+    locations: Locations,
+    out: Path,
+    on_check: Callable[[HealthCheck], None] = lambda check: None,
+) -> list[HealthCheck]:
+    """The results of all checks. Nothing is changed, and every wait has a time limit.
 
     Args:
         environ: the process's environment.
-        out: where datasets would go; it need not exist.
-        on_check: told of each check as it ends.
+        out: directory of future datasets, which need not exist.
+        on_check: called with each check as it ends.
     """
-    checks: list[Check] = []
+    checks: list[HealthCheck] = []
     for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
         for check in part:
             checks.append(check)
@@ -101,19 +104,21 @@ def examine(
     return checks
 
 
-def _packages() -> Iterator[Check]:
+def _packages() -> Iterator[HealthCheck]:
     found = {name: _version(name) for name in PACKAGES}
     text = ", ".join(f"{name} {there}" for name, there in found.items() if there)
     detail = f"yamsim {__version__}, Python {platform.python_version()}, {text}"
     missing = [name for name, there in found.items() if there is None]
     if missing:
-        yield Check("packages", Health.FAULT, f"not installed: {', '.join(missing)}", "install yamsim's requirements")
+        yield HealthCheck(
+            "packages", Health.FAULT, f"not installed: {', '.join(missing)}", "install yamsim's requirements"
+        )
     else:
-        yield Check("packages", Health.OK, detail)
+        yield HealthCheck("packages", Health.OK, detail)
     for extra, (package, purpose) in EXTRAS.items():
         there = _version(package)
         state = f"{package} {there}" if there else f"not installed: {purpose}"
-        yield Check(f"extra.{extra}", Health.OK, state, "" if there else f"pip install 'yamsim[{extra}]'")
+        yield HealthCheck(f"extra.{extra}", Health.OK, state, "" if there else f"pip install 'yamsim[{extra}]'")
 
 
 def _version(package: str) -> str | None:
@@ -123,7 +128,7 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _gl(environ: Mapping[str, str]) -> Iterator[Check]:
+def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
     wanted = environ.get("MUJOCO_GL")
     names = dict.fromkeys([*([wanted] if wanted else []), *LINUX_BACKENDS])
     found: dict[str, GlBackend | str] = {}
@@ -134,21 +139,21 @@ def _gl(environ: Mapping[str, str]) -> Iterator[Check]:
         if isinstance(backend, GlBackend):
             kind = "software" if backend.software else "GPU"
             detail = f"works: {backend.renderer} ({kind}), started in {seconds:.1f} s"
-            yield Check(f"gl.{name}", Health.OK, detail, figures={"start_s": seconds})
+            yield HealthCheck(f"gl.{name}", Health.OK, detail, figures={"start_s": seconds})
         else:
             others = any(isinstance(other, GlBackend) for other in found.values())
             health = Health.OK if others and name != wanted else Health.WARNING
-            yield Check(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
+            yield HealthCheck(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
     yield _chosen_gl(wanted, found)
 
 
-def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Check:
+def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
     working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
     if wanted and not isinstance(found[wanted], GlBackend):
         detail = f"MUJOCO_GL={wanted} is set, which does not work, and so no other is tried"
-        return Check("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
+        return HealthCheck("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
     if not working:
-        return Check("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
+        return HealthCheck("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
     chosen = found[wanted] if wanted else working[0]
     assert isinstance(chosen, GlBackend)
     gpu = next((device for device in _GPUS if Path(device).exists()), None)
@@ -157,16 +162,16 @@ def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Chec
             "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container let it in "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
-        return Check("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
+        return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
     quality = "balanced" if chosen.software else "high"
-    return Check("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
+    return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
 
 
-def _meshes(locations: Locations) -> Iterator[Check]:
+def _meshes(locations: Locations) -> Iterator[HealthCheck]:
     try:
         lock, store = load_lock(locations), AssetStore(locations.assets)
     except YamsimError as error:
-        yield Check("meshes", Health.FAULT, str(error), "reinstall yamsim")
+        yield HealthCheck("meshes", Health.FAULT, str(error), "reinstall yamsim")
         return
     for assets in lock.sets.values():
         name = f"meshes.{assets.name}"
@@ -174,74 +179,72 @@ def _meshes(locations: Locations) -> Iterator[Check]:
         bad = [state for state in states if state.status is not FileStatus.OK]
         changed = [state.name for state in bad if state.status is FileStatus.CHANGED]
         if changed:
-            yield Check(
-                name,
-                Health.FAULT,
-                f"not the locked files: {', '.join(changed)} in {states[0].path.parent}",
-                f"yamsim assets fetch {assets.name}",
-            )
+            detail = f"not the locked files: {', '.join(changed)} in {states[0].path.parent}"
+            yield HealthCheck(name, Health.FAULT, detail, f"yamsim assets fetch {assets.name}")
         elif bad and assets.on_demand:
             detail = f"fetched on demand; without, primitives are drawn: yamsim assets fetch {assets.name}"
-            yield Check(name, Health.OK, detail)
+            yield HealthCheck(name, Health.OK, detail)
         elif bad:
             detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
-            yield Check(name, Health.WARNING, detail, "yamsim assets fetch")
+            yield HealthCheck(name, Health.WARNING, detail, "yamsim assets fetch")
         else:
             yield _reduced(name, f"{len(states)} files, every hash is right", store, assets)
 
 
-def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> Check:
+def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
     try:
         reduced = find_reduced(store, assets)
     except ResourceError as error:
-        return Check(
-            name, Health.WARNING, f"{detail}; they cannot be reduced: {error}", "install yamsim's requirements"
-        )
+        detail = f"{detail}; they cannot be reduced: {error}"
+        return HealthCheck(name, Health.WARNING, detail, "install yamsim's requirements")
     if reduced is None:
-        return Check(name, Health.WARNING, f"{detail}; they are not reduced yet", f"yamsim assets fetch {assets.name}")
-    return Check(name, Health.OK, f"{detail}; reduced from {reduced.source_faces} faces to {reduced.faces}")
+        return HealthCheck(
+            name, Health.WARNING, f"{detail}; they are not reduced yet", f"yamsim assets fetch {assets.name}"
+        )
+    return HealthCheck(name, Health.OK, f"{detail}; reduced from {reduced.source_faces} faces to {reduced.faces}")
 
 
-def _disk(out: Path) -> Iterator[Check]:
+def _disk(out: Path) -> Iterator[HealthCheck]:
     mount = network_mount(out, read_mounts())
     if mount is not None:
-        # The mount is not touched: a server that does not answer would hold this process for good.
+        # The mount is not touched: a server that does not answer would block this process for ever.
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
-        yield Check("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
+        yield HealthCheck("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
     if (fault := obstacle(out)) is not None:
-        yield Check("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
+        yield HealthCheck("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
         return
     place = nearest_directory(out)
     if not os.access(place, os.W_OK | os.X_OK):
-        yield Check("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
+        yield HealthCheck("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
         return
     try:
         seconds = _write_episodes(place)
     except OSError as error:
-        yield Check(
-            "disk", Health.FAULT, f"writing to {place} fails: {error.strerror or error}", "choose another --out"
-        )
+        detail = f"writing to {place} fails: {error.strerror or error}"
+        yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
         return
     free = shutil.disk_usage(place).free
-    fit = free // (_FRAMES * (_IMAGE_BYTES + _LOWDIM_BYTES + 4096))
+    fit = free // (_FRAMES * (_IMAGE_BYTES + _LOWDIM_BYTES + _BLOCK_BYTES))
     detail = (
         f"{place}: {free / 1e9:.1f} GB free, room for some {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
     )
     figures = {"free_bytes": float(free), "episodes": float(fit), "episode_s": seconds}
     if fit < _FEW_EPISODES:
-        yield Check("disk", Health.WARNING, detail, "make room, or choose another --out", figures)
+        yield HealthCheck("disk", Health.WARNING, detail, "make room, or choose another --out", figures)
     elif seconds > _SLOW_S:
-        yield Check("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a faster disk", figures)
+        yield HealthCheck(
+            "disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a faster disk", figures
+        )
     else:
-        yield Check("disk", Health.OK, detail, figures=figures)
+        yield HealthCheck("disk", Health.OK, detail, figures=figures)
 
 
 def _write_episodes(place: Path) -> float:
-    """Seconds that the slowest of a few made-up episodes takes to write as `record` does; they are removed again.
+    """Seconds to write the slowest of a few made-up episodes as `record` does; the episodes are removed again.
 
     Raises:
-        OSError: the disk refused something.
+        OSError: the disk refused a file.
     """
     files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
     files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
@@ -254,7 +257,7 @@ def _write_episodes(place: Path) -> float:
     return worst
 
 
-def _workers() -> Iterator[Check]:
+def _workers() -> Iterator[HealthCheck]:
     cores, memory = usable_cores(), usable_memory()
     fit = cores if memory is None else (memory - _RECORDER_BYTES) // _WORKER_BYTES
     best = max(1, min(cores, fit))
@@ -263,13 +266,13 @@ def _workers() -> Iterator[Check]:
     figures = {"cores": float(cores), "workers": float(best)} | ({} if memory is None else {"memory": float(memory)})
     if fit < 1:
         detail = f"{detail[: detail.index(':')]}, and a worker takes {_WORKER_BYTES / 1e9:.1f}"
-        yield Check("workers", Health.FAULT, detail, "give this machine or container more memory", figures)
+        yield HealthCheck("workers", Health.FAULT, detail, "give this machine or container more memory", figures)
     elif fit < cores:
-        yield Check("workers", Health.WARNING, f"{detail}, for memory's sake", "more memory", figures)
+        yield HealthCheck("workers", Health.WARNING, f"{detail}, for memory's sake", "more memory", figures)
     else:
-        yield Check("workers", Health.OK, detail, figures=figures)
+        yield HealthCheck("workers", Health.OK, detail, figures=figures)
 
 
-def faults(checks: Sequence[Check]) -> list[Check]:
+def faults(checks: Sequence[HealthCheck]) -> list[HealthCheck]:
     """The checks that ended in a fault."""
     return [check for check in checks if check.health is Health.FAULT]

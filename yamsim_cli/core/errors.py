@@ -1,4 +1,4 @@
-"""The errors users meet: each is one line of text and one documented exit code.
+"""The errors that users see, each one line of text and one documented exit code, and words for messages.
 
 A message says what is wrong, where, the value found, what would be valid, and what to do. Anything that is not a
 `YamsimError` is a bug: it keeps its traceback and exits with 1.
@@ -18,7 +18,7 @@ class YamsimError(Exception):
 
 
 class UsageError(YamsimError):
-    """A command line that cannot be run as given: a bad flag value, an output that is in the way."""
+    """A command line that cannot be run as given: a bad flag value, an output that exists."""
 
     exit_code = 2
 
@@ -42,30 +42,30 @@ class DatasetError(YamsimError):
 
 
 class SimulationError(YamsimError):
-    """Physics, planning or rendering could not do what was asked."""
+    """Physics, planning or rendering failed."""
 
     exit_code = 5
 
 
 class PartialJobError(YamsimError):
-    """A job ended before all was done; what was done is intact and on disk."""
+    """A job ended early; its results so far are intact and on disk."""
 
     exit_code = 6
 
 
 class InterruptedJobError(YamsimError):
-    """The user stopped the job; what was done is intact and on disk."""
+    """The user stopped the job; its results so far are intact and on disk."""
 
     exit_code = 130
 
 
 def counted(number: int, noun: str) -> str:
-    """How many there are: ``"1 episode"``, ``"2 episodes"``."""
+    """A number with its noun: ``"1 episode"``, ``"2 episodes"``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def ranges(numbers: Iterable[int]) -> str:
-    """Numbers in order, runs of them joined: ``"0-4, 7, 9-10"``."""
+    """Ordered numbers with runs joined: ``"0-4, 7, 9-10"``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:
@@ -75,8 +75,16 @@ def ranges(numbers: Iterable[int]) -> str:
     return ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in runs)
 
 
+def file_size(size: float) -> str:
+    """A number of bytes for a person, in kB, MB or GB."""
+    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
+        if size >= scale:
+            return f"{size / scale:.1f} {unit}"
+    return f"{size / 1e3:.1f} kB"
+
+
 def suggest(value: str, valid: Iterable[str]) -> str:
-    """Say which values would have been valid, with the closest first named when one is close.
+    """The valid values in words, after the closest one if there is a close one.
 
     Returns:
         For example ``"did you mean 'single'? valid: bimanual, single"``.

@@ -1,7 +1,7 @@
-"""Which HTTP and WebSocket requests a server of this machine accepts, by their `Host` and `Origin` headers.
+"""Accepts or refuses HTTP and WebSocket requests by their `Host` and `Origin` headers.
 
-A web page that a user visits can send requests to servers on the user's machine. A browser says in `Origin` which site
-the page is from. A site that lets its own name point to this machine (DNS rebinding) shows in `Host`.
+A web page that a user visits can send requests to servers on the user's machine. A browser names the page's site in
+`Origin`. A site whose name points to this machine (DNS rebinding) shows in `Host`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ _LOOPBACK_NAME = "localhost"
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | None:
-    """Why a request is refused; None for one that is accepted.
+    """The reason why a request is refused; None if the request is accepted.
 
-    A program that is no browser sends no `Origin`, and is accepted. A page is accepted if this server sent it.
+    Programs other than browsers send no `Origin`, and are accepted. A page is accepted if this server sent the page.
 
     Args:
         hosts: values of the header `Host`.
@@ -39,7 +39,7 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | N
 
 
 def _split(url: str) -> SplitResult | None:
-    """The parts of a URL; None if it is not valid."""
+    """The parts of a URL; None if the URL is not valid."""
     try:
         parts = urlsplit(url)
         _ = parts.port
@@ -56,5 +56,5 @@ def _is_own(name: str, bound: str) -> bool:
     except ValueError:
         machine = socket.gethostname().lower() if bound in ("0.0.0.0", "::", "") else bound
         return name in (_LOOPBACK_NAME, bound, machine)
-    # No site can make a browser send an address as its own name.
+    # No site can make a browser send an address in place of the site's name.
     return address.is_loopback or name == bound or bound in ("0.0.0.0", "::", "")

@@ -1,28 +1,44 @@
-"""Output files: one rule for all commands, checked before the work begins.
+"""Output files of commands, which are checked before the work begins.
 
-What exists is refused unless `--overwrite` is given, and so is a place where nothing can be written.
+A file that exists is refused without `--overwrite`. A folder that cannot be written to is always refused.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.files import nearest_directory
+from yamsim_cli.core.files import nearest_directory, write_output
+from yamsim_cli.terminal.console import note
 
-MIN_FREE_BYTES = 1 << 16  # free space under which no output is begun: every report and picture of yamsim is larger
+if TYPE_CHECKING:
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
+
+MIN_FREE_BYTES = 1 << 16  # bytes of free space under which no output is begun: reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
+VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
+ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
+
+
+def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
+    """The treatment of an output dataset that exists."""
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
+
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one of them")
+    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
 
 
 def require_free(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse files that exist, or that cannot be written, before the work that makes them.
+    """Refuse output files that exist or cannot be written.
 
     Args:
         flag: the option that names the files, for the message.
@@ -31,7 +47,7 @@ def require_free(flag: str, files: Path | Iterable[Path], *, overwrite: bool) ->
 
     Raises:
         UsageError: a file exists and may not be replaced, is a directory, or has no folder.
-        ResourceError: its file system is read-only or full.
+        ResourceError: the file system is read-only or full.
     """
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
@@ -45,8 +61,24 @@ def require_free(flag: str, files: Path | Iterable[Path], *, overwrite: bool) ->
         _require_writable(flag, nearest_directory(folder))
 
 
+def require_free_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
+    """Refuse the files of --out and --html as `require_free` does, where they are given."""
+    for flag, file in (("--out", out), ("--html", html)):
+        if file is not None:
+            require_free(flag, file, overwrite=overwrite)
+
+
+def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:
+    """Write a report to the file of --out, if given, and say so on stderr."""
+    if out is None:
+        return
+    from yamsim_cli.core.documents.json_text import json_text
+
+    write_output(out, json_text(report).encode())
+    note(f"Written to {out}.")
+
+
 def _require_writable(flag: str, folder: Path) -> None:
-    """Refuse a folder in which no file can be made, as far as this can be told without making one."""
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ResourceError(f"{flag}: {folder} cannot be written to; choose another path")
     free = shutil.disk_usage(folder).free

@@ -1,9 +1,10 @@
-"""What commands need before they start: flags that most of them share, and what opens their sessions."""
+"""Flags of rigs, tasks and sessions that several commands have, and the opener of their sessions."""
 
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
@@ -14,32 +15,102 @@ from yamsim_cli.terminal.console import note, note_at_end
 from yamsim_cli.terminal.fetch_bar import fetch_bar
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-RigName = Annotated[
-    str,
-    typer.Option(
-        "--rig", help="Rig: a name from configs/rigs/, ROBOT+GRIPPER such as yam_pro+linear_4310, or a YAML file."
-    ),
-]
+_RIG = typer.Option(
+    "--rig", help="Rig: a name from configs/rigs/, ROBOT+GRIPPER such as yam_pro+linear_4310, or a YAML file."
+)
+Rig = Annotated[str | None, _RIG]
+RigName = Annotated[str, _RIG]
 Revision = Annotated[
-    str | None, typer.Option(help="Of the rig's robots, in place of the rig's own; `yamsim robots list` has them.")
+    str | None, typer.Option(help="Revision of the robots, in place of the rig's own; see `yamsim robots list`.")
 ]
 Robot = Annotated[
     list[str] | None,
     typer.Option(
         metavar="FILE",
-        help="How your arm moves otherwise than its model, as `yamsim identify` writes it: for all arms of that model. "
-        "Give it again for another arm.",
+        help="Measured dynamics of your arm, as `yamsim identify` writes them: for all arms of that model. May be "
+        "repeated.",
     ),
 ]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
+ConfigOption = Annotated[
+    str,
+    typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),
+]
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option("--camera", metavar="NAME", help="A camera to record; may be repeated."),
+]
+Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
+Object = Annotated[
+    str | None,
+    typer.Option(
+        "--object", metavar="NAME|FILE", help="What is picked up: a name from configs/objects/ or a YAML file."
+    ),
+]
+Target = Annotated[
+    str | None,
+    typer.Option(metavar="NAME|FILE", help="What the object is put onto or into: a name or file, as for --object."),
+]
+Grasp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="weld|contact",
+        help="What holds the object: a weld that is switched on, or friction alone, which needs a gripper with pads "
+        "(--rig single_linear).  [default: weld]",
+    ),
+]
+Arm = Annotated[
+    str | None,
+    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
+Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
+Threshold = Annotated[
+    float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
+]
+Wrist = Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")]
+Randomize = Annotated[
+    bool | None,
+    typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+]
+Randomization = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Ranges to vary by: a name from configs/randomization/ or a YAML file; `arms` has delays, noise, encoder "
+        "steps and errors of the gravity compensation.  [default: with --randomize, `default`]",
+    ),
+]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
+Quality = Annotated[
+    str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
+]
+MinSuccess = Annotated[
+    float | None,
+    typer.Option(
+        "--min-success", min=0, max=1, metavar="SHARE", help="Exit 5 if a smaller share of the trials succeeds."
+    ),
+]
 
 
 def _flag(setting: str) -> str:
     return f"--{setting.replace('_', '-')}"
 
 
-# Its error messages name flags, and what it has to tell goes to stderr.
+# Opens the sessions of all commands: error messages name flags, and notes go to stderr.
 opener = Opener(os.environ, note, _flag, config_of, task_of, fetch_bar, note_at_end)
+
+
+# Settings of a session that a command may have as parameters, see `Opener.config`.
+_SETTINGS = (
+    "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
+    "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+)  # fmt: skip
+
+
+def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings for `opener.open` among a command's parameters, of which `item` is the setting `object`."""
+    return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 
 def _stay_offline(wanted: bool) -> bool:
@@ -48,7 +119,7 @@ def _stay_offline(wanted: bool) -> bool:
     return wanted
 
 
-# Acts when it is parsed, so that commands only have to declare it.
+# Takes effect when parsed, so that commands only have to declare it.
 Offline = Annotated[
     bool,
     typer.Option(

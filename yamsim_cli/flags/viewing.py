@@ -1,4 +1,4 @@
-"""Shared by the commands that open a viewer: which viewer it is, and what has to be set before it is imported."""
+"""Flags of commands that open a viewer: the choice of the viewer, and settings before MuJoCo is imported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .session import opener
 if TYPE_CHECKING:
     from yamsim_cli.core.viewers.address import PageAddress
 
-_PORT = 8090
+_PORT = 8090  # of browser pages, unless --port is given
 
 Web = Annotated[
     bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window on this display.")
@@ -34,26 +34,26 @@ Host = Annotated[
 
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
-    """Where a browser page is to listen. The user is warned if others can reach it."""
+    """The address of a browser page. The user is warned if others can reach the page."""
     from yamsim_cli.core.viewers.address import LOOPBACK, PageAddress
 
     address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
     if not address.is_private:
         note(
-            f"Whoever reaches {address.host} can watch and move what the page shows: it asks for no password and "
-            "encrypts nothing. Safer: leave --host out, and come through ssh -L."
+            f"Anyone who reaches {address.host} can watch and move what the page shows: the page asks for no password "
+            "and encrypts nothing. Safer: leave --host out, and use ssh -L."
         )
     return address
 
 
-def choose_viewer(web: bool | None, port: int | None, host: str | None = None) -> PageAddress | None:
+def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageAddress | None:
     """The browser page's address, or None for MuJoCo's window.
 
-    The viewer is the one asked for, else the page where a port or host is given or no window can open.
+    Without `web`, the viewer is the page if a port or host is given or no window can open.
 
     Raises:
-        UsageError: a port or host for a window.
-        ResourceError: a window where none can open.
+        UsageError: a port or host is given for a window.
+        ResourceError: a window is requested, and none can open.
     """
     missing = _missing_for_window()
     for flag, value in (("--port", port), ("--host", host)):
@@ -66,7 +66,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None = None) -
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Tell MuJoCo how to open its OpenGL, before it is imported, unless that is settled already."""
+    """Set MuJoCo's OpenGL for the viewer, before MuJoCo is imported."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -75,8 +75,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Keep the page's library from writing to stdout."""
-    # Viser announces its server on stdout through rich's global console, which yamsim does not use.
+    """Keep viser from announcing its server on stdout: viser writes to rich's global console."""
     import rich
 
     rich.get_console().quiet = True

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
@@ -16,17 +17,16 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-# Seconds between two lines of progress in a log. A short job stays silent, and one of a whole night can be followed.
-_LOG_SECONDS = 30.0
+_LOG_SECONDS = 30.0  # s between two lines of progress in a log, so that a short job writes none
 
 _end_notes = list[str]()
 
 
 class Advance(Protocol):
-    """Tells how far a job is."""
+    """Reports a job's progress."""
 
     def __call__(self, done: int, total: int, remark: str = "", /) -> None:
-        """So many are done, of a total; and what else there is to say."""
+        """Show that `done` of `total` are done, and a remark."""
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -36,8 +36,26 @@ def print_json(data: Mapping[str, Any]) -> None:
     sys.stdout.write(json_text(data))
 
 
+def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType], json: bool) -> None:
+    """Write a result to stdout: as JSON, or as a table for a person."""
+    if json:
+        print_json(report)
+    else:
+        print_table(table())
+
+
+def print_now(data: Mapping[str, Any], line: str, json: bool) -> None:
+    """Write a result to stdout while the command goes on: as JSON, or as a line for a person."""
+    if json:
+        print_json(data)
+    else:
+        print_line(line)
+    # A program that reads a pipe needs the result before the command ends.
+    sys.stdout.flush()
+
+
 def print_table(table: RenderableType) -> None:
-    """Write a rich table, or anything rich can print, to stdout: as wide as the terminal, or 80 columns without one."""
+    """Write anything that rich can print to stdout, as wide as the terminal, or 80 columns without a terminal."""
     out = Console()
     if out.is_terminal:
         out.print(table)
@@ -49,12 +67,12 @@ def print_table(table: RenderableType) -> None:
 
 
 def print_line(text: str) -> None:
-    """Write one line of a result to stdout, as it is."""
+    """Write one line of a result to stdout."""
     sys.stdout.write(text + "\n")
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write a line of a result to stdout: `marked` in `style` where there are colours, and `text` wrapped beside it."""
+    """Write a result to stdout: `marked` in a style of rich where there are colours, and `text` wrapped beside."""
     from rich.table import Table
     from rich.text import Text
 
@@ -66,18 +84,24 @@ def print_text(marked: str, text: str, style: str) -> None:
 
 
 def note(text: str) -> None:
-    """Tell the user something on stderr, as it is."""
+    """Write a line for the user to stderr."""
     sys.stderr.write(text + "\n")
 
 
+def note_moved(path: Path, moved: Path | None) -> None:
+    """Say on stderr where an older output was moved to, if there was one."""
+    if moved:
+        note(f"What was at {path} is now at {moved}.")
+
+
 def note_at_end(text: str) -> None:
-    """Tell the user something on stderr once the command has done its work, see `write_end_notes`."""
+    """Write a line to stderr once the command has done its work, see `write_end_notes`."""
     if text not in _end_notes:
         _end_notes.append(text)
 
 
 def write_end_notes() -> None:
-    """Write what `note_at_end` was given."""
+    """Write the lines of `note_at_end`."""
     for text in _end_notes:
         note(text)
     _end_notes.clear()
@@ -88,9 +112,9 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
     """A function that reports progress on stderr, with rate and time left: as a bar on a terminal, else as plain lines.
 
     Args:
-        label: what is going on.
-        unit: what is counted, in the plural.
-        log_seconds: seconds between two lines, and before the first; half a minute unless given.
+        label: the job.
+        unit: the counted things, in the plural.
+        log_seconds: s between two lines, and before the first; `_LOG_SECONDS` unless given.
     """
     if console.is_terminal:
         with _bar(label, unit) as advance:
@@ -131,12 +155,12 @@ def _bar(label: str, unit: str) -> Iterator[Advance]:
 
 
 class _Log:
-    """Writes a line of progress when it is called, if enough time has passed since the last one."""
+    """Writes a line of progress, if enough time has passed since the last line."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # When counting began, and how many were done by then: a resumed job's rate leaves out what it found done.
+        # Time of the first call, and the count by then, which a resumed job's rate leaves out.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

@@ -1,4 +1,4 @@
-"""The bar that shows how far meshes are downloaded and reduced."""
+"""A progress bar of meshes that are downloaded and reduced."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
+from yamsim_cli.core.errors import file_size
+
 
 class FetchBar(Protocol):
-    """Shows how far a download or a reduction is."""
+    """Shows the progress of a download or a reduction."""
 
     def __call__(self, label: str, done: int, total: int, /, shown: str = "") -> None:
-        """Show `done` of `total`, which are bytes unless `shown` says it in words."""
+        """Show `done` of `total` bytes, or the words of `shown`."""
 
 
 @contextmanager
 def fetch_bar() -> Iterator[FetchBar]:
-    """Return what moves a progress bar on stderr; without a terminal, nothing is shown."""
+    """A function that moves a progress bar on stderr; without a terminal, nothing is shown."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from .console import console
-    from .tables import file_size
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

@@ -1,4 +1,4 @@
-"""What `yamsim gap` found, for a person at a terminal of 80 columns."""
+"""The tables of `yamsim gap`, for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from rich.constrain import Constrain
 from yamsim_cli.core.dataset.checks.problem import printable
 from yamsim_cli.core.gap.report import spoken
 
-from .tables import Facts, Listing, facts, listing
+from .tables import Facts, Listing
 
-_WIDTH = 80
-# Recordings that are listed; --json has them all.
-_MOST_LISTED = 10
+_WIDTH = 80  # columns
+_MAX_RECORDINGS = 10  # in the table; --json has them all
 
 
 def gap_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Figures in whole, by joint, by phase, and by recording where there are several."""
+    """Figures of all recordings, by joint, by phase, and by recording if there are several."""
     parts: list[RenderableType] = [_whole(report), _joints(report), _phases(report)]
     if len(report["recordings"]) > 1:
         parts.append(_recordings(report))
@@ -34,32 +33,24 @@ def _whole(report: Mapping[str, Any]) -> Facts:
         ("rig", report["rig"]),
         ("joints", f"{_mrad(report, 'rms_rad')} mrad RMS, 95 % {_mrad(report, 'p95_rad')}{_interval(report)}"),
     ]
-    rows += [
-        (
-            spoken(hand),
-            f"{hand['rms_mm']:.3g} mm RMS, at most {hand['max_mm']:.3g} mm and {hand['max_deg']:.2g} degrees",
-        )
-        for hand in report["hands"]
-    ]
-    rows.append(
-        (
-            "worst",
-            f"{spoken({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad at "
-            f"{worst['time_s']:.2f} s, frame {worst['frame']} of {printable(worst['recording'])}",
-        )
-    )
+    for hand in report["hands"]:
+        largest = f"at most {hand['max_mm']:.3g} mm and {hand['max_deg']:.2g} degrees"
+        rows.append((spoken(hand), f"{hand['rms_mm']:.3g} mm RMS, {largest}"))
+    joint = f"{spoken({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad"
+    frame = f"frame {worst['frame']} of {printable(worst['recording'])}"
+    rows.append(("worst", f"{joint} at {worst['time_s']:.2f} s, {frame}"))
     if pictures := report.get("pictures"):
         rows.append(("photos", _photos(pictures)))
-    return facts(rows)
+    return Facts(rows)
 
 
 def _photos(pictures: Mapping[str, Any]) -> str:
-    said = [f"{pictures['photos']} of camera {pictures['camera']}"]
+    parts = [f"{pictures['photos']} of camera {pictures['camera']}"]
     if outline := pictures["outline_px"]:
-        said.append(f"outline {outline['mean']:.2g} px from the photos' edges, {outline['worst']:.2g} at worst")
+        parts.append(f"outline {outline['mean']:.2g} px from the photos' edges, {outline['worst']:.2g} at worst")
     if overlap := pictures["iou"]:
-        said.append(f"overlap {overlap['mean']:.3f}, {overlap['worst']:.3f} at worst")
-    return "; ".join(said)
+        parts.append(f"overlap {overlap['mean']:.3f}, {overlap['worst']:.3f} at worst")
+    return "; ".join(parts)
 
 
 def _interval(row: Mapping[str, Any]) -> str:
@@ -69,26 +60,24 @@ def _interval(row: Mapping[str, Any]) -> str:
 
 def _joints(report: Mapping[str, Any]) -> Listing:
     headings = ("joint", "RMS mrad", "95 %", "max", "delay ms", "sag mrad", "overshoot mrad")
-    table = listing(headings, "Measured less simulated", whole=True)
+    table = Listing(headings, "Measured less simulated", whole=True)
     for joint in report["joints"]:
-        errors = (_mrad(joint, f"{key}_rad") for key in ("rms", "p95", "max"))
         delay = "" if joint["delay_s"] is None else f"{round(joint['delay_s'] * 1000, 1) + 0.0:.1f}"
-        table.add_row(spoken(joint), *errors, delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad"))
+        table.add_row(spoken(joint), *_errors(joint), delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad"))
     return table
 
 
 def _phases(report: Mapping[str, Any]) -> Listing:
-    table = listing(("the joint is", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
+    table = Listing(("the joint is", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
     for phase in report["phases"]:
-        errors = (_mrad(phase, f"{key}_rad") for key in ("rms", "p95", "max"))
-        table.add_row(phase["name"], f"{phase['share']:.0%}", *errors)
+        table.add_row(phase["name"], f"{phase['share']:.0%}", *_errors(phase))
     return table
 
 
 def _recordings(report: Mapping[str, Any]) -> Listing:
     ordered = sorted(report["recordings"], key=lambda row: -row["rms_rad"])
-    table = listing(("recording", "RMS mrad", "max", "worst joint", "at s"), "By recording, the largest first")
-    for row in ordered[:_MOST_LISTED]:
+    table = Listing(("recording", "RMS mrad", "max", "worst joint", "at s"), "By recording, the largest first")
+    for row in ordered[:_MAX_RECORDINGS]:
         worst = row["worst"]
         table.add_row(
             printable(row["name"]),
@@ -98,6 +87,10 @@ def _recordings(report: Mapping[str, Any]) -> Listing:
             f"{worst['time_s']:.2f}",
         )
     return table
+
+
+def _errors(row: Mapping[str, Any]) -> list[str]:
+    return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
 
 
 def _mrad(row: Mapping[str, Any], key: str) -> str:

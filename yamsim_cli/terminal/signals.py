@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, which both ask to end: only noted where nothing may be interrupted, raised elsewhere."""
+"""Ctrl-C and SIGTERM: noted where nothing may be interrupted, raised as KeyboardInterrupt otherwise."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from yamsim_cli.core.workers.stop import Stop
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
-_STDERR = 2
-_RETRY_SECONDS = 0.02
+_STDERR = 2  # file descriptor
+_RETRY_SECONDS = 0.02  # s until a signal during an import is raised again
 
 
 @contextmanager
 def noted_signals() -> Iterator[Callable[[], bool]]:
-    """A function that tells whether a signal to end has come; inside the block, none raises anything."""
+    """A function that returns whether a signal has come; inside the block, no signal raises."""
     came = False
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -36,10 +36,10 @@ def noted_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stoppable(message: str) -> Iterator[Stop]:
-    """A stop that the first signal (or a closed terminal) asks for; a second signal ends the block at once.
+    """A stop that is requested by the first signal or a closed terminal; a second signal ends the block at once.
 
     Args:
-        message: shown on the first signal.
+        message: written to stderr on the first signal.
     """
     from yamsim_cli.core.workers.stop import Stop
 
@@ -53,7 +53,7 @@ def stoppable(message: str) -> Iterator[Stop]:
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
-    # nohup ignores the hang-up, and that stays so.
+    # Under nohup, the hang-up stays ignored.
     wanted = [number for number in (*_ENDING, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, ask) for number in wanted}
     try:
@@ -64,14 +64,13 @@ def stoppable(message: str) -> Iterator[Stop]:
 
 
 def raise_signals() -> None:
-    """From now on, a signal to end raises KeyboardInterrupt: at once, or when the import that is going on is done."""
+    """From now on, a signal raises KeyboardInterrupt: at once, or at the end of an import in progress."""
     for number in (*_ENDING, signal.SIGALRM):
         signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # An extension module whose import is interrupted reports that it cannot be loaded, and the library that imports it
-    # may then do without it.
+    # An interrupted import of an extension module looks like a missing module, which its library may then do without.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

@@ -1,4 +1,4 @@
-"""What `yamsim summarize` found, for a person at a terminal of 80 columns."""
+"""The tables of `yamsim summarize`, for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from rich.constrain import Constrain
 from rich.text import Text
 
 from yamsim_cli.core.dataset.checks.problem import printable
+from yamsim_cli.core.errors import file_size
+from yamsim_cli.core.report.dataset_page import by_code, problem_counts
 
-from .tables import Facts, Listing, facts, file_size, listing
+from .tables import Facts, Listing
 
-_WIDTH = 80
+_WIDTH = 80  # columns
+_MAX_EXAMPLES = 2  # of each problem's code; --json has them all
+_MAX_LENGTH = 200  # letters of an example
+_SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
 
-# More would only repeat the fault; --json has them all.
-_EXAMPLES = 2
-_LONGEST_EXAMPLE = 200
 
-
-def findings(report: Mapping[str, Any]) -> RenderableType:
+def summary_tables(report: Mapping[str, Any]) -> RenderableType:
     """Figures, rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
     if report["episodes"] and not report["real"]:
@@ -54,15 +55,12 @@ def _figures(report: Mapping[str, Any]) -> Facts:
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
             row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))
-    return facts(rows)
-
-
-_SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
+    return Facts(rows)
 
 
 def _rates(report: Mapping[str, Any]) -> Listing:
     attempts = report["attempts"]
-    table = listing(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
+    table = Listing(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
     for limit, rate in report["success_rate"].items():
         cells = [_rate(rate, report["wilson95"][limit])]
         if attempts["n"]:
@@ -72,7 +70,7 @@ def _rates(report: Mapping[str, Any]) -> Listing:
 
 
 def _workspace(workspace: Mapping[str, Any]) -> Listing:
-    table = listing(["m", "x", "y", "cells hit", "outside"], title="Workspace")
+    table = Listing(["m", "x", "y", "cells hit", "outside"], title="Workspace")
     if found := workspace["box"]:
         table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
     for name, ends in workspace["objects"].items():
@@ -88,14 +86,9 @@ def _workspace(workspace: Mapping[str, Any]) -> Listing:
 def _problems(report: Mapping[str, Any]) -> RenderableType:
     if not report["problems"]:
         return Text("No problems: every file was opened and is as it should be.", style="green")
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for problem in report["problems"]:
-        groups.setdefault(problem["code"], []).append(problem)
-    counts = (_count(report["errors"], "error"), _count(report["warnings"], "warning"))
-    table = listing(
-        ["problem", "times", "what, where, and what to do"], title=", ".join(counts), numbers_to=2, whole=True
-    )
-    for code, problems in sorted(groups.items(), key=lambda group: group[1][0]["severity"]):
+    title = ", ".join(problem_counts(report))
+    table = Listing(["problem", "times", "what, where, and what to do"], title, numbers_to=2, whole=True)
+    for code, problems in by_code(report["problems"]):
         style = "red" if problems[0]["severity"] == "error" else "yellow"
         table.add_row(Text(code, style=style), f"{len(problems):,}", _explained(problems))
     return table
@@ -103,18 +96,14 @@ def _problems(report: Mapping[str, Any]) -> RenderableType:
 
 def _explained(problems: Sequence[Mapping[str, Any]]) -> Text:
     text = Text()
-    for problem in problems[:_EXAMPLES]:
+    for problem in problems[:_MAX_EXAMPLES]:
         place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
         line = f"{place}: {problem['problem']}" if place else problem["problem"]
-        text.append(line if len(line) <= _LONGEST_EXAMPLE else line[: _LONGEST_EXAMPLE - 3] + "...")
+        text.append(line if len(line) <= _MAX_LENGTH else line[: _MAX_LENGTH - 3] + "...")
         text.append("\n")
-    if len(problems) > _EXAMPLES:
-        text.append(f"and {len(problems) - _EXAMPLES:,} more\n")
+    if len(problems) > _MAX_EXAMPLES:
+        text.append(f"and {len(problems) - _MAX_EXAMPLES:,} more\n")
     return text.append(problems[0]["advice"], style="dim")
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n:,} {what}{'' if n == 1 else 's'}"
 
 
 def _rate(rate: float | None, interval: Sequence[float]) -> str:

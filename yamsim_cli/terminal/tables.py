@@ -1,9 +1,9 @@
-"""The two shapes of tables that commands print. Both fold long cells rather than cut them, and fit any terminal."""
+"""The tables that commands print. Long cells are folded and not cut, so that tables fit any terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, JustifyMethod, RenderResult
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-# In a narrower terminal, cells may stand below one another instead of in columns.
-_NARROW = 60
-# Largest share of a narrow terminal's width at which names still stand beside their values.
-_NAMES = 0.4
+_NARROW = 60  # columns; in a narrower terminal, cells may stand below one another
+_MAX_NAMES = 0.4  # of a narrow terminal's width, up to which names stand beside their values
+
+Item = Mapping[str, Any]
 
 
 class Facts:
@@ -26,7 +26,7 @@ class Facts:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         widest = max((name.cell_len for name, _ in self._rows), default=0)
-        if options.max_width >= _NARROW or widest <= _NAMES * options.max_width:
+        if options.max_width >= _NARROW or widest <= _MAX_NAMES * options.max_width:
             yield _side_by_side(self._rows, self._title)
             return
         if self._title:
@@ -41,12 +41,21 @@ class Listing:
 
     Args:
         headings: one a column.
-        numbers: the columns that hold numbers, which are set flush right.
+        numbers_from, numbers_to: columns from the first on and before the second are numbers, set flush right.
         whole: whether the first column is never broken into lines.
     """
 
-    def __init__(self, headings: Sequence[str], title: str | None, numbers: range, whole: bool) -> None:
-        self._headings, self._title, self._numbers, self._whole = headings, title, numbers, whole
+    def __init__(
+        self,
+        headings: Sequence[str],
+        title: str | None = None,
+        numbers_from: int = 1,
+        numbers_to: int = 99,
+        *,
+        whole: bool = False,
+    ) -> None:
+        self._headings, self._title, self._whole = headings, title, whole
+        self._numbers = range(numbers_from, numbers_to)
         self._rows: list[list[Text]] = []
 
     def add_row(self, *cells: str | Text) -> None:
@@ -83,49 +92,55 @@ class Listing:
         return table
 
 
-def facts(rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> Facts:
-    """One thing's figures: a name and a value a row."""
-    return Facts(rows, title)
-
-
-def listing(
-    headings: Sequence[str],
-    title: str | None = None,
-    numbers_from: int = 1,
-    numbers_to: int = 99,
-    *,
-    whole: bool = False,
-) -> Listing:
-    """An empty table of many things.
+def print_items(
+    items: Sequence[Item], headings: Sequence[str], row: Callable[[Item], Sequence[str]], json: bool
+) -> None:
+    """Print many things: `{"items": [...]}`, or a table.
 
     Args:
-        headings: one a column.
-        numbers_from, numbers_to: the first column of those that hold numbers, and the first one after them.
-        whole: see `Listing`.
+        row: the cells of an item, one a heading.
     """
-    return Listing(headings, title, range(numbers_from, numbers_to), whole)
+    from .console import print_json, print_table
+
+    if json:
+        print_json({"items": list(items)})
+        return
+    table = Listing(headings, numbers_from=len(headings))
+    for item in items:
+        table.add_row(*row(item))
+    print_table(table)
 
 
-def file_size(size: float) -> str:
-    """A number of bytes for a person."""
-    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
-        if size >= scale:
-            return f"{size / scale:.1f} {unit}"
-    return f"{size / 1e3:.1f} kB"
+def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]] | None = None) -> None:
+    """Print one thing: `{"items": [...]}` with one item, or a row for each key that has a value.
+
+    Args:
+        words: key -> its value in words, in place of `in_words`.
+    """
+    from .console import print_json, print_table
+
+    if json:
+        print_json({"items": [item]})
+        return
+    known_words = words or {}
+    known = {key: value for key, value in item.items() if value is not None and value != []}
+    print_table(Facts((key.replace("_", " "), known_words.get(key, in_words)(value)) for key, value in known.items()))
+
+
+def in_words(value: Any) -> str:
+    """A JSON value for a person."""
+    if isinstance(value, Mapping):
+        return "; ".join(f"{key}: {in_words(inner)}" for key, inner in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(in_words, value))
+    return ("yes" if value else "no") if isinstance(value, bool) else str(value)
 
 
 def _side_by_side(rows: Iterable[tuple[Text, Text]], title: str | None) -> Table:
     from rich.table import Table
 
-    table = Table(
-        box=None,
-        show_header=False,
-        pad_edge=False,
-        padding=(0, 2, 0, 0),
-        title=title,
-        title_justify="left",
-        title_style="bold",
-    )
+    look: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "pad_edge": False}
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=title, **look)
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
@@ -146,7 +161,7 @@ def _indented(what: Text | Facts) -> Padding:
 
 
 def _plain(cell: str | Text) -> Text:
-    """The cell as text that is folded where it is too long. It is never read as markup: a path may hold brackets."""
+    """The cell as text that is folded where too long, and never read as markup: a path may hold brackets."""
     from rich.text import Text
 
     text = Text(cell) if isinstance(cell, str) else cell.copy()

@@ -1,28 +1,48 @@
-"""Tables of a batch's or an evaluation's figures."""
+"""Results of trials and evaluations: tables of their figures, and films of trials."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .tables import facts
+from .console import note_moved, progress_bar
+from .tables import Facts
 
 if TYPE_CHECKING:
-    from .tables import Facts
+    from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.core.progress import Progress
+    from yamsim_cli.core.trials.films import FilmedTrial, TrialFilms
 
 
 def trials_table(report: dict[str, Any]) -> Facts:
-    """What `core.trials.run_batch` reports, as a table."""
-    return facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
+    """The report of `core.trials.run_batch` as a table."""
+    return Facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> Facts:
-    """What `core.evaluate.evaluation.summary` reports, as a table."""
-    return facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
+    """The report of `core.evaluate.evaluation.summary` as a table."""
+    return Facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
+
+
+def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
+    """The path of a job's films; a path that cannot be used is refused before any trial runs."""
+    from yamsim_cli.core.trials.films import TrialFilms
+
+    timing = settings.task.timing
+    return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
+
+
+def film(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
+    """Make films while progress is shown, and return the entries of a report."""
+    with progress_bar("filming", "trials") as advance:
+        filmed = make(advance)
+    note_moved(films.path, films.moved_aside)
+    return [{"trial": film.trial, "path": str(film.path)} for film in filmed]
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What `core.trials.tally` counts."""
+    """Rows on the counts of `core.trials.tally`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

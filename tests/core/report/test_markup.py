@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.report.axes import Scale, number, percent
-from yamsim_cli.core.report.markup import Markup, join, tag
+from yamsim_cli.core.report.markup import Markup, join, percent, tag
+from yamsim_cli.core.report.plots import PixelScale, number
 
 EVIL = "<script>alert(1)</script>\"' onload=x --> ]]> &amp;"
 
@@ -71,13 +71,13 @@ def test_markup_that_was_put_together_as_text_is_escaped() -> None:
     ],
 )
 def test_ticks_are_round_and_within(low: float, high: float, ticks: list[float]) -> None:
-    assert Scale(low, high, 0, 100).ticks(6) == pytest.approx(ticks)
+    assert PixelScale(low, high, 0, 100).ticks(6) == pytest.approx(ticks)
 
 
 def test_a_scale_can_run_backwards() -> None:
-    scale = Scale(0.2, -0.2, 0, 100)
+    scale = PixelScale(0.2, -0.2, 0, 100)
     assert (scale(0.2), scale(0), scale(-0.2)) == pytest.approx((0, 50, 100))
-    assert Scale(3, 3, 0, 100)(3) == 50
+    assert PixelScale(3, 3, 0, 100)(3) == 50
 
 
 def test_numbers_are_written_without_noise() -> None:

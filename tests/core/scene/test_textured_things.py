@@ -78,18 +78,18 @@ def expected() -> list[Any]:
 
 def test_the_web_page_shows_the_picture(printed: tuple[ImportedFile, Locations]) -> None:
     pytest.importorskip("viser")
-    from yamsim_cli.core.viewers.shapes import _printed
+    from yamsim_cli.core.viewers.shapes import textured_mesh
 
     model = spec_of(printed).compile()
     geom = model.geom("mug_look").id
-    mesh = _printed(model, geom)
+    mesh = textured_mesh(model, geom)
     assert mesh is not None
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, model.geom_quat[geom])
     corners = (mesh.vertices @ R.reshape(3, 3).T + model.geom_pos[geom])[mesh.faces] + origin(printed)
     image = np.asarray(mesh.visual.material.baseColorTexture)
     assert shown_colours(mesh.visual.uv[mesh.faces], corners, image) == expected()
-    assert _printed(model, model.geom("mug_collide_0").id) is None
+    assert textured_mesh(model, model.geom("mug_collide_0").id) is None
 
 
 def origin(printed: tuple[ImportedFile, Locations]) -> np.ndarray:
@@ -118,7 +118,7 @@ def test_a_composed_scene_is_read_back_with_its_picture(
 
 
 @pytest.mark.render
-def test_it_is_drawn_as_it_is_printed(printed: tuple[ImportedFile, Locations]) -> None:
+def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedFile, Locations]) -> None:
     spec = spec_of(printed)
     spec.worldbody.add_camera(name="c", pos=[0, -0.4, HEIGHT / 2], xyaxes=[1, 0, 0, 0, 0, 1], fovy=20)
     spec.worldbody.add_light(pos=[0, -1, 0.05], dir=[0, 1, 0], ambient=[0.4] * 3, diffuse=[0.6] * 3)

@@ -26,7 +26,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.replay import positions, repeat, shown_again
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.player import EpisodePlayer
+from yamsim_cli.core.viewers.viewed_scene import EpisodePlayer
 from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")

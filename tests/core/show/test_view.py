@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
 import time
 import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,8 +34,7 @@ from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.live import LiveRig
-from yamsim_cli.core.viewers.player import EpisodePlayer
+from yamsim_cli.core.viewers.viewed_scene import EpisodePlayer, LiveRig
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -53,9 +55,24 @@ def free_port() -> int:
         return port
 
 
-def complaints(err: str) -> list[str]:
-    """The lines of stderr, without the remark that a machine without meshes gets."""
-    return [line for line in err.splitlines() if not line.startswith("The meshes of")]
+@pytest.fixture
+def open_page() -> Iterator[Callable[..., Any]]:
+    """Opens pages of live rigs, which are closed after the test."""
+    module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+    with contextlib.ExitStack() as stack:
+
+        def opened(live: LiveRig, port: int = 0, **options: Any) -> Any:
+            page = module.RigPage(live, frame_rig(live.rig), PageAddress(port), **options)
+            stack.callback(page.close)
+            return page
+
+        yield opened
+
+
+def message(err: str) -> str:
+    """The one line on stderr, without the remark that a machine without meshes gets."""
+    (line,) = [line for line in err.splitlines() if not line.startswith("The meshes of")]
+    return line
 
 
 def run(live: LiveRig, seconds: float, began: float = 0.0) -> None:
@@ -102,15 +119,11 @@ def test_a_drive_moves_its_joint_and_no_other_arm(live: LiveRig) -> None:
     run(live, 3.0)
     assert live.data.joint("arm2_joint1").qpos[0] == pytest.approx(0.5, abs=0.05)
     assert live.data.joint("joint1").qpos[0] == pytest.approx(0.0, abs=0.01)
+    live.command(drive, 99.0)
+    assert live.data.ctrl[drive.actuator] == drive.high, "a command stays in its range"
     live.reset()
     assert np.array_equal(live.data.qpos, live.model.key_qpos[0])
     assert np.array_equal(live.data.ctrl, live.model.key_ctrl[0])
-
-
-def test_a_drive_stays_in_its_range(live: LiveRig) -> None:
-    drive = live.drives[0]
-    live.command(drive, 99.0)
-    assert live.data.ctrl[drive.actuator] == drive.high
 
 
 @pytest.mark.parametrize("name", ["single", "bimanual", "russet"])
@@ -127,36 +140,37 @@ def test_the_first_view_holds_every_arm_and_board(name: str, locations: Location
             assert np.degrees(np.arccos(ray @ sight)) < FOV_DEG / 2
 
 
-def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: LiveRig, free_port: int) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
-    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(free_port))
-    try:
-        assert page.url == f"http://127.0.0.1:{free_port}"
-        with urllib.request.urlopen(page.url, timeout=10) as answer:
-            assert answer.status == 200
-            assert b"<html" in answer.read().lower()
-        if Path("/proc/net/tcp").exists():
-            assert listeners(free_port) == ["0100007F"]
-        assert set(page.sliders) == {(drive.arm, drive.name) for drive in live.drives}
-        page.sliders["arm1", "joint1"].value = 0.4
-        run(live, 3.0)
-        page.update()
-        assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
-        with pytest.raises(ResourceError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
-            page_module.RigPage(live, frame_rig(live.rig), PageAddress(free_port))
-    finally:
-        page.close()
+def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(
+    live: LiveRig, free_port: int, open_page: Callable[..., Any]
+) -> None:
+    page = open_page(live, free_port)
+    assert page.url == f"http://127.0.0.1:{free_port}"
+    with urllib.request.urlopen(page.url, timeout=10) as answer:
+        assert answer.status == 200
+        assert b"<html" in answer.read().lower()
+    if Path("/proc/net/tcp").exists():
+        assert listeners(free_port) == ["0100007F"]
+    assert set(page.sliders) == {(drive.arm, drive.name) for drive in live.drives}
+    page.sliders["arm1", "joint1"].value = 0.4
+    run(live, 3.0)
+    page.update()
+    assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
+    with pytest.raises(ResourceError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
+        open_page(live, free_port)
+    page.close()
     assert listeners(free_port) == []
 
 
-def test_another_margin_moves_arms_and_boards_together(live: LiveRig) -> None:
-    live.place(0.9)
+@pytest.mark.parametrize("margin", [None, 0.9])
+def test_boards_and_mounts_stand_with_their_arms(live: LiveRig, margin: float | None) -> None:
+    if margin is not None:
+        live.place(margin)
     for action in (lambda: run(live, 0.5), live.reset):
         action()
         positions, quaternions = live.body_poses()
         for k, arm in enumerate(live.rig.arms):
             T = live.rig.T_base_in_world(k)
-            assert abs(T[1, 3]) == pytest.approx(0.45)
+            assert margin is None or abs(T[1, 3]) == pytest.approx(margin / 2)
             for name in ("arm", "base_board", "base_mount"):
                 body = live.model.body(arm.prefix + name).id
                 assert np.allclose(positions[body], T[:3, 3], atol=1e-6), name
@@ -203,24 +217,20 @@ def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None
     assert np.abs(after[live.model.body("cube").id] - positions[live.model.body("cube").id]).max() < 2e-3
 
 
-def test_cloth_is_shown_where_its_points_are(tmp_path: Path) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+def test_cloth_is_shown_where_its_points_are(tmp_path: Path, open_page: Callable[..., Any]) -> None:
     live = live_task(session_of(tmp_path, FOLD))
-    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), boards=False)
-    try:
-        (node,) = page._cloths._nodes
-        assert node.vertices.shape == (81, 3) and node.faces.shape == (128, 3)
-        live.data.qpos[:] += 0.1
-        mujoco.mj_forward(live.model, live.data)
-        page.update()
-        assert np.abs(node.vertices - live.data.flexvert_xpos).max() < 2e-5
-        # A triangle's sides are those of the grid, not lines across the sheet.
-        sides = np.linalg.norm(node.vertices[node.faces[:, 0]] - node.vertices[node.faces[:, 1]], axis=1)
-        assert 0.02 < sides.min() <= sides.max() < 0.04
-        # Half of its checks are nearly white, half are red.
-        assert np.abs(np.array(node.color) - (201, 138, 128)).max() <= 2
-    finally:
-        page.close()
+    page = open_page(live)
+    (node,) = page._cloths._nodes
+    assert node.vertices.shape == (81, 3) and node.faces.shape == (128, 3)
+    live.data.qpos[:] += 0.1
+    mujoco.mj_forward(live.model, live.data)
+    page.update()
+    assert np.abs(node.vertices - live.data.flexvert_xpos).max() < 2e-5
+    # A triangle's sides are those of the grid, not lines across the sheet.
+    sides = np.linalg.norm(node.vertices[node.faces[:, 0]] - node.vertices[node.faces[:, 1]], axis=1)
+    assert 0.02 < sides.min() <= sides.max() < 0.04
+    # Half of its checks are nearly white, half are red.
+    assert np.abs(np.array(node.color) - (201, 138, 128)).max() <= 2
 
 
 def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
@@ -235,29 +245,23 @@ def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
     assert np.linalg.norm(moved[0]) == pytest.approx(0.1 * 3**0.5)
 
 
-def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
-    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), boards=False)
-    try:
-        board = live.model.body("arm2_base_board").id
-        assert not page._bodies.frames[board].visible
-        assert all(node.visible for node in page._bodies.looks)
-        page.margin.value = 0.8
-        assert live.rig.margin == 0.8
-    finally:
-        page.close()
+def test_the_page_shows_what_its_switches_say(live: LiveRig, open_page: Callable[..., Any]) -> None:
+    page = open_page(live, boards=False)
+    assert not page._bodies.frames[live.model.body("arm2_base_board").id].visible
+    assert all(node.visible for node in page._bodies.looks)
+    page.margin.value = 0.8
+    assert live.rig.margin == 0.8
 
 
 @pytest.mark.render
-def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+def test_pictures_are_what_the_cameras_see_now(live: LiveRig, open_page: Callable[..., Any]) -> None:
     pictures = LivePictures(live)
-    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), pictures=pictures)
+    page = open_page(live, pictures=pictures)
     try:
         panel = page._cameras
         page.update()
-        assert not panel._images, "nothing is drawn before it is asked for"
-        panel._want(None)
+        assert not panel._images, "nothing is drawn before it is requested"
+        panel._request(None)
         page.update()
         assert set(panel._images) == {"right_wrist_camera", "left_wrist_camera"}
         before = panel._images["right_wrist_camera"].image
@@ -265,17 +269,14 @@ def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
         assert before.std() > 5
         live.command(live.drives[0], 1.0)
         run(live, 2.0)
-        panel._want(None)
+        panel._request(None)
         page.update()
         assert np.abs(panel._images["right_wrist_camera"].image.astype(int) - before).mean() > 1
     finally:
-        page.close()
         pictures.close()
 
 
-@pytest.mark.parametrize(
-    ("args", "warned"), [((), False), (("--host", "127.0.0.1"), False), (("--host", "0.0.0.0"), True)]
-)
+@pytest.mark.parametrize(("args", "warned"), [((), False), (("--host", "0.0.0.0"), True)])
 def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...], warned: bool) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     with shown("view", "--web", "--port", "0", *args) as page:
@@ -283,16 +284,9 @@ def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...
         assert page.url == f"http://127.0.0.1:{port}"
         if Path("/proc/net/tcp").exists():
             assert listeners(port) == ["00000000" if warned else "0100007F"]
-        code, _, told = page.end(signal.SIGTERM)
-    assert any("asks for no password" in line for line in told) == warned
+        code, _, notes = page.end(signal.SIGTERM)
+    assert any("asks for no password" in line for line in notes) == warned
     assert code == 0
-
-
-def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
-    positions, _ = live.body_poses()
-    for k, arm in enumerate(live.rig.arms):
-        body = live.model.body(f"{arm.prefix}base_board").id
-        assert np.allclose(positions[body], live.rig.T_base_in_world(k)[:3, 3])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
@@ -311,23 +305,24 @@ def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signa
         assert again.url == page.url
 
 
-def test_faults_are_one_line() -> None:
-    without_display = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
-    native = yamsim("view", "--native", env=without_display)
-    assert (native.code, native.message.endswith("use --web")) == (4, True)
-    both = yamsim("view", "--native", "--port", "8000")
-    assert (both.code, both.message.startswith("--port 8000")) == (2, True)
-    host = yamsim("view", "--native", "--host", "0.0.0.0")
-    assert (host.code, host.message.startswith("--host 0.0.0.0 is for the browser page")) == (2, True)
-    both = yamsim("view", "--episode", "dataset/ep_000000", "--rig", "russet")
-    assert (both.code, both.message.startswith("--rig is not for --episode")) == (2, True)
-    alone = yamsim("view", "--seed", "3")
-    assert (alone.code, "give --task" in alone.message) == (2, True)
-    margin = yamsim("view", "--web", "--rig", "russet", "--margin", "-1")
-    assert (margin.code, margin.message.startswith("--margin: ")) == (2, True)
-    unreachable = yamsim("view", "--native", env={"DISPLAY": ":987", "WAYLAND_DISPLAY": ""})
-    (message,) = complaints(unreachable.err)
-    assert (unreachable.code, message.endswith("use --web")) == (4, True)
+NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+
+
+@pytest.mark.parametrize(
+    ("args", "env", "code", "words"),
+    [
+        (("--native",), NO_DISPLAY, 4, "use --web"),
+        (("--native",), {"DISPLAY": ":987", "WAYLAND_DISPLAY": ""}, 4, "use --web"),
+        (("--native", "--port", "8000"), {}, 2, "--port 8000"),
+        (("--native", "--host", "0.0.0.0"), {}, 2, "--host 0.0.0.0 is for the browser page"),
+        (("--episode", "dataset/ep_000000", "--rig", "russet"), {}, 2, "--rig is not for --episode"),
+        (("--seed", "3"), {}, 2, "give --task"),
+        (("--web", "--rig", "russet", "--margin", "-1"), {}, 2, "--margin: "),
+    ],
+)
+def test_faults_are_one_line(args: tuple[str, ...], env: dict[str, str], code: int, words: str) -> None:
+    found = yamsim("view", *args, env=env)
+    assert (found.code, words in message(found.err)) == (code, True), found.err
 
 
 def test_a_taken_port_says_what_to_do(free_port: int) -> None:
@@ -336,14 +331,10 @@ def test_a_taken_port_says_what_to_do(free_port: int) -> None:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
         busy = yamsim("view", "--web", "--port", str(free_port))
-    assert busy.code == 4
-    (message,) = complaints(busy.err)
-    assert f"--port {free_port} cannot be used" in message
+    assert (busy.code, f"--port {free_port} cannot be used" in message(busy.err)) == (4, True)
 
 
 def test_a_missing_library_is_named_with_its_extra(tmp_path: Path) -> None:
     (tmp_path / "viser.py").write_text("raise ModuleNotFoundError(\"No module named 'viser'\", name='viser')")
     missing = yamsim("view", "--web", env={"PYTHONPATH": os.pathsep.join([str(tmp_path), str(REPOSITORY)])})
-    assert missing.code == 4
-    (message,) = complaints(missing.err)
-    assert message.endswith("pip install 'yamsim[view]'")
+    assert (missing.code, message(missing.err).endswith("pip install 'yamsim[view]'")) == (4, True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 
 from ..images.jpeg import encode_jpeg
-from ..report import page_files
+from ..report import markup
 from ..report.certificate_page import certificate_page
 from ..vision.renderer import SceneRenderer
 from .outcome import View
@@ -27,7 +27,7 @@ def write_page(certified: Certified, path: Path) -> None:
     pictures = {
         code: [(view.caption, _picture(view)) for view in outcome.views] for code, outcome in certified.outcomes.items()
     }
-    page_files.write_page(certificate_page(certified.plain(), titles, pictures, page_files.made_line()), path)
+    markup.write_page(certificate_page(certified.plain(), titles, pictures, markup.made_line()), path)
 
 
 def _picture(view: View) -> bytes:

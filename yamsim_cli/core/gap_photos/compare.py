@@ -29,7 +29,7 @@ from ..overlay.outline_fit import overlap, score_outlines
 from ..overlay.photos import Photo, camera_matrix, chosen_camera, pinhole_camera
 from ..overlay.rendered_arms import ArmRenderers
 from ..progress import Progress
-from ..report.gap_page import Shown
+from ..report.gap_page import CaptionedJpeg
 from ..resources import Locations
 from ..types import Stand
 from ..vision.picture_overlay import blend, write_lines
@@ -181,7 +181,7 @@ def compare_photos(
     quality: RenderConfig,
     locations: Locations,
     progress: Progress,
-) -> tuple[dict[str, Any], list[Shown]]:
+) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
     """The comparison with photos of recordings as plain data, and the worst photos as pictures.
 
     Raises:
@@ -272,11 +272,11 @@ def _spread(values: Sequence[float | None], worst: Any) -> dict[str, float] | No
     return {"mean": float(np.mean(known)), "worst": float(worst(known))} if known else None
 
 
-def _shown(found: PhotoGap) -> Shown:
+def _shown(found: PhotoGap) -> CaptionedJpeg:
     place = _place(found)
     outline = "no arm in sight" if found.outline is None else f"outline {found.outline:.1f} px from the photo's edges"
     caption = (
         f"Frame {place['frame']} of {place['recording']} at {place['time_s']:.2f} s: the simulated arm over the photo; "
         f"{outline}, overlap {found.iou:.3f}."
     )
-    return Shown(caption, encode_jpeg(found.picture, _QUALITY))
+    return CaptionedJpeg(caption, encode_jpeg(found.picture, _QUALITY))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .axes import percent
-from .markup import Markup, tag
-from .page import document
+from .markup import Markup, document, percent, section, table, tag
 
-# Of a pair of policies' trials, in the order of the table.
+# Outcomes of a pair of policies on a trial, in the order of the table.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
 
 
@@ -19,23 +17,19 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     Args:
         reports: of `evaluate.evaluation.summary`, the evaluated policy's first.
         pairs: of `evaluate.compare.compare`, of the first with each of the others.
-        made: a line for the foot of the page: by what it was made, and when.
+        made: see `markup.document`.
     """
     first = reports[0]
     ranked = sorted(reports, key=lambda report: -report["stats"]["success_rate"])
     title = f"{first['task']} on {first['rig']}"
+    headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
     body = [
-        tag("p", "Leaderboard", class_="kicker"),
-        tag("h1", title),
         tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, held by {first['grasp']}"),
-        _table(
-            ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited"),
-            [_row(report) for report in ranked],
-        ),
+        table(headings, map(_row, ranked)),
         _pairs(first, pairs),
         _instances(ranked),
     ]
-    return document(f"{title}: leaderboard", body, made)
+    return document(f"{title}: leaderboard", "Leaderboard", title, body, made)
 
 
 def _row(report: Mapping[str, Any]) -> list[str]:
@@ -56,13 +50,13 @@ def _row(report: Mapping[str, Any]) -> list[str]:
 def _pairs(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not pairs:
         return None
-    rows = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
-    heads = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
-    return tag("section", tag("h2", "Trial by trial"), _table(heads, rows))
+    cells = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
+    headings = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
+    return section("Trial by trial", table(headings, cells))
 
 
 def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
-    rows = [
+    cells = [
         [
             one["instance"],
             report["policy"],
@@ -73,15 +67,8 @@ def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
         for report in reports
         for one in report["stats"]["by_instance"]
     ]
-    rows.sort(key=lambda row: row[0])
-    heads = ("instance", "policy", "success", "95 % interval", "answer, median")
-    return tag("section", tag("h2", "By instance"), _table(heads, rows))
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
-    head = tag("thead", tag("tr", [tag("th", text, scope="col") for text in heads]))
-    lines = [tag("tr", tag("th", row[0], scope="row"), [tag("td", cell) for cell in row[1:]]) for row in rows]
-    return tag("table", head, tag("tbody", lines))
+    cells.sort(key=lambda row: row[0])
+    return section("By instance", table(("instance", "policy", "success", "95 % interval", "answer, median"), cells))
 
 
 def _interval(bounds: Sequence[float]) -> str:

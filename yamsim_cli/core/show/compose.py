@@ -25,7 +25,7 @@ from ..types import EpisodeJob
 
 @dataclass(frozen=True)
 class ComposeReport:
-    """What was composed: where it is, its files, and the compiled model's size and bodies."""
+    """A composed scene: its path, its files, and the compiled model's size and bodies."""
 
     path: Path
     files: tuple[str, ...]
@@ -37,12 +37,12 @@ class ComposeReport:
 
 @dataclass(frozen=True)
 class Home:
-    """Where a composed scene is at rest, as its keyframe `home` has it.
+    """The state of a composed scene in its keyframe `home`.
 
     Attributes:
         T_in_world: object -> pose (4, 4) in `world`.
         joints: of each arm, rad; None for home.
-        parts: joint of an articulated object -> how far it is open, m or rad; others are closed.
+        parts: joint of an articulated object -> its opening, m or rad; others are closed.
     """
 
     T_in_world: Mapping[str, Array] = field(default_factory=dict)
@@ -51,10 +51,10 @@ class Home:
 
 
 def task_start(session: Session) -> tuple[RecordConfig, Home]:
-    """The seed's first attempt of a task: the config with the things that take part in it, and how it begins.
+    """The first attempt of a session's seed: the config with the things of this attempt, and the start state.
 
     Raises:
-        SimulationError: its things have no room, or its scene cannot be compiled.
+        SimulationError: the things have no room, or the scene cannot be compiled.
     """
     job = EpisodeJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
@@ -65,7 +65,7 @@ def task_start(session: Session) -> tuple[RecordConfig, Home]:
             raise SimulationError(f"task {config.task.name!r}: {no_start(simulator, attempt)}")
         parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
         opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
-    # An arm that has no part in it is where tasks of its own begin.
+    # An arm without a part in the task stands where the arm's own tasks begin.
     joints = [
         config.start_joints if number in config.acting else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
@@ -76,10 +76,10 @@ def task_start(session: Session) -> tuple[RecordConfig, Home]:
 def at_home(
     blueprint: Blueprint, locations: Locations, home: Home | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """A composed scene with keyframe `home`, and what it compiles to.
+    """A composed scene with keyframe `home`, and its compiled model.
 
     Args:
-        home: the arms at rest, and no objects, unless given.
+        home: the arms at rest without objects, unless given.
     """
     spec, home = compose(blueprint, locations), home or Home()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
@@ -97,17 +97,16 @@ def write_scene(
     """Write a composed scene to a folder, or to one zip file.
 
     Args:
-        overwrite: move what is at `out` aside, once the new scene is on the disk.
+        overwrite: an existing `out` is renamed once the new scene is on the disk.
 
     Raises:
-        UsageError: `out` is in the way, or the scene holds something that `reader` does not know.
-        ResourceError: it cannot be written; what was at `out` is still there.
-        SimulationError: the result is not stable: plain MuJoCo, reading it, would see it fly apart.
+        UsageError: `out` exists, or the scene uses elements that `reader` does not know.
+        ResourceError: `out` cannot be written, and is unchanged.
+        SimulationError: the scene is not stable: its parts move apart in plain MuJoCo.
     """
     _check_stable(model)
     files = scene_files(spec, model, reader)
     try:
-        # An empty directory is as good as none.
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
         if (out.exists() or out.is_symlink()) and not overwrite:

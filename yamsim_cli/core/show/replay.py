@@ -1,11 +1,16 @@
-"""Show a recorded episode: as a film of its images, rendered anew, or in a viewer; and its actions again in physics."""
+"""Show a recorded episode: as a video or in a viewer, and repeat its actions in physics.
+
+Of a real recording, viewers show the rig as it was measured.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from ..attempt.pictures import render
@@ -19,17 +24,25 @@ from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..images.video import VideoWriter
+from ..recordings.episodes import read_episode
+from ..resources import Locations
+from ..scene.blueprint import Blueprint
 from ..session import Session
 from ..types import EpisodeJob
 from ..verify import repeat_actions
 from ..viewers.address import PageAddress
-from ..viewers.player import EpisodePlayer
-from .view import PERIOD, require_page, run_page, task_viewpoint
+from ..viewers.viewed_scene import EpisodePlayer
+from ..viewers.viewpoint import Viewpoint, frame_rig
+from .compose import at_home
+from .view import show_scene, task_viewpoint
+
+if TYPE_CHECKING:
+    from ..viewers.bodies_page import BodiesPage
 
 
 @dataclass(frozen=True)
 class Film:
-    """A video that was written: its length in s, its size in pixels, and where an older file of its name went."""
+    """A video that was written: its length in s, its size in pixels, and the new path of an older file of its name."""
 
     path: Path
     frames: int
@@ -45,12 +58,12 @@ def film_recorded(
     """Make a video of the images that were recorded.
 
     Args:
-        cameras: whose, side by side; none for the first one.
+        cameras: cameras that are put side by side; the first one if empty.
         frame_period: from one frame to the next in the video, s.
 
     Raises:
-        UsageError: there is no such camera, or the file is in the way.
-        DatasetError: an image is missing, altered or damaged; there is no video then.
+        UsageError: there is no such camera, or the file exists.
+        DatasetError: an image is missing, altered or damaged; no video is left then.
         ResourceError: see `VideoWriter`.
     """
     if not episode.record.cameras:
@@ -61,7 +74,7 @@ def film_recorded(
 
 def film_rendered(
     episode: StoredEpisode,
-    simulator: Simulator,
+    session: Session,
     cameras: Sequence[str],
     path: Path,
     frame_period: float,
@@ -71,17 +84,18 @@ def film_rendered(
     """Make a video of an episode rendered anew.
 
     Args:
-        simulator: of a session that `shown_again` gave.
+        session: of `shown_again`, with its meshes.
 
     Raises:
         DatasetError: the episode was not simulated, or in another scene.
         UsageError, ResourceError: as for `film_recorded`.
     """
-    chosen = _choose(cameras, simulator.scene.cameras)
-    attempt = recorded_attempt(episode.record)
-    seen = (render(simulator, attempt, qpos, chosen) for qpos in positions(episode, simulator))
-    images = (np.concatenate(list(image.values()), axis=1) for image in seen)
-    return _film(images, chosen, path, frame_period, overwrite=overwrite)
+    with _simulator_of(episode, session) as simulator:
+        chosen = _choose(cameras, simulator.scene.cameras)
+        attempt = recorded_attempt(episode.record)
+        seen = (render(simulator, attempt, qpos, chosen) for qpos in positions(episode, simulator))
+        images = (np.concatenate(list(image.values()), axis=1) for image in seen)
+        return _film(images, chosen, path, frame_period, overwrite=overwrite)
 
 
 def _film(
@@ -103,10 +117,10 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 def shown_again(session: Session, size: tuple[int, int] | None = None) -> Session:
-    """A dataset's session to look at it with: the wrist camera is there even if it was not recorded.
+    """A dataset's session with a wrist camera, even if none was recorded.
 
     Args:
-        size: width and height of images in pixels, if not the recorded one.
+        size: width and height of images, px; the recorded size unless given.
     """
     image = session.config.image
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
@@ -116,7 +130,7 @@ def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     """MuJoCo's positions (frames, nq) of a simulated episode.
 
     Raises:
-        DatasetError: it was not simulated, or in another scene, or a file is damaged.
+        DatasetError: the episode was not simulated, or in another scene, or a file is damaged.
     """
     frames = episode.frames()
     if not all(map(has_simulation, frames)):
@@ -133,14 +147,13 @@ def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     return np.array([frame["sim_qpos"] for frame in frames])
 
 
-def simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
+def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
     """The simulator of a session in which an episode took place."""
-    job = EpisodeJob(episode.record.seed, episode.record.attempt)
-    return simulator_for(session, job)
+    return simulator_for(session, EpisodeJob(episode.record.seed, episode.record.attempt))
 
 
 def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:
-    """Let an episode's actions act again; None when it holds none that physics could repeat.
+    """Repeat an episode's actions in physics; None if the episode holds no actions that physics can repeat.
 
     Args:
         session: of the dataset's own config.
@@ -148,7 +161,7 @@ def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:
     Raises:
         DatasetError: a file is damaged, or the episode is of another scene.
     """
-    with simulator_of(episode, session.without_meshes()) as simulator:
+    with _simulator_of(episode, session.without_meshes()) as simulator:
         return repeat_actions(simulator, episode, episode.frames(), tolerance=0.0)
 
 
@@ -160,32 +173,74 @@ def play(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play an episode in a loop until `stopped` says so.
+    """Play a simulated episode in a loop, see `view.show_scene`.
 
     Args:
         session: of the dataset's own config.
         speed: how fast time passes; 1 is real time.
-        address: of the browser page; None for MuJoCo's window.
-        ready: called once, with the page's URL.
 
     Raises:
         DatasetError: the episode was not simulated, or is damaged.
-        UsageError: the address cannot be had.
-        ResourceError: the viewer is not installed, or no window can be opened.
+        UsageError, ResourceError: see `view.show_scene`.
     """
     record, config = episode.record, session.config
-    viewpoint = task_viewpoint(config)
-    with simulator_of(episode, shown_again(session)) as simulator:
+    with _simulator_of(episode, shown_again(session)) as simulator:
         states = positions(episode, simulator)
         model = simulator.varied(recorded_attempt(record)).model
         player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)
-        if address is None:
-            from ..viewers.window import run_window
+        _show(player, episode, task_viewpoint(config), address, ready, stopped)
 
-            run_window(player, viewpoint, PERIOD, lambda: ready(None), stopped)
-            return
-        require_page()
+
+def play_real(
+    episode: RecordedEpisode,
+    blueprint: Blueprint,
+    locations: Locations,
+    speed: float,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Play the measured motion of a real recording's arms in a loop, see `play`.
+
+    Raises:
+        DatasetError: the recording is damaged, or of another rig.
+        UsageError, ResourceError: see `view.show_scene`.
+    """
+    _, model = at_home(blueprint, locations)
+    period = episode.record.frame_period_s
+    states = _measured_positions(episode, blueprint, model, period)
+    player = EpisodePlayer(str(episode.directory), model, states, period, speed)
+    _show(player, episode, frame_rig(blueprint.rig), address, ready, stopped)
+
+
+def _show(
+    player: EpisodePlayer,
+    episode: RecordedEpisode,
+    viewpoint: Viewpoint,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    def open_page(address: PageAddress) -> BodiesPage:
         from ..viewers.episode_page import EpisodePage
 
-        images = RecordedImages(episode)
-        run_page(EpisodePage(player, viewpoint, address, images), player, ready, stopped)
+        return EpisodePage(player, viewpoint, address, RecordedImages(episode))
+
+    show_scene(player, viewpoint, address, open_page, ready, stopped)
+
+
+def _measured_positions(episode: RecordedEpisode, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
+    """MuJoCo's positions (n, nq) at even times, each of the latest measurement."""
+    rig = blueprint.rig
+    motion = read_episode(episode, rig)
+    even = np.arange(0.0, motion.duration + period / 2, period)
+    rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)
+    states = np.tile(model.key_qpos[0], (len(even), 1))
+    for arm, number in zip(motion.arms, rig.recorded, strict=True):
+        robot, prefix = rig.arms[number].robot, rig.arms[number].prefix
+        for k, name in enumerate(robot.joint_names):
+            states[:, model.joint(prefix + name).qposadr[0]] = arm.joints[rows, k]
+        if robot.fingers is not None and arm.openings is not None:
+            for name, sign in zip(robot.fingers.joints, robot.finger_signs, strict=True):
+                states[:, model.joint(prefix + name).qposadr[0]] = sign * arm.openings[rows]
+    return states

@@ -1,4 +1,4 @@
-"""Watch a rig and move its joints, in a browser page or in MuJoCo's own window."""
+"""Show a scene in a browser page or in MuJoCo's own window, and a live rig whose joints a person moves."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from ..scene.blueprint import Blueprint, Pictures, task_blueprint
 from ..scene.cameras import station_camera, wrist_camera
 from ..session import Session
 from ..viewers.address import PageAddress
-from ..viewers.live import LiveRig
-from ..viewers.shown import Shown
+from ..viewers.viewed_scene import LiveRig, ViewedScene
 from ..viewers.viewpoint import Viewpoint, frame_rig, frame_workspace
 from ..vision.renderer import SceneRenderer
 from .compose import at_home, task_start
@@ -25,18 +24,15 @@ from .compose import at_home, task_start
 if TYPE_CHECKING:
     from ..viewers.bodies_page import BodiesPage
 
-# Between two pictures, s. Physics takes as many steps between them as real time asks for.
-PERIOD = 1 / 30
-
-# Of a camera's picture on the page, px.
-_PICTURE = (320, 240)
+PERIOD = 1 / 30  # s between two pictures; physics takes as many steps between them as real time needs
+_PICTURE = (320, 240)  # px, of a camera's picture on the page
 
 
 def live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
     """Compose a rig and put it into keyframe `home`, ready to run.
 
     Args:
-        quality: of its wrist cameras' pictures; None where none are rendered.
+        quality: of its cameras' pictures; None where none are rendered.
     """
     _, model = at_home(_with_cameras(blueprint, quality), locations)
     return LiveRig(blueprint.rig, model)
@@ -46,7 +42,7 @@ def live_task(session: Session, *, boards: bool = True, quality: RenderConfig | 
     """A task's scene, with the layout of the seed's first attempt; see `live_rig`.
 
     Raises:
-        SimulationError: its things have no room, or its scene cannot be compiled.
+        SimulationError: the things have no room, or the scene cannot be compiled.
     """
     config, home = task_start(session)
     blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
@@ -55,7 +51,7 @@ def live_task(session: Session, *, boards: bool = True, quality: RenderConfig | 
 
 
 def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
-    """The same scene with all wrist cameras."""
+    """The same scene with the cameras of its wrists and of its station."""
     pictures = Pictures(quality, _PICTURE) if quality is not None else None
     rig = blueprint.rig
     cameras = (
@@ -67,13 +63,13 @@ def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Bluepri
 
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
-    """Where a task's scene is watched from: between the arm and the middle of the table."""
+    """The first view of a task's scene, towards a point between the arm and the middle of the table."""
     x, y, _ = config.table.position
     return frame_workspace(x - 0.15, y, config.table.top + 0.1, config.rig.span)
 
 
 class LivePictures:
-    """What a live rig's cameras see now; the renderer is made when first needed, for the thread that asks."""
+    """Renders what a live rig's cameras see; the first call makes the renderer, for its own thread."""
 
     def __init__(self, live: LiveRig) -> None:
         self._live = live
@@ -96,38 +92,74 @@ class LivePictures:
             self._renderer.close()
 
 
-def view_in_browser(
+def view_rig(
     live: LiveRig,
-    address: PageAddress,
-    ready: Callable[[str], None],
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
     viewpoint: Viewpoint | None = None,
     *,
     boards: bool = True,
     pictures: bool = False,
 ) -> None:
-    """Serve a page and run physics, until `stopped` says so.
+    """Run a rig's physics and show the rig, see `show_scene`.
 
     Args:
-        ready: called with the page's URL once it is up, unless it is no longer wanted.
-        viewpoint: where the page's camera starts; without, it sees the whole rig.
-        boards: whether boards and mounts are shown at first.
-        pictures: whether the page offers what the cameras see.
-
-    Raises:
-        UsageError: the address cannot be had.
-        ResourceError: the viewer library is not installed.
+        viewpoint: the viewer's first view; the whole rig unless given.
+        boards: whether a page shows boards and mounts at first.
+        pictures: whether a page offers pictures of the rig's cameras.
     """
-    require_page()
-    from ..viewers.rig_page import RigPage
-
+    viewpoint = viewpoint or frame_rig(live.rig)
     seen = LivePictures(live) if pictures else None
+
+    def open_page(address: PageAddress) -> BodiesPage:
+        from ..viewers.rig_page import RigPage
+
+        return RigPage(live, viewpoint, address, boards=boards, pictures=seen)
+
     try:
-        page = RigPage(live, viewpoint or frame_rig(live.rig), address, boards=boards, pictures=seen)
-        run_page(page, live, ready, stopped)
+        show_scene(live, viewpoint, address, open_page, ready, stopped)
     finally:
         if seen is not None:
             seen.close()
+
+
+def show_scene(
+    scene: ViewedScene,
+    viewpoint: Viewpoint,
+    address: PageAddress | None,
+    open_page: Callable[[PageAddress], BodiesPage],
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Show a scene in real time until `stopped` returns True, or MuJoCo's window is closed.
+
+    Args:
+        address: of the browser page; None for MuJoCo's window.
+        open_page: makes the page; called only where the viewer library is installed.
+        ready: called once, with the page's URL, when the viewer is open; not called if `stopped` returns True before.
+
+    Raises:
+        UsageError: the page cannot listen on the address.
+        ResourceError: the viewer library is not installed, or no window can be opened.
+    """
+    if address is None:
+        from ..viewers.window import run_window
+
+        run_window(scene, viewpoint, PERIOD, lambda: ready(None), stopped)
+        return
+    require_page()
+    page = open_page(address)
+    try:
+        if not stopped():
+            ready(page.url)
+        while not stopped():
+            began = time.monotonic()
+            scene.advance(began)
+            page.update()
+            time.sleep(max(0.0, began + PERIOD - time.monotonic()))
+    finally:
+        page.close()
 
 
 def require_page() -> None:
@@ -142,34 +174,3 @@ def require_page() -> None:
         if error.name != "viser":
             raise
         raise ResourceError("the browser page needs viser, which is not here: pip install 'yamsim[view]'") from error
-
-
-def run_page(page: BodiesPage, shown: Shown, ready: Callable[[str], None], stopped: Callable[[], bool]) -> None:
-    """Let what a page shows go on until `stopped` says so, and close the page; see `view_in_browser`."""
-    try:
-        if not stopped():
-            ready(page.url)
-        while not stopped():
-            began = time.monotonic()
-            shown.advance(began)
-            page.update()
-            time.sleep(max(0.0, began + PERIOD - time.monotonic()))
-    finally:
-        page.close()
-
-
-def view_in_window(
-    live: LiveRig, ready: Callable[[], None], stopped: Callable[[], bool], viewpoint: Viewpoint | None = None
-) -> None:
-    """Open MuJoCo's window and run physics, until it is closed or `stopped` says so.
-
-    Args:
-        ready: called when the window is open, unless it is no longer wanted.
-        viewpoint: where its camera starts; without, it sees the whole rig.
-
-    Raises:
-        ResourceError: no window can be opened here.
-    """
-    from ..viewers.window import run_window
-
-    run_window(live, viewpoint or frame_rig(live.rig), PERIOD, ready, stopped)

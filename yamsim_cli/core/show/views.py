@@ -1,4 +1,4 @@
-"""Render a rig from the views a person would choose, and lay them side by side."""
+"""Render a rig from several views, and lay the pictures side by side."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ViewScene:
 
     Attributes:
         size: width and height of a view, px.
-        fine: the size in which it is rendered, before it is averaged.
+        fine: width and height of the rendered picture before it is averaged, px.
     """
 
     rig: RigConfig
@@ -44,7 +44,7 @@ class ViewScene:
     fine: tuple[int, int]
 
     def renderer(self) -> SceneRenderer:
-        """A renderer of the views, to be closed by whoever asks for it.
+        """A renderer of the views, which the caller closes.
 
         Raises:
             ResourceError: nothing can render here.
@@ -53,11 +53,7 @@ class ViewScene:
 
 
 def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
-    """Compose a rig with a camera for each view, placed by the rig's extent.
-
-    Args:
-        size: width and height of a view, px.
-    """
+    """Compose a rig with a camera for each view, placed by the rig's extent; `size` is a view's (width, height), px."""
     rig = blueprint.rig
     spec, model = at_home(replace(blueprint, pictures=Pictures(quality, size)), locations)
     cameras = _cameras(rig, model, _at_home(model), size)
@@ -77,12 +73,12 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def picture_names() -> list[str]:
-    """Return the names of the files that `render_views` makes."""
+    """File names of the pictures of `render_views`."""
     return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
 
 
 def render_views(views: ViewScene) -> dict[str, Image]:
-    """File name -> RGB image (height, width, 3): every view with its names written in, and the montage.
+    """File name -> RGB image (height, width, 3): every labelled view, and the montage.
 
     Raises:
         ResourceError: nothing can render here.
@@ -98,7 +94,7 @@ def render_views(views: ViewScene) -> dict[str, Image]:
 
 
 def write_views(images: dict[str, Image], out: Path) -> list[Path]:
-    """Write images into a folder, which is made: all of them or none.
+    """Write all images or none into a folder, which is made if missing; return their paths.
 
     Raises:
         ResourceError: the folder cannot be written.
@@ -109,31 +105,22 @@ def write_views(images: dict[str, Image], out: Path) -> list[Path]:
 
 def _cameras(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int]) -> dict[str, Camera]:
     every = list(range(1, model.nbody))
-    near_base = [
-        body
-        for arm in rig.arms
-        for body in (
-            *(model.body(arm.prefix + name).id for name, there in _on_base(arm) if there),
-            model.body(arm.prefix + arm.robot.base).id,
-            _link(model, arm, 0),
-        )
-    ]
+    near_base = []
+    for arm in rig.arms:
+        names = [*([BOARD_BODY] if arm.board else []), *([MOUNT_BODY] if arm.mount else []), arm.robot.base]
+        near_base += [*(model.body(arm.prefix + name).id for name in names), _link(model, arm, 0)]
     return {
         view.name: place_camera(view, rig_points(model, data, near_base if view.low else every), size) for view in VIEWS
     }
 
 
-def _on_base(arm: ArmConfig) -> tuple[tuple[str, bool], ...]:
-    return (BOARD_BODY, arm.board is not None), (MOUNT_BODY, arm.mount is not None)
-
-
 def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
-    """The body that turns with an arm's joint of that number, from the base on."""
+    """The body that turns with an arm's joint, counted from the base."""
     return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
 
 
 def _names(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
-    """Text -> the point (3,) of `world` it belongs to."""
+    """Label -> its point (3,) in `world`."""
     names = {}
     for arm in rig.arms:
         names[f"{arm.name} ({arm.side})"] = data.xpos[_link(model, arm, arm.robot.dof // 2 - 1)] + np.array(

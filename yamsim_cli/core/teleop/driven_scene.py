@@ -21,9 +21,8 @@ from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob
-from ..viewers.driven import DriveStatus
-from ..viewers.watched_state import WatchedState
 from .attempt_writer import AttemptReceiver
+from ..viewers.driven import Driven, DriveStatus
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
 
@@ -83,7 +82,7 @@ class Stage:
         return Simulated(attempt, outcome_of(self._simulator, played), played)
 
 
-class DrivenScene(WatchedState):
+class DrivenScene(Driven):
     """A scene and its state; a `viewers.driven.Driven`. Its methods may be called from any thread.
 
     Of two arms one is driven at a time, and the other continues to its last target. Methods without a side command the

@@ -14,7 +14,7 @@ class PageAddress:
 
     Attributes:
         port: the port to listen on; 0 takes a free one.
-        host: an address or name of this machine; `0.0.0.0` for all of its addresses.
+        host: an address or name of this machine; `0.0.0.0` for all its addresses.
     """
 
     port: int = 0
@@ -22,7 +22,7 @@ class PageAddress:
 
     @property
     def is_private(self) -> bool:
-        """Whether only users of this machine can reach it."""
+        """Whether only users of this machine can reach the page."""
         try:
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:

@@ -1,48 +1,53 @@
-"""The base of all browser pages: bodies that move, and a button to pause them."""
+"""The base of all browser pages: a viser server for this machine, bodies that move, and a button to pause them."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import os
 import socket
+import threading
 import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import viser
+import websockets.asyncio.server
 
 from ..errors import ResourceError, UsageError
+from ..page_origin import refusal
 from .address import PageAddress
-from .cloths import ClothNodes
-from .local_server import LocalServer, guarded
-from .shapes import add_bodies
-from .shown import Shown
+from .shapes import ClothNodes, add_bodies
+from .viewed_scene import ViewedScene
 from .viewpoint import FOV_DEG, Viewpoint
 
-# Decimals of positions (m) and quaternions that are sent.
-_DECIMALS = 5
+_DECIMALS = 5  # of positions (m) and quaternions: an arm at rest trembles by less, and rounding keeps that unsent
+_BEAT_SECONDS = 1.0  # s from one sign of life to a page to the next
+_SILENCE_SECONDS = 5.0  # s without a sign of life after which a page says that it is disconnected
 
-# How often a page is told that it is connected, and how long after the last time it says that it is not, s.
-_BEAT_SECONDS = 1.0
-_SILENCE_SECONDS = 5.0
+# Held while a server starts, see `_refusing_other_sites`.
+_STARTING = threading.Lock()
 
 
 class BodiesPage:
-    """A page that shows the bodies of `shown` as they move. Closing it frees its port.
+    """A page that shows a scene's bodies and cloths as they move. Closing the page frees its port.
 
     Raises:
         UsageError: the page cannot listen on the address.
     """
 
-    def __init__(self, shown: Shown, viewpoint: Viewpoint, address: PageAddress) -> None:
+    def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
         # Browsers drop connections at any time. Without a handler, each would print a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
-        self._server = _serve(address, f"yamsim: {shown.title}")
+        self._server = serve_page(address, f"yamsim: {shown.title}")
         self.url = f"http://{address.url_host}:{self._server.get_port()}"
         self._show_bodies()
-        self._place_camera(viewpoint)
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = viewpoint.position, viewpoint.look_at
+        camera.fov, camera.near = math.radians(FOV_DEG), 0.01
         self._heartbeat = self._server.gui.add_html("")
         self._beat, self._beat_due = 0, 0.0
         self._status = self._server.gui.add_markdown("")
@@ -50,8 +55,7 @@ class BodiesPage:
         self._pause_button.on_click(self._toggle_pause)
 
     def update(self) -> None:
-        """Send what has changed since the last call to all clients."""
-        # An arm at rest trembles by less than anyone can see. Rounding keeps that from being sent.
+        """Send all changes since the last call to all clients."""
         if self._model is not self._shown.model:
             for node in self._bodies.frames.values():
                 node.remove()
@@ -61,7 +65,7 @@ class BodiesPage:
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # Another scene has come up in between, and is shown by the next call.
+                return  # The model was replaced in between; the next call shows the new one.
             for body, frame in self._bodies.frames.items():
                 # viser does not send a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
@@ -82,20 +86,15 @@ class BodiesPage:
         self._bodies = add_bodies(self._server.scene, self._model)
         self._cloths = ClothNodes(self._server.scene, self._model)
 
-    def _place_camera(self, viewpoint: Viewpoint) -> None:
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = viewpoint.position, viewpoint.look_at
-        camera.fov, camera.near = math.radians(FOV_DEG), 0.01
-
     def _toggle_pause(self, _: Any) -> None:
         self._shown.paused = not self._shown.paused
 
 
 def _disconnected(beat: int) -> str:
-    """A notice that appears by itself, on the panel and across the page, unless another one replaces it in time.
+    """A notice that appears by itself, on the panel and across the page, unless the next beat replaces it in time.
 
-    A page whose server is gone still shows the last state that it was sent, such as a recording that goes on. Nobody
-    can tell it otherwise then, so that the notice has to be there before.
+    A page whose server is gone still shows the last state that was sent, such as a recording in progress. No server
+    can correct that any more, so the page holds the notice from the start.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
@@ -109,17 +108,52 @@ def _disconnected(beat: int) -> str:
     )
 
 
-def _serve(address: PageAddress, title: str) -> viser.ViserServer:
+class _LocalServer(viser.ViserServer):
+    """viser's server without its tunnel to a public address, which any client could request."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Do nothing: there is no tunnel."""
+        return
+
+
+def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
+    """An empty page on an address, which refuses requests of other sites; raises as `check_free`."""
     check_free(address)
-    with guarded(address.host):
-        server = LocalServer(host=address.host, port=address.port, label=title, verbose=False)
+    with _refusing_other_sites(address.host):
+        server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
-        # Another program took the port meanwhile. viser then takes the next free one, which nobody asked for.
+        # Another program took the port meanwhile, and viser chose the next free one.
         server.stop()
         raise _taken(address, "it is in use")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.scene.world_axes.visible = False
     return server
+
+
+@contextlib.contextmanager
+def _refusing_other_sites(host: str) -> Iterator[None]:
+    """A WebSocket server that starts inside this block refuses requests from pages of other sites.
+
+    viser makes its server by itself and has no hook for requests, so the function that viser calls is wrapped.
+    """
+    serve = websockets.asyncio.server.serve
+
+    def with_check(*args: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            headers = request.headers
+            refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), host)
+            if refused is not None:
+                return connection.respond(403, refused)
+            return process_request(connection, request) if process_request is not None else None
+
+        return serve(*args, process_request=check, **options)
+
+    with _STARTING:
+        websockets.asyncio.server.serve = with_check  # type: ignore[assignment, misc]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
 def check_free(address: PageAddress) -> None:
@@ -136,7 +170,7 @@ def check_free(address: PageAddress) -> None:
         raise UsageError(f"--host {address.host} is not valid ({reason}): give an address of this machine") from error
     with socket.socket(family, kind) as probe:
         if os.name == "posix":
-            # The server sets this, too: connections of an earlier page that are still closing are not in the way.
+            # As the server does: closing connections of an earlier page do not block the port.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(place)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import DatasetError
 from .address import PageAddress
 from .bodies_page import BodiesPage
-from .player import EpisodePlayer
+from .viewed_scene import EpisodePlayer
 from .viewpoint import Viewpoint
 
 
@@ -24,13 +24,13 @@ class Images(Protocol):
         """An RGB image (height, width, 3) of uint8.
 
         Raises:
-            DatasetError: it is missing or damaged.
+            DatasetError: the image is missing or damaged.
         """
         ...
 
 
 class EpisodePage(BodiesPage):
-    """The page of one player. Its slider shows which frame is shown, and moves to another frame and its pictures."""
+    """The page of one player, with its frames' pictures and a slider that shows and sets the frame."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
         super().__init__(player, viewpoint, address)
@@ -49,12 +49,12 @@ class EpisodePage(BodiesPage):
         with self._player.lock:
             frame = self._player.frame
             if frame != self._slid:
-                # Only where playing moved the frame: what a user has just done with the slider would be undone.
+                # Set only if playing moved the frame, so that a user's move of the slider is not undone.
                 # viser's setter takes more types than its getter returns, which mypy cannot express.
                 self.slider.value = self._slid = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
         self._status.content = f"{frame * self._player.frame_period:.2f} s{state}"
-        # Images are read only if somebody watches, and once at the start.
+        # Images are read at the start, and then only while a client is connected.
         if frame != self._pictured and (self._server.get_clients() or self._pictured is None):
             self._pictured = frame
             self._show_pictures(frame)
@@ -73,8 +73,8 @@ class EpisodePage(BodiesPage):
                 self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
     async def _seek(self, event: Any) -> None:
-        # Viser awaits this at once. In a thread of its own, it would often come after playing moved the slider on.
-        # Without a client, the page itself has moved it.
+        # A coroutine runs at once. A thread would often run after playing moved the slider on.
+        # Without a client, the page itself moved the slider.
         if event.client is not None:
             with self._player.lock:
                 self._slid = self.slider.value

@@ -1,27 +1,39 @@
-"""A browser page that shows a live rig and moves it."""
+"""A browser page that shows a live rig, moves its joints, and takes its cameras' pictures."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
+from ..errors import ResourceError
+from ..geometry.camera import opencv_from_mujoco
+from ..geometry.se3 import quat_from_rotation
 from .address import PageAddress
 from .bodies_page import BodiesPage
-from .cameras_panel import CameraPictures, CamerasPanel
-from .live import Drive, LiveRig
+from .viewed_scene import Drive, LiveRig
 from .viewpoint import Viewpoint
 
 _STATUS_PERIOD = 1.0  # s
+_STEP = 0.001  # rad or m, of sliders
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arms; closer, their bases would touch
 
-# Step of a slider, rad or m.
-_STEP = 0.001
 
-# Smallest and largest distance between two arms that a person can try, m. Any closer, their bases would touch.
-_MARGINS = (0.2, 1.2)
+class CameraPictures(Protocol):
+    """Renders what cameras see. Only one thread calls it."""
+
+    def render(self, camera: str) -> NDArray[np.uint8]:
+        """An RGB image (height, width, 3) of uint8.
+
+        Raises:
+            ResourceError: nothing can be rendered here.
+        """
+        ...
 
 
 class RigPage(BodiesPage):
@@ -123,3 +135,61 @@ class RigPage(BodiesPage):
             speed = max(0.0, self._live.time - simulated) / (now - then)
             state = "paused" if self._live.paused else f"{speed:.2f} × real time"
             self._status.content = f"{self._live.time:.0f} s, {state}"
+
+
+class CamerasPanel:
+    """A folder of the page with buttons to take pictures and to look through cameras; absent without cameras."""
+
+    def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
+        self._gui = server.gui
+        self._live = live
+        self._pictures = pictures
+        self._images: dict[str, viser.GuiImageHandle] = {}
+        self._requested = False
+        self._cameras = tuple(live.model.cam(k).name for k in range(live.model.ncam))
+        if not self._cameras:
+            return
+        self._folder = server.gui.add_folder("Cameras")
+        with self._folder:
+            if pictures is not None:
+                self._button = server.gui.add_button("Take pictures", icon=viser.Icon.CAMERA)
+                self._button.on_click(self._request)
+            for camera in self._cameras:
+                self._add_view(camera)
+
+    def update(self) -> None:
+        """Take the requested pictures; to be called from the thread that owns OpenGL."""
+        if not self._requested or self._pictures is None:
+            return
+        self._requested = False
+        for camera in self._cameras:
+            try:
+                image = self._pictures.render(camera)
+            except ResourceError as error:
+                # Rendering would fail again, so the button is disabled.
+                self._pictures, self._button.disabled = None, True
+                with self._folder:
+                    self._gui.add_markdown(f"No pictures: {error}")
+                return
+            if camera in self._images:
+                self._images[camera].image = image
+                continue
+            with self._folder:
+                self._images[camera] = self._gui.add_image(image, label=camera)
+
+    def _request(self, _: Any) -> None:
+        self._requested = True
+
+    def _add_view(self, camera: str) -> None:
+        button = self._gui.add_button(f"Look through {camera}", icon=viser.Icon.EYE)
+
+        def look(event: Any) -> None:
+            with self._live.lock:
+                seen = self._live.data.cam(camera)
+                position, R = seen.xpos.copy(), opencv_from_mujoco(seen.xmat)
+            view = event.client.camera
+            with event.client.atomic():
+                view.wxyz, view.position = quat_from_rotation(R), position
+                view.fov = math.radians(float(self._live.model.cam(camera).fovy[0]))
+
+        button.on_click(look)

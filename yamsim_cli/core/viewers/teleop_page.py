@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import threading
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -11,19 +12,18 @@ import numpy as np
 import viser
 
 from ..errors import counted
-from ..geometry.se3 import pose, pose_from_quat, quat_from_rotation, rotation_z
+from ..geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
 from .address import PageAddress
 from .bodies_page import BodiesPage
 from .driven import Driven, DriveStatus
-from .target_fields import TargetFields, heading_of
 from .viewpoint import Viewpoint
 
-_FREE, _STOPPED, _RECORDING = (46, 139, 87), (200, 40, 40), (200, 40, 40)
+_GREEN, _RED = (46, 139, 87), (200, 40, 40)
+_STEP = 0.01  # m, shift of the target by a key
+_TURN = np.radians(5.0)  # rad, turn of the target about the vertical by a key
+_TYPING_PAUSE = 1.0  # s without a key after which typed numbers count: typing 0.15 must not move the target to 0
 
-# How far a key moves the target, m, or turns it about the vertical, rad.
-_STEP, _TURN = 0.01, np.radians(5.0)
-
-# Key, description, and how it moves the target: the shift along the world's axes, and the turn about the vertical.
+# Key, description, shift of the target along the world's axes, and turn about the vertical.
 _MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
@@ -42,21 +42,21 @@ _KEYS = (
 
 
 class TeleopPage(BodiesPage):
-    """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and what is in the way."""
+    """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and obstacles in its path."""
 
     def __init__(self, arm: Driven, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False
-        # Many actions read the target and set a new one that follows from it, so they run one after the other.
+        # Most actions compute a new target from the current one, so actions run one after the other.
         self._acting = threading.Lock()
         self._notice = self._server.gui.add_html("")
         self._add_recording()
         self._add_hand()
         self._gizmo = self._server.scene.add_transform_controls("/target", scale=0.12, line_width=3.0, depth_test=False)
-        self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_FREE)
+        self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_GREEN)
         self._gizmo.on_update(self._drag)
-        self._server.on_client_disconnect(self._left)
+        self._server.on_client_disconnect(self._disconnect)
         status = arm.status
         magnet, other = "" if status.magnet is None else ", **M** magnet", ", **T** other arm" if status.arm else ""
         self._server.gui.add_markdown(_KEYS + magnet + other)
@@ -76,8 +76,8 @@ class TeleopPage(BodiesPage):
 
     def _add_recording(self) -> None:
         icons = viser.Icon
-        self._start = self._add_button("Start recording", self._arm.start, icon=icons.PLAYER_RECORD, color=_FREE)
-        self._stop = self._add_button("Stop and judge", self._arm.stop, icon=icons.PLAYER_STOP, color=_RECORDING)
+        self._start = self._add_button("Start recording", self._arm.start, icon=icons.PLAYER_RECORD, color=_GREEN)
+        self._stop = self._add_button("Stop and judge", self._arm.stop, icon=icons.PLAYER_STOP, color=_RED)
         self._discard = self._add_button("Discard", self._arm.discard, icon=icons.TRASH)
         self._add_key("Start or stop recording", "R", self._start_or_stop)
         self._add_key("Discard the recording", "X", self._arm.discard)
@@ -101,22 +101,22 @@ class TeleopPage(BodiesPage):
 
     def _add_button(self, label: str, act: Callable[[], None], **looks: Any) -> viser.GuiButtonHandle:
         button = self._server.gui.add_button(label, **looks)
-        button.on_click(self._in_turn(act))
+        button.on_click(self._queued(act))
         return button
 
     def _add_key(self, name: str, key: Any, act: Callable[[], None]) -> None:
-        self._server.gui.add_command(name, hotkey=key).on_trigger(self._in_turn(act))
+        self._server.gui.add_command(name, hotkey=key).on_trigger(self._queued(act))
 
-    def _in_turn(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """A callback of a button or a key that runs after everything that was pressed before it."""
+    def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """A callback of a button or a key that runs after the callbacks of earlier presses."""
 
         # A coroutine runs in the server's own loop. In threads, two quick keys could overtake each other, or be lost.
-        async def act_in_turn(_: Any) -> None:
+        async def act_queued(_: Any) -> None:
             with self._acting:
                 self._take_typed()
                 act()
 
-        return act_in_turn
+        return act_queued
 
     def _take_typed(self) -> None:
         if self._fields.typed:
@@ -129,7 +129,7 @@ class TeleopPage(BodiesPage):
             self._arm.start()
 
     # A coroutine runs in the server's own loop, where a client that comes back is counted first.
-    async def _left(self, _: viser.ClientHandle) -> None:
+    async def _disconnect(self, _: viser.ClientHandle) -> None:
         if not self._server.get_clients():
             self._arm.leave()
 
@@ -159,7 +159,7 @@ class TeleopPage(BodiesPage):
         self._fields.show(target)
 
     def _show(self, status: DriveStatus) -> None:
-        self._ball.color = _FREE if status.free else _STOPPED
+        self._ball.color = _GREEN if status.free else _RED
         self._notice.content = _notice(status)
         self._start.disabled = status.recording
         self._stop.disabled = self._discard.disabled = not status.recording
@@ -172,12 +172,12 @@ class TeleopPage(BodiesPage):
             state += ", paused"
         waiting = f", {status.waiting} being judged and rendered" if status.waiting else ""
         done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
-        told = "  \n".join(filter(None, (status.prompt and f"**{status.prompt}**", status.goal)))
-        self._status.content = f"{told}\n\n" * bool(told) + f"{whose}{state}  \n{done}  \n{status.message}"
+        task = "  \n".join(filter(None, (status.prompt and f"**{status.prompt}**", status.goal)))
+        self._status.content = f"{task}\n\n" * bool(task) + f"{whose}{state}  \n{done}  \n{status.message}"
 
 
 def _notice(status: DriveStatus) -> str:
-    """HTML on what keeps the hand from its target, in red; or that it follows, in green."""
+    """HTML with the reasons why the hand cannot reach its target, in red; or that the hand follows, in green."""
     reasons = []
     if status.blocked:
         reasons.append(f"{status.blocked} is in the way")
@@ -187,6 +187,70 @@ def _notice(status: DriveStatus) -> str:
         reasons.append(f"{', '.join(status.at_limit)} at its stop")
     held = ", and holds the object" if status.holds else ""
     text = "; ".join(reasons) or f"the hand follows{held}"
-    red, green, blue = _STOPPED if reasons else _FREE
+    red, green, blue = _RED if reasons else _GREEN
     style = f"color: rgb({red}, {green}, {blue}); padding: 0 1em 0.5em; font-size: 0.9em"
     return f'<div style="{style}">{html.escape(text)}</div>'
+
+
+class TargetFields:
+    """Fields with the hand's target, in which a person can type another target.
+
+    The fields follow the target until a person types, and then keep the typed numbers until `take`. Not to be called
+    from several threads at once; only typing comes from the server's own thread.
+    """
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
+        self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
+        self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
+        # Time of the last key, on a steady clock; None if nothing is typed.
+        self._typed_at: float | None = None
+        # Coroutines run in the server's own loop, so that typing is noted before any later action.
+        self._place.on_update(self._type)
+        self._heading.on_update(self._type)
+
+    @property
+    def typed(self) -> bool:
+        """Whether typed numbers wait to be taken."""
+        return self._typed_at is not None
+
+    @property
+    def ready(self) -> bool:
+        """Whether typed numbers wait to be taken, and the typing has ended."""
+        typed_at = self._typed_at
+        return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
+
+    def take(self, target: Array) -> Array:
+        """`target` (4, 4) in `world` with the typed numbers in it."""
+        self._typed_at = None
+        (x, y, z), heading = self._place.value, self._heading.value
+        (shown_place, shown_heading), T = self._shown, target.copy()
+        # Numbers that were not changed keep the target's full precision.
+        for axis, (number, shown) in enumerate(zip((x, y, z), shown_place, strict=True)):
+            if number != shown:
+                T[axis, 3] = number
+        if heading != shown_heading:
+            T[:3, :3] = rotation_z(np.radians(heading) - heading_of(target)) @ target[:3, :3]
+        self._shown = ((x, y, z), heading)
+        return T
+
+    def show(self, target: Array) -> None:
+        """Show the target, unless someone is typing."""
+        x, y, z = (round(float(part), 3) for part in target[:3, 3])
+        numbers = ((x, y, z), round(float(np.degrees(heading_of(target))), 1))
+        # Compared with the last shown numbers: the fields may hold typed numbers that are not noted yet.
+        if self.typed or numbers == self._shown:
+            return
+        self._shown = numbers
+        # viser's setters take more types than their getters return, which mypy cannot express.
+        self._place.value, self._heading.value = numbers  # type: ignore[misc]
+
+    async def _type(self, event: Any) -> None:
+        # Without a client, `show` changed the fields.
+        if event.client is not None:
+            self._typed_at = time.monotonic()
+
+
+def heading_of(T: Array) -> float:
+    """The direction of the hand's y axis, along which the fingers close, in the world's xy plane, rad."""
+    return float(np.arctan2(T[1, 1], T[0, 1]))

@@ -1,4 +1,4 @@
-"""Where a viewer's camera is at first."""
+"""A viewer's first camera pose."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 
-FOV_DEG = 45.0
+FOV_DEG = 45.0  # vertical
+_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # from the front, to one side and above
 
-# A ball that has to be in the picture for each base: its centre in the base's frame, and its radius, m. It contains an
-# arm at rest and its board.
-_MIDDLE = (0.12, 0.0, 0.17)
-_REACH = 0.34
+# A ball around an arm at rest and its board, which has to be in the picture.
+_BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
+_BALL_RADIUS = 0.34  # m
+_TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
 
 
 @dataclass(frozen=True)
@@ -36,28 +37,30 @@ class Viewpoint:
 
     @property
     def position(self) -> Array:
-        """Where the camera is (3,) in `world`, m."""
+        """The camera's position (3,) in `world`, m."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         sight = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
         return self.look_at - self.distance * np.array(sight)
 
 
 def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """A view of a table and its arms, from the front, to one side and above.
+    """A view of a table and its arms.
 
     Args:
         x, y, z: the point in `world` to look at, m.
-        span: distance between the outermost arms' places, m.
+        span: distance between the outermost arms' bases, m.
     """
-    radius = _REACH + 0.12 + span / 2
-    distance = radius / math.sin(math.radians(FOV_DEG / 2))
-    return Viewpoint(np.array([x, y, z]), distance, azimuth_deg=150.0, elevation_deg=-32.0)
+    return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 
 
 def frame_rig(rig: RigConfig) -> Viewpoint:
-    """A view of all arms and boards of a rig, from the front, to one side and above."""
+    """A view of all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
-    middles = np.array([(T @ (*_MIDDLE, 1.0))[:3] for T in bases])
-    look_at: Array = middles.mean(axis=0)
-    radius = _REACH + float(np.linalg.norm(middles - look_at, axis=1).max())
-    return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), azimuth_deg=150.0, elevation_deg=-32.0)
+    centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
+    look_at: Array = centres.mean(axis=0)
+    return _framing(look_at, _BALL_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
+
+
+def _framing(look_at: Array, radius: float) -> Viewpoint:
+    """A view that holds a ball of this radius, m."""
+    return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

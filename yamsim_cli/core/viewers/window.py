@@ -10,17 +10,15 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..errors import ResourceError
-from .shown import Shown
+from .viewed_scene import ViewedScene
 from .viewpoint import Viewpoint
 
-_KEY_SPACE = 32
-
-# How long a window's thread may take to end after it was told to close, s. It renders at most one more picture.
-_CLOSE_SECONDS = 5.0
+_KEY_SPACE = 32  # GLFW's code
+_CLOSE_SECONDS = 5.0  # s that the window's thread may take to end; the thread renders at most one more picture
 
 
 def run_window(
-    shown: Shown, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
+    shown: ViewedScene, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
 ) -> None:
     """Show a model until the window is closed, or `stopped` returns True.
 
@@ -28,7 +26,7 @@ def run_window(
 
     Args:
         period: time between two pictures, s.
-        ready: called when the window is open, unless `stopped` returns True by then.
+        ready: called when the window is open, unless `stopped` returns True before.
 
     Raises:
         ResourceError: no window can be opened here.
@@ -53,7 +51,7 @@ def run_window(
 
 
 @contextlib.contextmanager
-def _window(shown: Shown) -> Iterator[Any]:
+def _window(shown: ViewedScene) -> Iterator[Any]:
     import mujoco.viewer
 
     def press(key: int) -> None:
@@ -75,13 +73,13 @@ def _window(shown: Shown) -> Iterator[Any]:
 
 
 def _check_display() -> None:
-    """Open an invisible window first. Where that fails, MuJoCo's viewer would wait for its own window for ever."""
+    """Open an invisible window first: where that fails, MuJoCo's viewer would wait for its own window for ever."""
     try:
         import glfw
     except ImportError as error:
         raise ResourceError(f"MuJoCo's window needs GLFW ({error}): use --web") from error
 
-    # The callback stays set. By default, GLFW's remarks on what a desktop does not support would go to stderr.
+    # The callback stays set. By default, GLFW's remarks on features that a desktop lacks would go to stderr.
     reasons = ["GLFW gives no reason"]
     glfw.set_error_callback(lambda _, text: reasons.append(os.fsdecode(text)))
     window = None

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("viser", reason="yamsim[view] is not installed")
 
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.core.viewers.target_fields import TargetFields, heading_of
+from yamsim_cli.core.viewers.teleop_page import TargetFields, heading_of
 
 
 class Field:
@@ -76,7 +76,7 @@ def fields(page: Page) -> TargetFields:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [100.0]
-    monkeypatch.setattr("yamsim_cli.core.viewers.target_fields.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("yamsim_cli.core.viewers.teleop_page.time.monotonic", lambda: now[0])
     return now
 
 
