@@ -123,6 +123,7 @@ def test_sets_are_selected_once_and_in_the_locks_order(committed):
     assert [assets.name for assets in committed.select(["ycb", "i2rt_yam_crank", "ycb"])] == ["i2rt_yam_crank", "ycb"]
 
 
+@pytest.mark.slow
 def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):
     where = Locations.find({})
     opener = Opener({}, lambda text: None, str)

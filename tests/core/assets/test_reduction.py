@@ -17,6 +17,7 @@ def in_mm(data):
     return vertices * 1000, faces
 
 
+@pytest.mark.slow
 def test_a_ball_stays_a_ball_with_far_fewer_faces():
     source = stl_bytes(*BALL)
     reduced = reduce_stl(source, Reduction(faces=900))
@@ -32,10 +33,12 @@ def test_slivers_of_a_flat_side_go_at_no_loss():
     assert deviation(in_mm(source), in_mm(reduced), 1.0, 1000) < 1e-3
 
 
+@pytest.mark.slow
 def test_the_same_mesh_gives_the_same_bytes():
     assert reduce_stl(stl_bytes(*BALL), Reduction(faces=700)) == reduce_stl(stl_bytes(*BALL), Reduction(faces=700))
 
 
+@pytest.mark.slow
 def test_one_that_strays_too_far_is_not_used(monkeypatch):
     """A ball of 20 faces misses the real one by millimetres: clearing alone is what is left."""
     source = stl_bytes(*BALL)

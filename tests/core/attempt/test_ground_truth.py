@@ -87,6 +87,7 @@ def test_another_worker_gives_the_same_bytes(
         assert other.run(EpisodeJob(0, 0)).files == payload.files
 
 
+@pytest.mark.slow
 def test_truth_changes_nothing_else(
     payload: EpisodePayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:

@@ -295,6 +295,7 @@ def test_a_varied_demonstration_repeats_bit_for_bit(
         assert np.array_equal(state.qpos, qpos)
 
 
+@pytest.mark.slow
 def test_what_is_recorded_repeats_bit_for_bit(
     driven: DrivenScene, tray: Tray, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
@@ -539,6 +540,7 @@ def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     assert yamsim("summarize", str(out), "--strict").code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: Path) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")

@@ -48,6 +48,7 @@ def test_an_own_stl_becomes_an_object_by_name(
         import_file(tmp_path / "drawn.stl", Told(), Wishes("brick"), where, None)
 
 
+@pytest.mark.slow
 def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))

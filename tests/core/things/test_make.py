@@ -181,6 +181,7 @@ def test_taking_apart_has_its_time(tmp_path: Path) -> None:
         decompose((vertices, faces.astype(np.int32)), tmp_path, limit_s=0.5)
 
 
+@pytest.mark.slow
 def test_many_faces_are_reduced_within_half_a_millimetre_and_keep_their_colours() -> None:
     """A ball of 80,000 faces, half red and half blue."""
     vertices, faces = subdivided(6)

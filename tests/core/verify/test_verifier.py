@@ -196,9 +196,8 @@ def test_without_a_usable_config_nothing_can_be_made_again(dataset: Path, locati
         dataset_config(dataset, locations)
 
 
-@pytest.mark.parametrize("workers", ["1", "3"])
-def test_the_command_agrees_with_a_whole_dataset(original: Path, workers: str) -> None:
-    run = yamsim("verify", original, "--workers", workers, "--json")
+def test_the_command_agrees_with_a_whole_dataset(original: Path) -> None:
+    run = yamsim("verify", original, "--workers", "3", "--json")
     assert (run.code, run.err) == (0, "")
     report = run.json
     assert (report["episodes"], report["agree"], report["max_error"]) == (3, 3, 0.0)
