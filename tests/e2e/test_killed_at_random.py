@@ -16,7 +16,7 @@ from yamsim_cli.core.dataset.writing.integrity import find_episodes
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
 KILLS = 8
-FLAGS = ("--n", "6", "--workers", "2", "--quality", "fast")
+FLAGS = ("--n", "6", "--workers", "2")
 
 
 def test_kills_lose_no_episode(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ def test_a_ball_stays_a_ball_with_far_fewer_faces():
     assert volume(in_mm(reduced)) == pytest.approx(volume(in_mm(source)), rel=0.02)
 
 
+@pytest.mark.slow
 def test_slivers_of_a_flat_side_go_at_no_loss():
     source = stl_bytes(*box(0.1, 12))
     reduced = reduce_stl(source, None)
@@ -60,6 +61,7 @@ def test_what_encloses_no_body_is_left_as_it_is():
     assert reduce_stl(data, None) == data
 
 
+@pytest.mark.slow
 def test_no_face_without_an_area_is_left():
     vertices, faces = in_mm(reduce_stl(stl_bytes(*BALL), Reduction(faces=300)))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

@@ -155,6 +155,7 @@ def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: 
     assert "of its motor's speed" in detail
 
 
+@pytest.mark.slow
 def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
     config = dataset_config(original, locations)
     verifier = EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None))

@@ -69,6 +69,7 @@ def test_a_stream_that_reaches_the_goal_is_a_success(
     assert handed_in.attempt.phrasing == said
 
 
+@pytest.mark.slow
 def test_what_is_not_recorded_goes_on_once_the_goal_holds(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:

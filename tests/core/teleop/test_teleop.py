@@ -273,6 +273,7 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
     assert (np.linalg.norm(places[:, :2], axis=1) > 0.2).all(), "not where the arm stands"
 
 
+@pytest.mark.slow
 def test_a_varied_demonstration_repeats_bit_for_bit(
     varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:

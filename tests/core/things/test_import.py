@@ -81,6 +81,7 @@ def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -
         import_ycb("013_apple", where, None, None)
 
 
+@pytest.mark.slow
 def test_a_shipped_config_is_what_import_writes(tmp_path: Path, locations: Locations, repository: Path) -> None:
     try:
         made = import_ycb("058_golf_ball", locations, None, tmp_path / "golf.yaml")

@@ -174,6 +174,7 @@ def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True))
 
 
+@pytest.mark.slow
 @needs_extra
 def test_taking_apart_has_its_time(tmp_path: Path) -> None:
     vertices, faces = mug_mesh(64)

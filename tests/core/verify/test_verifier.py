@@ -112,6 +112,7 @@ def test_an_episode_under_another_attempts_number_is_found(dataset: Path, verdic
     assert result.checks[ACTIONS].first is None
 
 
+@pytest.mark.slow
 def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
     dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:
