@@ -61,6 +61,7 @@ def succeeded(simulator: Simulator) -> Succeeded:
     return done.attempt, all_actions(done.states)
 
 
+@pytest.mark.slow
 def test_friction_alone_holds_the_object(simulator: Simulator) -> None:
     for number in range(6):
         done = planned(simulator, 11, number)

@@ -168,6 +168,7 @@ def test_an_attempt_is_the_same_whatever_was_made_before(
             assert made.attempt.variation == payloads[job].attempt.variation
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_made_before(
     make_config: Callable[..., RecordConfig], locations: Locations

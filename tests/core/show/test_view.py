@@ -295,7 +295,8 @@ def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
         assert np.allclose(positions[body], live.rig.T_base_in_world(k)[:3, 3])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signal.Signals) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     with shown("view", "--web", "--port", "0") as page:

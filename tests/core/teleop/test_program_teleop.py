@@ -54,6 +54,7 @@ def play(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> None
     driven.settle()
 
 
+@pytest.mark.slow
 def test_a_stream_that_reaches_the_goal_is_a_success(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -246,6 +246,7 @@ def varied(make_config: Callable[..., RecordConfig]) -> RecordConfig:
     return make_config({("randomization",): "default", ("randomization", "distractors", "count"): [3, 3]})
 
 
+@pytest.mark.slow
 def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
     varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:
