@@ -29,7 +29,7 @@ CHROMIUM_ARGS = [
     "--disable-component-update",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=800,600",  # without a GPU, the time for each picture is proportional to its pixels
+    "--window-size=900,600",  # without a GPU, the time for each picture is proportional to its pixels
 ]
 PAGE_TIMEOUT_S = 300  # s, limit on a script, a page load and a request: the processor draws, and is shared
 
