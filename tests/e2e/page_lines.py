@@ -48,7 +48,7 @@ NOT_RUN = {
     r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
-    r"--out (varied|late_arms|by_friction|left_arm|handover|apples)\b": "tests/recorded_bytes.py and tests/core/attempt/test_variations.py have its like",
+    r"--out (varied|late_arms|by_friction|left_arm|handover|apples)\b": "tests/recorded_bytes.py has its like",
     r"\b(towers|folded)\b": "tests/e2e/test_program_recordings.py records and verifies these tasks",
     r"^yamsim trials --task tower": "a later line, `yamsim tasks check tower`, tries the same",
     r"^yamsim assets certify kitchen_": "another line certifies a mug; tests/core/certify has all objects",
