@@ -19,6 +19,7 @@ from yamsim_cli.core.errors import ConfigError, UsageError
 pytestmark = pytest.mark.render
 
 
+@pytest.mark.slow
 def test_the_readmes_example_records_an_episode(repository: Path, tmp_path: Path) -> None:
     code = snippet("python", "from yamsim_cli import open_dataset, record")
     assert len([line for line in code.splitlines() if line.strip()]) <= 10

@@ -172,7 +172,6 @@ def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
 @pytest.mark.parametrize(
     "first",
     [
-        "import mujoco",
         "from yamsim_cli.kinematics import Kinematics; Kinematics()",
         pytest.param("yamsim_cli.evaluate('hold_still', n=1)", marks=pytest.mark.slow),
     ],

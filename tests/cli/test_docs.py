@@ -59,37 +59,28 @@ SHELL_LINES = [line for block in shell_blocks() for line in block.commands]
 YAMSIM_LINES = [line for line in SHELL_LINES if line.startswith("yamsim ")]
 
 
-@pytest.mark.parametrize("path", COMMANDS)
-def test_help_says_what_it_does(path: str) -> None:
-    command = COMMANDS[path]
-    assert command.help
-    for parameter in command.params:
-        assert getattr(parameter, "help", None), f"{path}: {parameter.name} has no help"
+def test_help_says_what_each_command_and_parameter_does() -> None:
+    for path, command in COMMANDS.items():
+        assert command.help, path
+        for parameter in command.params:
+            assert getattr(parameter, "help", None), f"{path}: {parameter.name} has no help"
 
 
-@pytest.mark.parametrize("path", LEAVES)
-def test_a_page_shows_it(path: str) -> None:
-    shown = any(line.startswith(f"yamsim {path} ") for line in (f"{line} " for line in YAMSIM_LINES))
-    assert shown, f"no shell block of README.md or docs/ has a line `yamsim {path} ...`"
+def test_each_command_is_shown_on_a_page_and_in_its_help_and_can_answer_in_json() -> None:
+    for path, command in LEAVES.items():
+        shown = any(line.startswith(f"yamsim {path} ") for line in (f"{line} " for line in YAMSIM_LINES))
+        assert shown, f"no shell block of README.md or docs/ has a line `yamsim {path} ...`"
+        line = example(command)
+        assert line.startswith(f"yamsim {path}"), f"the help of {path} does not end in 'Example: yamsim {path} ...'"
+        parse(line)
+        assert any("--json" in parameter.opts for parameter in command.params), path
 
 
-@pytest.mark.parametrize("path", LEAVES)
-def test_help_ends_in_an_example_of_it_that_parses(path: str) -> None:
-    line = example(LEAVES[path])
-    assert line.startswith(f"yamsim {path}"), f"the help of {path} does not end in 'Example: yamsim {path} ...'"
-    parse(line)
-
-
-@pytest.mark.parametrize("path", LEAVES)
-def test_every_command_can_answer_in_json(path: str) -> None:
-    assert any("--json" in parameter.opts for parameter in LEAVES[path].params)
-
-
-@pytest.mark.parametrize("line", sorted(set(YAMSIM_LINES)))
-def test_the_pages_command_lines_parse(line: str) -> None:
-    parse(line)
-    # So does what the test that runs them makes of it.
-    parse(page_lines.prepared(line, policy_port=8081))
+def test_the_pages_command_lines_parse() -> None:
+    for line in sorted(set(YAMSIM_LINES)):
+        parse(line)
+        # So does what the test that runs them makes of it.
+        parse(page_lines.prepared(line, policy_port=8081))
 
 
 def episodes_outside(lines: list[str]) -> list[str]:

@@ -62,7 +62,9 @@ def test_an_evaluation_in_which_no_trial_ran_is_no_success(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "count"),
     [
-        (("pickplace", "batch", "--threshold", "0.0035", "--seed", "2", "--n", "4"), 4),
+        pytest.param(
+            ("pickplace", "batch", "--threshold", "0.0035", "--seed", "2", "--n", "4"), 4, marks=pytest.mark.slow
+        ),
         (("eval", "--policy", "hold_still", "--time-limit", "0.1", "--n", "1"), 1),
     ],
 )

@@ -153,6 +153,7 @@ def watched(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> P
     return folder
 
 
+@pytest.mark.slow
 def test_a_base_that_was_pushed_is_told_with_the_photo(watched: Path, tmp_path: Path) -> None:
     asked = ("overlay", "--img", watched, "--rig", "russet", "--camera", watched / "camera.yaml")
     run = yamsim(*asked, "--out", tmp_path / "all", "--fail-if-moved", "--json")

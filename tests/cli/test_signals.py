@@ -48,19 +48,15 @@ def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list
     return done.returncode, done.stdout, [line for line in done.stderr.splitlines() if "The meshes of" not in line]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    "module",
+    ("module", "number"),
     [
-        "yamsim_cli.main",
-        "typer",
-        "yamsim_cli.commands.view",
-        "pydantic",
-        "mujoco",
-        "mujoco._specs",
-        "yamsim_cli.core.scene.fiducials",
-        "yamsim_cli.core.viewers.rig_page",
-        "viser",
+        ("yamsim_cli.main", signal.SIGINT),
+        ("typer", signal.SIGTERM),
+        ("yamsim_cli.commands.view", signal.SIGINT),
+        ("mujoco._specs", signal.SIGTERM),
+        ("yamsim_cli.core.viewers.rig_page", signal.SIGINT),
+        ("viser", signal.SIGTERM),
     ],
 )
 def test_a_viewer_that_is_still_starting_ends_with_0(module: str, number: signal.Signals) -> None:

@@ -39,8 +39,8 @@ _LEROBOT = (
 # Key, as tests give it to the fixture `client` -> row.
 ROWS: dict[str, Row] = {
     "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
-    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11")),
-    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("mujoco-3.17")),
+    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),
+    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("dm_control")),
     "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
     "dm_control": Row(
         "dm_control",
@@ -64,7 +64,6 @@ ROWS: dict[str, Row] = {
         "Inspect Robots",
         "inspect-robots",
         "Six of KitchenBench's tasks on our station: conforms, all 30 scenes at rest; our expert stacks two cups",
-        Environment("inspect", beside=True),
     ),
     "act": Row(
         "inspect-robots-yam, json-numpy",
@@ -107,8 +106,8 @@ ROWS: dict[str, Row] = {
         checkout="YAMSIM_RAIDEN",
     ),
     "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
-    "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
-    "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),
+    "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True), heavy=True),
+    "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True), heavy=True),
     "lerobot": Row(
         "LeRobot 0.6",
         "lerobot",

@@ -16,8 +16,14 @@ TESTS = (
 )
 
 
-@pytest.mark.client
-@pytest.mark.parametrize("name", ["av-15", "av-16", "av-17"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("av-15", marks=pytest.mark.client),
+        pytest.param("av-16", marks=pytest.mark.client_heavy),
+        pytest.param("av-17", marks=pytest.mark.client_heavy),
+    ],
+)
 def test_videos_and_exports_are_as_with_the_newest(
     name: str, client: Callable[[str], Interpreter], tmp_path: Path
 ) -> None:

@@ -11,9 +11,10 @@ from tests.clients.environments import REPOSITORY, Interpreter
 pytestmark = [pytest.mark.client, pytest.mark.render]
 
 
-def test_its_tests_pass(client: Callable[[str], Interpreter]) -> None:
-    """They are skipped where the packages are not installed; here they are."""
-    arguments = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kitchenbench"]
+def test_what_the_table_says_of_it(client: Callable[[str], Interpreter]) -> None:
+    """Three of the tests of our embodiment, which are skipped where the packages are not installed."""
+    chosen = "conforms or come_to_rest or two_cups"
+    arguments = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", chosen, "tests/kitchenbench"]
     done = client("inspect-robots").call(arguments, timeout_s=900, cwd=REPOSITORY)
     assert done.returncode == 0, done.stdout
     assert "skipped" not in done.stdout

@@ -20,10 +20,13 @@ from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.compose import at_home, task_start, write_scene
 
-pytestmark = pytest.mark.client
-
 Client = Callable[[str], Interpreter]
-MUJOCO = ("mujoco-3.3", "mujoco-3.11", "mujoco-3.17", "mujoco-4")
+# The oldest one that can load composed scenes, the last one of the third version, and one between them.
+OLDER = (
+    pytest.param("mujoco-3.3", marks=pytest.mark.client),
+    pytest.param("mujoco-3.11", marks=pytest.mark.client_heavy),
+    pytest.param("mujoco-3.17", marks=pytest.mark.client),
+)
 
 # Name -> rig, task and grasp, boards.
 SCENES: dict[str, tuple[str, str | None, str, bool]] = {
@@ -94,7 +97,7 @@ def episodes(
     return {name: folder / f"{name}.npz" for name in EPISODES}
 
 
-@pytest.mark.parametrize("key", MUJOCO)
+@pytest.mark.parametrize("key", [*OLDER, pytest.param("mujoco-4", marks=pytest.mark.client)])
 def test_scenes_load_and_stand_still(key: str, client: Client, scenes: dict[str, Path]) -> None:
     found = client(key).run("mujoco_rest.py", *scenes.values())["scenes"]
     for name, path in scenes.items():
@@ -113,7 +116,7 @@ def _replay(interpreter: Interpreter, scene: Path, episode: Path, out: Path) -> 
 
 
 @pytest.mark.parametrize("name", EPISODES)
-@pytest.mark.parametrize("key", ["mujoco-3.3", "mujoco-3.11", "mujoco-3.17"])
+@pytest.mark.parametrize("key", OLDER)
 def test_an_episode_moves_as_in_mujoco_4(
     name: str, key: str, client: Client, scenes: dict[str, Path], episodes: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -137,6 +140,7 @@ def test_an_episode_moves_as_in_mujoco_4(
     assert objects.max() < MOST
 
 
+@pytest.mark.client
 @pytest.mark.parametrize("name", EPISODES)
 def test_an_episode_moves_as_it_was_recorded(
     name: str, client: Client, scenes: dict[str, Path], episodes: dict[str, Path], tmp_path: Path
@@ -154,7 +158,7 @@ def test_an_episode_moves_as_it_was_recorded(
 
 @pytest.mark.render
 @pytest.mark.parametrize("name", ["single", "friction"])
-@pytest.mark.parametrize("key", ["mujoco-3.3", "mujoco-3.11", "mujoco-3.17"])
+@pytest.mark.parametrize("key", OLDER)
 def test_a_scene_looks_as_in_mujoco_4(
     name: str, key: str, client: Client, scenes: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -166,6 +170,7 @@ def test_a_scene_looks_as_in_mujoco_4(
     assert np.abs(pictures[0] - pictures[1]).mean() < 0.1
 
 
+@pytest.mark.client
 def test_dm_control_reads_steps_and_attaches_them(client: Client, scenes: dict[str, Path]) -> None:
     bare = [path for name, path in scenes.items() if name.endswith("-bare")]
     found = client("dm_control").run("dm_control_scenes.py", *scenes.values(), "--attach", *bare)

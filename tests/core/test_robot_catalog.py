@@ -32,6 +32,7 @@ def test_a_familys_name_shows_its_newest_revision(locations: Locations) -> None:
         robot_there("yamu", locations)
 
 
+@pytest.mark.slow
 def test_a_users_arm_with_a_shipped_ones_revision_is_at_fault_and_the_rest_is_listed(
     tmp_path: Path, locations: Locations
 ) -> None:

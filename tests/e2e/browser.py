@@ -1,4 +1,4 @@
-"""As much of a browser as the pages' tests need: headless Chromium, driven over WebDriver."""
+"""A minimal WebDriver client for headless Chromium."""
 
 from __future__ import annotations
 
@@ -29,12 +29,9 @@ CHROMIUM_ARGS = [
     "--disable-component-update",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=1400,900",
+    "--window-size=900,600",  # without a GPU, the time for each picture is proportional to its pixels
 ]
-
-
-# Without a GPU, and with other programs on the processor, a page takes its time.
-PATIENCE_MS = 150_000
+PAGE_TIMEOUT_S = 300  # s, limit on a script, a page load and a request: the processor draws, and is shared
 
 
 class WebDriverError(Exception):
@@ -50,12 +47,12 @@ class WebDriverError(Exception):
 
 
 class Browser:
-    """As much of a WebDriver client as these tests need."""
+    """A session of Chromium."""
 
     def __init__(self, port: int, profile: Path) -> None:
         self._root = f"http://127.0.0.1:{port}"
         options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
-        timeouts = {"script": PATIENCE_MS, "pageLoad": PATIENCE_MS}
+        timeouts = {"script": 1000 * PAGE_TIMEOUT_S, "pageLoad": 1000 * PAGE_TIMEOUT_S}
         wanted = {"browserName": "chrome", "goog:chromeOptions": options, "timeouts": timeouts}
         session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
         self._root += f"/session/{session['sessionId']}"
@@ -64,7 +61,7 @@ class Browser:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self._root + path, method=method, data=data)
         try:
-            with urllib.request.urlopen(request, timeout=180) as answer:
+            with urllib.request.urlopen(request, timeout=PAGE_TIMEOUT_S) as answer:
                 return json.load(answer)["value"]
         except urllib.error.HTTPError as refusal:
             with refusal:
@@ -75,17 +72,21 @@ class Browser:
         self._call("POST", "/url", {"url": url})
 
     def resize(self, width: int, height: int) -> None:
-        """The fewer pixels, the sooner each picture is drawn, which has no GPU to draw it."""
+        """Set the window's size in pixels."""
         self._call("POST", "/window/rect", {"width": width, "height": height})
 
     def text(self) -> str:
         text: str = self._call("POST", "/execute/sync", {"script": "return document.body.innerText", "args": []})
         return text
 
+    def devtools(self, command: str, **parameters: Any) -> Any:
+        """The result of a command of the DevTools protocol."""
+        return self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
+
     def screenshot(self, file: Path | None = None) -> Array:
-        """What is seen now; kept as a PNG for whoever looks at the test's artifacts, if a file is given."""
-        # The driver waits 10 s for a picture and no longer, however busy the machine is.
-        png = base64.b64decode(_patiently(lambda: self._call("GET", "/screenshot"), "timeout"))
+        """The page as it is drawn now, BGR; also written to a PNG file, if one is given."""
+        # WebDriver's own screenshot fails after 10 s, which a busy machine needs for a live page. This has no limit.
+        png = base64.b64decode(self.devtools("Page.captureScreenshot", format="png")["data"])
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(png)
@@ -100,14 +101,14 @@ class Browser:
         self._act({"type": "key", "id": "keys", "actions": down_up})
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Pull with the mouse from one pixel to another."""
+        """Drag with the mouse from one pixel to another."""
 
-        def move(k: float, duration: int) -> dict[str, Any]:
-            x, y = (round(a + (b - a) * k) for a, b in zip(start, end, strict=True))
+        def move(share: float, duration: int) -> dict[str, Any]:
+            x, y = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
             return {"type": "pointerMove", "duration": duration, "x": x, "y": y}
 
-        # It has to lie under the pointer for some pictures before it can be taken hold of.
-        pause = {"type": "pause", "duration": 700}
+        # The page has to draw a few pictures with the pointer on something before that can be dragged.
+        pause = {"type": "pause", "duration": 2000}
         steps = [move(0, 0), pause, move(0.02, 50), pause, {"type": "pointerDown", "button": 0}, pause]
         steps += [move(k / 8, 150) for k in range(1, 9)]
         steps += [pause, {"type": "pointerUp", "button": 0}]
@@ -131,28 +132,17 @@ class Browser:
         self._with_element("xpath", f"//button[contains(., '{label}')]", click)
 
     def _with_element(self, using: str, value: str, act: Callable[[str], object]) -> None:
-        """Do something with an element; found once more if the page has drawn it anew since it was found.
-
-        What is stale was refused before anything was done with it.
-        """
-        _patiently(
-            lambda: act(self._call("POST", "/element", {"using": using, "value": value})[ELEMENT]),
-            "stale element reference",
-        )
+        """Act on an element, which is found again if the page replaces it in between."""
+        for attempts_left in reversed(range(10)):
+            try:
+                act(self._call("POST", "/element", {"using": using, "value": value})[ELEMENT])
+                return
+            except WebDriverError as refusal:
+                if not attempts_left or refusal.error != "stale element reference":
+                    raise
 
     def close(self) -> None:
         self._call("DELETE", "")
-
-
-def _patiently(ask: Callable[[], Any], error: str) -> Any:
-    """Ask three times at most, as long as this is the refusal; any other is the test's to fail by."""
-    for last in (False, False, True):
-        try:
-            return ask()
-        except WebDriverError as refusal:
-            if last or refusal.error != error:
-                raise
-    raise AssertionError("it was asked three times")
 
 
 def _told(request: str, status: int, text: str) -> WebDriverError:
@@ -169,7 +159,7 @@ def answers(port: int) -> bool:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def wait_until(true: Callable[[], object], seconds: float = 150) -> None:
+def wait_until(true: Callable[[], object], seconds: float = PAGE_TIMEOUT_S) -> None:
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "it never came true"

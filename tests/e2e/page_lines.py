@@ -12,6 +12,7 @@ SMALLER = {
     r"--n \d{2,}": "--n 1",
     r"--task handover (.*)--n \d": r"--task handover \1--n 1",
     r"--sample \d+": "--sample 2",
+    r"--size 848x480": "--size 160x120",
     # Places that no test may write to.
     r"/data/episodes": "episodes",
 }
@@ -47,6 +48,11 @@ NOT_RUN = {
     r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
+    r"--out (varied|late_arms|by_friction|left_arm|handover|apples)\b": "tests/recorded_bytes.py has its like",
+    r"\b(towers|folded)\b": "tests/e2e/test_program_recordings.py records and verifies these tasks",
+    r"^yamsim trials --task tower": "a later line, `yamsim tasks check tower`, tries the same",
+    r"^yamsim assets certify kitchen_": "another line certifies a mug; tests/core/certify has all objects",
+    r"^yamsim serve-robot (--rig yam_v1|--fault)": "tests/clients/test_i2rt.py serves arms with faults",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^yamsim identify log": "it takes minutes and a log of one; tests/core/identify has some",
     r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",

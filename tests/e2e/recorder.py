@@ -14,17 +14,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.run_cli import yamsim
+
 ROOT = Path(__file__).parents[2]
-SMALL = ("--size", "64x48", "--seed", "3")
-
-
-def command(out: Path, *flags: str) -> list[str]:
-    return [sys.executable, "-m", "yamsim_cli", "record", "--out", str(out), *SMALL, *flags]
+SMALL = ("--size", "64x48", "--quality", "fast", "--seed", "3")
 
 
 def start(out: Path, *flags: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        command(out, *flags),
+        [sys.executable, "-m", "yamsim_cli", "record", "--out", str(out), *SMALL, *flags],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT), **(env or {})},
         stdin=subprocess.DEVNULL,
@@ -34,11 +32,10 @@ def start(out: Path, *flags: str, env: dict[str, str] | None = None) -> subproce
     )
 
 
-def run(out: Path, *flags: str, env: dict[str, str] | None = None) -> tuple[int, str]:
+def run(out: Path, *flags: str) -> tuple[int, str]:
     """Exit code, and what it wrote to stderr but for the lines of progress that a slow machine gets."""
-    with start(out, *flags, env=env) as process:
-        _, err = process.communicate(timeout=300)
-        return process.returncode, without_progress(err)
+    done = yamsim("record", "--out", out, *SMALL, *flags, fresh="ray" in flags)
+    return done.code, without_progress(done.err)
 
 
 def without_progress(err: str) -> str:

@@ -84,7 +84,7 @@ def test_an_element_drawn_anew_is_found_again(driver: Driver, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("error", "times"), [("element click intercepted", 1), ("no such element", 1), ("stale element reference", 3)]
+    ("error", "times"), [("element click intercepted", 1), ("no such element", 1), ("stale element reference", 10)]
 )
 def test_no_other_fault_of_a_page_is_hidden(driver: Driver, tmp_path: Path, error: str, times: int) -> None:
     driver.replies["/click"] = [refusal(error)]

@@ -33,10 +33,10 @@ def test_its_policy_picks_the_banana(folder: Path) -> None:
     (line,) = (line for block in blocks(TEXT) if block.language == "sh" for line in block.commands)
     name, *words = shlex.split(line)
     assert (name, words[words.index("--n") + 1]) == ("yamsim", "100")
-    words[words.index("--n") + 1] = "4"
+    words[words.index("--n") + 1] = "2"
     run = yamsim(*words, "--min-success", "1", "--json", cwd=folder)
     assert run.code == 0, run.err
-    assert (run.json["stats"]["n_success"], run.json["stats"]["ended"]) == (4, {"success": 4})
+    assert (run.json["stats"]["n_success"], run.json["stats"]["ended"]) == (2, {"success": 2})
 
 
 def test_what_it_shows_has_the_form_of_what_comes(folder: Path) -> None:

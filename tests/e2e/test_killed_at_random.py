@@ -15,11 +15,11 @@ from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
-KILLS = 20
-FLAGS = ("--n", "12", "--workers", "2")
+KILLS = 8
+FLAGS = ("--n", "6", "--workers", "2")
 
 
-def test_twenty_kills_lose_no_episode(tmp_path: Path) -> None:
+def test_kills_lose_no_episode(tmp_path: Path) -> None:
     undisturbed, path = tmp_path / "undisturbed", tmp_path / "killed"
     assert run(undisturbed, *FLAGS) == (0, "")
     seed = int(os.environ.get("YAMSIM_TEST_KILL_SEED", time.time_ns()))

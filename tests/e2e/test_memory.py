@@ -35,12 +35,12 @@ def resident_mb(pid: int) -> float:
 def test_two_thousand_episodes_fit_into_memory(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
 ) -> None:
-    """The growth from episode 100 to 300, times ten."""
+    """The growth from episode 60 to 180, times 17."""
     config = make_config(
         {
             ("image", "size_px"): [16, 16],
             ("task", "timing", "ticks_per_frame"): 57,
-            ("episodes",): 300,
+            ("episodes",): 180,
             ("workers",): 2,
         }
     )
@@ -48,15 +48,15 @@ def test_two_thousand_episodes_fit_into_memory(
 
     def measure(done: int, wanted: int, attempts: int) -> None:
         # Several episodes may have come at once.
-        mark = 300 if done >= 300 else 100
-        if done >= 100 and mark not in used:
+        mark = 180 if done >= 180 else 60
+        if done >= 60 and mark not in used:
             used[mark] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}
 
     watch = Notifier(measure, lambda warning: None)
     record(Session(config, locations), Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
-    assert len(used[300]) == 3
-    growth = {pid: (used[300][pid] - used[100][pid]) * EPISODES / 200 for pid in used[300]}
-    print({pid: f"{used[300][pid]:.0f} MB, {mb:.1f} MB more in {EPISODES} episodes" for pid, mb in growth.items()})
+    assert len(used[180]) == 3
+    growth = {pid: (used[180][pid] - used[60][pid]) * EPISODES / 120 for pid in used[180]}
+    print({pid: f"{used[180][pid]:.0f} MB, {mb:.1f} MB more in {EPISODES} episodes" for pid, mb in growth.items()})
     assert max(growth.values()) < LIMIT_MB
 
 

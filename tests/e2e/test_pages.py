@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.cli.warm import WarmRun, warm_process
 from tests.core.recordings.making import write_csv
 from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
@@ -36,7 +38,8 @@ from yamsim_cli.core.resources import Locations
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 
 # A line that takes longer than this, s, hangs: or it serves, and page_lines.SERVERS does not know.
-LIMIT = 150
+LIMIT = 300
+Process = WarmRun | subprocess.Popen[bytes]
 EXTRAS = ("av", "gymnasium", "msgpack", "pyarrow", "reportlab", "rerun", "viser")
 
 
@@ -47,10 +50,12 @@ class Shell:
     folder: Path
     environ: dict[str, str]
 
-    def start(self, line: str, log: Path) -> subprocess.Popen[bytes]:
-        """Start a line in a process group of its own; what it prints goes to a file."""
+    def start(self, line: str, log: Path) -> Process:
+        """Start a line; what it prints goes to a file. Lines of yamsim alone run in forks, which start sooner."""
         with log.open("wb") as file:
-            # `exec` replaces the shell, so that a signal reaches the command.
+            name, *words = shlex.split(line)
+            if name == "yamsim" and ">" not in words:
+                return warm_process().start(words, self.folder, self.environ, file, file)
             return subprocess.Popen(
                 ["bash", "-c", f"exec {line}"],
                 cwd=self.folder,
@@ -58,7 +63,6 @@ class Shell:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,
             )
 
     def run(self, line: str, log: Path) -> str | None:
@@ -67,32 +71,38 @@ class Shell:
         try:
             code = process.wait(LIMIT)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            process.kill()
             return f"has not ended after {LIMIT} s; if it serves until it is stopped, name it in page_lines.SERVERS"
         return None if code == 0 else f"ended with exit code {code}"
 
     @contextmanager
     def serving(self, line: str, log: Path, failures: list[str]) -> Iterator[None]:
-        """Run a line that serves, from when it has told its URL on."""
+        """Run a line that serves, from when it has printed its URL on."""
         process = self.start(line, log)
         end = time.monotonic() + LIMIT
-        while not (told := re.search(r"http://127\.0\.0\.1:\d+", log.read_text())):
-            if process.poll() is not None or time.monotonic() > end:
+        while not (printed := re.search(r"http://127\.0\.0\.1:\d+", log.read_text())):
+            if has_ended(process) or time.monotonic() > end:
                 break
             time.sleep(0.1)
         try:
             yield
-            if told is None:
-                failures.append(failure(line, "has told no URL", log))
+            if printed is None:
+                failures.append(failure(line, "has printed no URL", log))
                 return
             process.send_signal(signal.SIGINT)
             if code := process.wait(LIMIT):
                 failures.append(failure(line, f"ended with exit code {code} after SIGINT", log))
         finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
+            process.kill()
+            process.wait(10)
+
+
+def has_ended(process: Process) -> bool:
+    try:
+        process.wait(0)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
 
 
 @pytest.fixture

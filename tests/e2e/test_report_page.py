@@ -20,12 +20,7 @@ EVIL = "<img src=x onerror=document.title='pwned'>"
 
 
 def evaluate(client: Browser, script: str) -> Any:
-    return client._call("POST", "/execute/sync", {"script": f"return {script}", "args": []})
-
-
-def emulate(client: Browser, command: str, **parameters: Any) -> None:
-    body = {"cmd": f"Emulation.{command}", "params": parameters}
-    client._call("POST", "/goog/cdp/execute", body)
+    return client.run(f"return {script}")
 
 
 @pytest.fixture(params=["whole", "damaged", "empty"])
@@ -47,9 +42,19 @@ def page(request: pytest.FixtureRequest, tmp_path: Path, config: RecordConfig) -
     return request.param, tmp_path / "report.html"
 
 
-def test_the_page_is_drawn_whole_from_nothing_but_itself(page: tuple[str, Path], browser: Browser) -> None:
+def test_the_page_is_drawn_whole_and_can_be_read(page: tuple[str, Path], browser: Browser) -> None:
     kind, file = page
     browser.open(file.as_uri())
+    assert_drawn_from_nothing_but_itself(kind, browser)
+    assert_light_dark_and_paper_can_be_read(browser)
+    for width in (1200, 420):
+        browser.devtools(
+            "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
+        )
+        assert evaluate(browser, "document.documentElement.scrollWidth") <= width, "something sticks out"
+
+
+def assert_drawn_from_nothing_but_itself(kind: str, browser: Browser) -> None:
     text = browser.text()
     assert "a dataset" in text
     assert evaluate(browser, "document.title") == "a dataset: dataset report"
@@ -68,19 +73,13 @@ def test_the_page_is_drawn_whole_from_nothing_but_itself(page: tuple[str, Path],
         assert "lowdim.damaged" in text
 
 
-def test_nothing_sticks_out(page: tuple[str, Path], browser: Browser) -> None:
-    browser.open(page[1].as_uri())
-    for width in (1200, 420):
-        emulate(browser, "setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
-        assert evaluate(browser, "document.documentElement.scrollWidth") <= width
-
-
-def test_light_dark_and_paper_can_be_read(page: tuple[str, Path], browser: Browser) -> None:
-    browser.open(page[1].as_uri())
+def assert_light_dark_and_paper_can_be_read(browser: Browser) -> None:
     style = "[getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color]"
     brightness = {}
     for media, scheme in (("screen", "light"), ("screen", "dark"), ("print", "dark")):
-        emulate(browser, "setEmulatedMedia", media=media, features=[{"name": "prefers-color-scheme", "value": scheme}])
+        browser.devtools(
+            "Emulation.setEmulatedMedia", media=media, features=[{"name": "prefers-color-scheme", "value": scheme}]
+        )
         colours = [
             np.mean([int(part) for part in colour.strip("rgb()").split(",")[:3]]) for colour in evaluate(browser, style)
         ]

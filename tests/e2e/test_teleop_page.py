@@ -95,7 +95,6 @@ def test_a_drag_of_the_gizmo_moves_the_hand(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path, screens: Path
 ) -> None:
     with driving(config, locations, tmp_path / "d") as (url, driven):
-        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         time.sleep(2)
@@ -116,7 +115,6 @@ def test_every_key_counts_and_none_overtakes_a_number(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
     with driving(config, locations, tmp_path / "d") as (url, driven):
-        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         x, _, z = driven.target[:3, 3]
@@ -150,7 +148,6 @@ def test_what_is_done_on_the_page_is_an_episode(
                 browser.run(SET_NUMBER, field, f"{place[field]:.3f}")
             wait_until(lambda: at(driven, np.array(place)))
 
-        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
@@ -206,7 +203,6 @@ def test_a_page_that_is_closed_pauses_its_recording(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
     with driving(config, locations, tmp_path / "d") as (url, driven):
-        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
@@ -238,7 +234,6 @@ def test_a_page_whose_server_is_killed_says_so(browser: Browser, tmp_path: Path,
         while not url:
             found = re.search(r"http://127\.0\.0\.1:\d+", process.stderr.readline())
             url = found[0] if found else ""
-        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")

@@ -95,6 +95,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     for k in range(2):
         live.data.ctrl[7 * k : 7 * k + 3] = (0, 0, 0)
     with served(live) as url:
+        browser.resize(1400, 900)
         browser.open(url)
         detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250))
         seen: dict[int, Array] = {}
@@ -143,7 +144,6 @@ def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path,
     out = tmp_path / "d"
     done = yamsim("record", "--n", "1", "--workers", "1", "--out", str(out), "--wrist", "--size", "160x120")
     assert done.code == 0, done.err
-    browser.resize(900, 700)
     for name, args in (("task", ("--task", "pickplace")), ("episode", ("--episode", str(out / "ep_000000")))):
         with shown("view", "--web", "--port", "0", *args) as page:
             browser.open(page.url)

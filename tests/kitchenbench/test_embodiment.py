@@ -84,7 +84,9 @@ def test_a_kind_without_physics_is_refused(embodiment: YamsimEmbodiment) -> None
         embodiment.reset(scene, seed=0)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if "crumpled" in name else []) for name in SCENES]
+)
 def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> None:
     blueprint = build_blueprint(SCENES[name], seed_of(SCENES[name]))
     realized = realize(blueprint, base)

@@ -154,7 +154,7 @@ def test_a_napkin_is_folded(tmp_path: object) -> None:
     assert [scene.reduced["task_success"] for scene in log.samples] == [1.0]
 
 
-@pytest.mark.slow
+@pytest.mark.client_heavy  # a minute or three
 def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
     """By the benchmark's checker, within its 120 actions."""
     scene = realized("fold-cloth-crumpled-start", epoch=1)

@@ -38,6 +38,7 @@ def test_each_of_our_tasks_is_one() -> None:
     assert set(ENTRY_POINTS) == {f"yamsim/{path.stem}" for path in (ROOT / "configs" / "tasks").glob("*.yaml")}
 
 
+@pytest.mark.slow
 def test_what_they_ask_for_fits(embodiment: YamsimEmbodiment) -> None:
     expert = YamsimExpert()
     for name, where in ENTRY_POINTS.items():

@@ -28,6 +28,7 @@ def run(world, local_pip, monkeypatch):
     return lambda *arguments: CliRunner().invoke(app, arguments, catch_exceptions=False)
 
 
+@pytest.mark.slow
 def test_list_says_what_is_missing_and_fetch_brings_it(run):
     before = _tiny(run("list", "--json"))
     assert [(item["name"], item["status"]) for item in before] == [("part.stl", "missing"), ("tip.stl", "missing")]
@@ -40,12 +41,15 @@ def test_list_says_what_is_missing_and_fetch_brings_it(run):
     assert (fetched["faces"], fetched["reduced_faces"], fetched["reduced_path"]) == (None, None, None)
     assert result.stderr == "No reduced meshes of tiny: part.stl: 10 bytes are no binary STL\n"
 
+    table = run("list").stdout
+    assert "part.stl" in table
     after = _tiny(run("list", "--json"))
     assert {item["status"] for item in after} == {"ok"}
     assert after[0]["path"] == f"{fetched['path']}/part.stl"
     assert json.loads(run("fetch", "tiny", "--json").stdout)["items"][0]["source"] == "store"
 
 
+@pytest.mark.slow
 def test_fetch_makes_what_grippers_figures_say_and_makes_it_anew_where_they_change(run, world):
     (first,) = json.loads(run("fetch", "finray", "--json").stdout)["items"]
     assert (first["source"], first["files"], first["license"]) == ("made here", 8, "MIT")

@@ -94,6 +94,7 @@ def test_an_unknown_name_is_refused_before_any_work(world):
     assert not world.store.root.exists()
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_fetch_once(world, tmp_path):
     calls = tmp_path / "calls"
     settings = {"DATA": str(world.locations.data[0]), "STORE": str(world.store.root), "CALLS": str(calls)}

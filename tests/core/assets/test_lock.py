@@ -114,6 +114,7 @@ def test_a_missing_notice_is_named(world):
         load_lock(world.locations)
 
 
+@pytest.mark.slow
 def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):
     where = Locations.find({})
     opener = Opener({}, lambda text: None, str)

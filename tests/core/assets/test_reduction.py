@@ -16,6 +16,7 @@ def in_mm(data):
     return vertices * 1000, faces
 
 
+@pytest.mark.slow
 def test_a_ball_stays_a_ball_with_far_fewer_faces():
     source = stl_bytes(*BALL)
     reduced = reduce_stl(source, Reduction(faces=900))
@@ -24,6 +25,7 @@ def test_a_ball_stays_a_ball_with_far_fewer_faces():
     assert volume(in_mm(reduced)) == pytest.approx(volume(in_mm(source)), rel=0.02)
 
 
+@pytest.mark.slow
 def test_slivers_of_a_flat_side_go_at_no_loss():
     source = stl_bytes(*box(0.1, 12))
     reduced = reduce_stl(source, None)
@@ -31,10 +33,12 @@ def test_slivers_of_a_flat_side_go_at_no_loss():
     assert deviation(in_mm(source), in_mm(reduced), 1.0, 1000) < 1e-3
 
 
+@pytest.mark.slow
 def test_the_same_mesh_gives_the_same_bytes():
     assert reduce_stl(stl_bytes(*BALL), Reduction(faces=700)) == reduce_stl(stl_bytes(*BALL), Reduction(faces=700))
 
 
+@pytest.mark.slow
 def test_one_that_strays_too_far_is_not_used(monkeypatch):
     """A ball of 20 faces misses the real one by millimetres: clearing alone is what is left."""
     source = stl_bytes(*BALL)
@@ -56,6 +60,7 @@ def test_what_encloses_no_body_is_left_as_it_is():
     assert reduce_stl(data, None) == data
 
 
+@pytest.mark.slow
 def test_no_face_without_an_area_is_left():
     vertices, faces = in_mm(reduce_stl(stl_bytes(*BALL), Reduction(faces=300)))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

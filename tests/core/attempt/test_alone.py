@@ -36,6 +36,7 @@ def test_a_tall_thing_does_not_touch_the_hand_at_the_start(locations: Locations)
     assert take(item, locations).force == pytest.approx(20.8)
 
 
+@pytest.mark.slow
 def test_what_is_thinner_than_the_pads_reach_down_is_dropped(locations: Locations) -> None:
     with pytest.raises(SkillFailedError, match="fell out of the right hand"):
         take(load("kitchen_dry_pasta", locations), locations)

@@ -61,6 +61,7 @@ def succeeded(simulator: Simulator) -> Succeeded:
     return done.attempt, all_actions(done.states)
 
 
+@pytest.mark.slow
 def test_friction_alone_holds_the_object(simulator: Simulator) -> None:
     for number in range(6):
         done = planned(simulator, 11, number)
@@ -155,6 +156,7 @@ def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: 
     assert "of its motor's speed" in detail
 
 
+@pytest.mark.slow
 def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
     config = dataset_config(original, locations)
     verifier = EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None))

@@ -20,7 +20,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob, EpisodePayload
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.slow]
 
 CAMERAS = ("scene_camera", "right_wrist_camera")
 CHANGES = {("truth",): True, ("wrist",): True, ("render",): "fast", ("image", "size_px"): [64, 48]}
@@ -77,7 +77,6 @@ def test_boxes_and_segmentation_are_of_the_same_frame(payload: EpisodePayload) -
         assert np.isin(numbers, parts).sum() == truth["pixels"][k, labels.instances.index("arm1")]
 
 
-@pytest.mark.slow
 def test_another_worker_gives_the_same_bytes(
     payload: EpisodePayload, config: RecordConfig, locations: Locations
 ) -> None:

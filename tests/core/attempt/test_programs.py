@@ -95,6 +95,7 @@ def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) 
     assert context.judged_by_goal and facts.outcome is not None and facts.outcome.success
 
 
+@pytest.mark.slow
 def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators) -> None:
     simulator, attempt = first_attempt(simulators, 2)
     done = demonstrate(simulator, attempt)

@@ -42,7 +42,7 @@ def visual(make_config: Callable[..., RecordConfig], locations: Locations) -> It
 
 def test_looks_change_neither_success_nor_joints(visual: Simulator, config: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(config, locations)) as plain:
-        for number in range(N):
+        for number in range(2):
             one, other = planned(plain, 0, number), planned(visual, 0, number)
             assert one.outcome == other.outcome
             assert one.attempt.places == other.attempt.places
@@ -52,6 +52,7 @@ def test_looks_change_neither_success_nor_joints(visual: Simulator, config: Reco
                 np.testing.assert_array_equal(state.actions.ctrl, same.actions.ctrl)
 
 
+@pytest.mark.slow
 def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
     """With them in place and colliding, the same actions lead to the same states."""
     placed = 0
@@ -167,6 +168,7 @@ def test_an_attempt_is_the_same_whatever_was_made_before(
             assert made.attempt.variation == payloads[job].attempt.variation
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_made_before(
     make_config: Callable[..., RecordConfig], locations: Locations
@@ -247,6 +249,7 @@ def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: Record
     assert np.abs(images[0] - images[1]).max() > 60
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_lowdim_tells_the_camera_that_was(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("randomization",): "default"} | SMALL)

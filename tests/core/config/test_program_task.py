@@ -246,6 +246,7 @@ def test_a_place_out_of_reach_is_told(tmp_path: Path) -> None:
         session_of(tmp_path, far)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "key", "said"),
     [

@@ -299,7 +299,7 @@ def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [ActClient, OpenpiClient])
-def test_ten_thousand_spoilt_answers_are_refused_or_read_and_memory_stays(make: Callable[..., Any]) -> None:
+def test_thousands_of_spoilt_answers_are_refused_or_read_and_memory_stays(make: Callable[..., Any]) -> None:
     """Over the wire: bytes changed anywhere in good answers, the protocol's own heads included, or cut short."""
     rng = np.random.default_rng(0)
     good = {"actions": np.zeros((30, 14)), "dt_ms": 20.0}
@@ -322,7 +322,7 @@ def test_ten_thousand_spoilt_answers_are_refused_or_read_and_memory_stays(make: 
     with raw_server(answer) as port:
         client = make(f"{'act' if make is ActClient else 'ws'}://127.0.0.1:{port}", 5.0)
         counts, before = {"read": 0, "refused": 0}, 0
-        for number in range(10_000):
+        for number in range(3_000):
             if number == 1000:
                 before = resident()
             try:

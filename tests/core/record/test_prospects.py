@@ -154,7 +154,7 @@ FARTHER_AND_FARTHER = {("task", "starts", role, "x"): [0.55, 1.00] for role in (
             {("rig",): "russet", ("task",): "handover", **FAR}, Cause.UNREACHABLE, True, marks=pytest.mark.slow
         ),
         ({("rig",): "russet", ("task",): "handover"}, Cause.UNREACHABLE, False),
-        ({("task", "starts", "target", "apart"): 0.9}, Cause.NO_LAYOUT, True),
+        pytest.param({("task", "starts", "target", "apart"): 0.9}, Cause.NO_LAYOUT, True, marks=pytest.mark.slow),
         ({("task", "starts", "target", "apart"): 0.1}, Cause.NO_LAYOUT, False),
         # Which is for physics to say.
         (FAR, Cause.SLIPPED, False),

@@ -11,6 +11,8 @@ import pytest
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.dataset.reader import open_episode
 
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
 FLAGS = ("--rig", "yam_station_linear_4310_d405", "--grasp", "contact", "--fps", "30", "--action", "joints")
 
 
@@ -23,7 +25,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.render
 def test_state_and_action_are_joints_and_shares_the_left_arm_first(dataset: Path) -> None:
     episode = open_episode(dataset / "ep_000000")
     assert episode.record.frame_period_s == pytest.approx(1 / 30)
@@ -42,13 +43,11 @@ def test_state_and_action_are_joints_and_shares_the_left_arm_first(dataset: Path
     assert np.ptp(state[:, 6]) < 0.02
 
 
-@pytest.mark.render
 def test_it_is_whole_and_verifies(dataset: Path) -> None:
     assert yamsim("summarize", dataset, "--strict").code == 0
     assert yamsim("verify", dataset, "--json").json["max_error"] == 0
 
 
-@pytest.mark.render
 def test_lerobot_has_no_welds_and_whole_frames_a_second(dataset: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="yamsim[lerobot] is not installed")
     pytest.importorskip("av", reason="yamsim[lerobot] is not installed")

@@ -32,6 +32,7 @@ def report(*words: Any) -> dict[str, Any]:
     return dict(done.json)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_it_is_recorded_and_what_was_recorded_verified(locations: Locations, tmp_path: Path) -> None:
     made = yamsim_cli.record(tmp_path / "made", rig=RIG, grasp="contact", size=(64, 48), quality="fast")

@@ -289,7 +289,8 @@ def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...
     assert code == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signal.Signals) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     with shown("view", "--web", "--port", "0") as page:

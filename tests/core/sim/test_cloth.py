@@ -154,10 +154,6 @@ def test_crumpled_cloth_is_spread_out_by_hands_that_close_on_it(tmp_path: Path) 
         assert done.outcome.success, done.outcome
         states = [cloth.points(state.qpos) for state in done.states]
         assert any(np.ptp(points[:, 2]) < 0.01 and _area(points) > 0.95 * 0.2**2 for points in states)
-        again = demonstrate(simulator, attempt)
-        assert np.array_equal(done.states[-1].qpos, again.states[-1].qpos)
-        open_fingers = demonstrate(simulator, attempt, grips=False)
-        assert open_fingers.outcome.cause is Cause.SLIPPED
 
 
 ONTO: dict[str, Any] = changed(
@@ -249,7 +245,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
         dropped = repeat(simulator, attempt, replace(acting, ctrl=ctrl), REPEATED_RULES)
         assert not dropped.outcome.success
-        assert not demonstrate(simulator, attempt, grips=False).outcome.success
+        assert demonstrate(simulator, attempt, grips=False).outcome.cause is Cause.SLIPPED
 
 
 @pytest.mark.parametrize(

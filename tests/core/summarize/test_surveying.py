@@ -66,6 +66,7 @@ class Deadly(EpisodeChecker):
         return super().run(job)
 
 
+@pytest.mark.slow
 def test_an_episode_that_ends_every_process_is_told_and_the_rest_is_checked(
     dataset: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -125,6 +125,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_places_fill_their_regions_evenly_although_things_need_room(config: RecordConfig) -> None:
     """Drawing again for want of room does not push the object out of the middle of its region."""
     halves = {"banana": (0.10, 0.03, 0.02), "plate": (0.13, 0.13, 0.01)}

@@ -122,6 +122,7 @@ def test_draws_stay_in_their_ranges_and_fill_them(randomized: RecordConfig) -> N
     assert np.abs(np.corrcoef(errors.T) - np.eye(6)).max() < 0.3
 
 
+@pytest.mark.slow
 def test_textures_come_up_as_often_as_their_weights_say(randomized: RecordConfig) -> None:
     for weights in ({"plain": 3.0, "noise": 1.0}, {"noise": 1.0, "plain": 3.0}):
         surface = SurfaceRanges(saturation=(0, 1), value=(0, 1), contrast=(0, 0.5), textures=weights)

@@ -47,6 +47,7 @@ def lines(session: Session) -> list[dict[str, Any]]:
     return [*said, {"t": round((2 * len(actions.ctrl) + 15) * TICK, 6), "event": "stop"}]
 
 
+@pytest.mark.slow
 def test_a_stream_that_reaches_the_goal_is_a_success(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -63,6 +64,7 @@ def test_a_stream_that_reaches_the_goal_is_a_success(
     assert submitted.attempt.phrasing == said
 
 
+@pytest.mark.slow
 def test_what_is_not_recorded_goes_on_once_the_goal_holds(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:

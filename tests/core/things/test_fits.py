@@ -76,6 +76,7 @@ def test_a_can_is_a_cylinder_that_stands_on_its_foot() -> None:
     assert part.centre[2] - part.half_height == pytest.approx(0.01, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_block_is_a_box_turned_as_it_is_and_taken_across_its_narrow_side() -> None:
     made = describe(THING, Scan.read(block((0.05, 0.02, 0.03), np.radians(30), (0.1, -0.2, 0.03))))
     (part,) = made.fit.parts

@@ -52,6 +52,7 @@ def test_an_own_stl_becomes_an_object_by_name(
         import_file(tmp_path / "drawn.stl", UnitOptions(), ImportOptions("brick"), where, None)
 
 
+@pytest.mark.slow
 def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
@@ -112,6 +113,7 @@ def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -
         import_ycb("013_apple", where, None, None)
 
 
+@pytest.mark.slow
 def test_a_shipped_config_is_what_import_writes(tmp_path: Path, locations: Locations, repository: Path) -> None:
     try:
         made = import_ycb("058_golf_ball", locations, None, tmp_path / "golf.yaml")

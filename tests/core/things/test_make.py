@@ -143,6 +143,7 @@ def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True))
 
 
+@pytest.mark.slow
 @needs_extra
 def test_taking_apart_has_its_time(tmp_path: Path) -> None:
     vertices, faces = mug_mesh(64)
@@ -150,6 +151,7 @@ def test_taking_apart_has_its_time(tmp_path: Path) -> None:
         decompose((vertices, faces.astype(np.int32)), tmp_path, limit_s=0.5)
 
 
+@pytest.mark.slow
 def test_many_faces_are_reduced_within_half_a_millimetre_and_keep_their_colours() -> None:
     """A ball of 80,000 faces, half red and half blue."""
     vertices, faces = subdivided(6)

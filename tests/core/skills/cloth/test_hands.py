@@ -12,6 +12,7 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.skills.cloth import hands, reach
 
 
+@pytest.mark.slow
 def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # An arm that reaches far comes to rest that much higher than it was told.
     monkeypatch.setattr(reach, "_HALF_PAD", reach._HALF_PAD + 0.0018)

@@ -135,7 +135,7 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
     """In small what `make bench-fiducials` shows, of outlines alone: any size, lens, distance and tilt."""
     rig = load_config(RigConfig, "rigs", "russet", locations)
     good, held, worst, refused_held = 0, 0, 0.0, []
-    calls = 60 if photos == 1 else 10
+    calls = 30 if photos == 1 else 10
     for k in range(calls):
         rng = np.random.default_rng([41, photos, k])
         camera = random_camera(rng, Lens(0.02, 0.1))

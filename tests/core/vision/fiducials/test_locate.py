@@ -185,6 +185,7 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     assert np.abs(right.shared[:3, 1]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_many_photos() -> None:
     """Poses of 24 prints, rounded otherwise, with other noise, lie as the covariance says, less what is shared."""
     truth, rng = facing(0.05, 0.02, 0.7), np.random.default_rng(0)
