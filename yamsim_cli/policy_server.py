@@ -25,8 +25,8 @@ from .core.page_origin import refusal
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
 from .core.policies.policy_client import require_library
 from .core.policies.policy_faults import fault_of
-from .core.workers.serving import forks_end_here
 from .core.policies.remote import PROTOCOL, UnsendableError, WireError, pack, sendable, unpack
+from .core.workers.serving import forks_end_here
 
 LOOPBACK = "127.0.0.1"
 

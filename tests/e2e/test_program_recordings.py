@@ -19,7 +19,6 @@ from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.verify import CHECKS, EpisodeVerifier, Tolerances
-from yamsim_cli.core.task_proof.catalog import tasks_there
 from yamsim_cli.core.workers.stop import Stop
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]

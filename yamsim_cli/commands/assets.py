@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from yamsim_cli.core.certify.run import Certified
     from yamsim_cli.core.import_thing.from_file import ImportedFile
     from yamsim_cli.core.import_thing.ycb import ImportedObject
-    from yamsim_cli.core.thing_files.read import Told
-    from yamsim_cli.core.things.wishes import Wishes
+    from yamsim_cli.core.thing_files.read import UnitOptions
+    from yamsim_cli.core.things.make import ImportOptions
 
 app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
@@ -234,7 +234,7 @@ def _certify(thing: str) -> Certified:
 
 def _failure(certified: Certified) -> str:
     """One line on the first check that failed, and the number of other failures."""
-    from yamsim_cli.core.certify.codes import CHECKS
+    from yamsim_cli.core.certify.run import CHECKS
 
     code = certified.failed[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
@@ -285,7 +285,7 @@ def import_object(
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
-    from yamsim_cli.core.thing_files.endings import ENDINGS
+    from yamsim_cli.core.thing_files import ENDINGS
 
     if Path(source).suffix.lower() not in ENDINGS:
         if name is not None:
@@ -295,12 +295,12 @@ def import_object(
         if mass is not None and density is not None:
             raise UsageError("--mass and --density: give one of them")
         from yamsim_cli.core.import_thing.from_file import name_of
-        from yamsim_cli.core.thing_files.read import Told
-        from yamsim_cli.core.things.wishes import Wishes
+        from yamsim_cli.core.thing_files.read import UnitOptions
+        from yamsim_cli.core.things.make import ImportOptions
 
         file = Path(source)
-        wishes = Wishes(name or name_of(file), mass, density, collision, base, friction)
-        item, lines = _import_file(file, Told(unit, up, scale), wishes, out)
+        wishes = ImportOptions(name or name_of(file), mass, density, collision, base, friction)
+        item, lines = _import_file(file, UnitOptions(unit, up, scale), wishes, out)
     certified = None
     if certify:
         opener.skip_gl()
@@ -331,7 +331,9 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
     ]
 
 
-def _import_file(file: Path, told: Told, wishes: Wishes, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+def _import_file(
+    file: Path, told: UnitOptions, wishes: ImportOptions, out: Path | None
+) -> tuple[dict[str, Any], list[str]]:
     """The import of a file as JSON has it, and in words; guesses are noted on stderr."""
     from yamsim_cli.core.import_thing.from_file import import_file
 

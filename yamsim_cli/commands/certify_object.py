@@ -13,7 +13,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
-from yamsim_cli.terminal.tables import listing
+from yamsim_cli.terminal.tables import Listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.certify.run import Certified
@@ -47,7 +47,7 @@ def certify_object(
     if json:
         print_json(found)
     else:
-        table = listing(["check", "", "figures"], numbers_from=3)
+        table = Listing(["check", "", "figures"], numbers_from=3)
         for check in found["checks"]:
             figures = ", ".join(f"{name} {value}" for name, value in check["figures"].items())
             table.add_row(check["code"], _WORDS[check["ok"]], "; ".join(filter(None, (check["note"], figures))))

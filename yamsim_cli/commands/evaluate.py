@@ -136,8 +136,7 @@ def evaluate(
     from yamsim_cli.core.episode.rules import EndRule
     from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.choice import PolicyChoice
-    from yamsim_cli.core.trials import require_success, what_ran
-    from yamsim_cli.core.trials.tally import require_success
+    from yamsim_cli.core.trials import require_success
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     known = _read_reports(others, session)
@@ -174,7 +173,7 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
         UsageError: a file is no report, or a report of other trials.
     """
     from yamsim_cli.core.evaluate.compare import read_report, require_same
-    from yamsim_cli.core.trials.tally import what_ran
+    from yamsim_cli.core.trials import what_ran
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():

@@ -104,7 +104,7 @@ def gap(
         request = PhotoRequest(pictures, model, episode_camera)
         report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
     if html:
-        from yamsim_cli.core.gap.page_file import write_gap_page
+        from yamsim_cli.core.gap.report import write_gap_page
 
         write_gap_page(report, gaps, shown, html)
         report["html"] = str(html)

@@ -55,8 +55,8 @@ def excite(
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.files import write_output
+    from yamsim_cli.core.identify.excitation import commands_csv, log_csv
     from yamsim_cli.core.identify.excitation import excite as run
-    from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
 
     number = next((k for k, each in enumerate(settings.arms) if each.side == (arm or "right")), 0)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.serve.places import default_folder
+from yamsim_cli.core.serve.sockets import default_folder
 from yamsim_cli.flags import session as flags
 from yamsim_cli.flags.session import opener, session_settings
 from yamsim_cli.terminal.console import note, print_json, print_line
@@ -205,7 +205,7 @@ def can_run(
 
     Example: yamsim can-run -- python -m i2rt.robots.motor_chain_robot --channel can0
     """
-    from yamsim_cli.core.serve.program import program_environment
+    from yamsim_cli.core.serve.can_bus import program_environment
 
     where = _bus_folder(folder)
     added = program_environment(os.environ, where)

@@ -19,9 +19,9 @@ from .dataset.summary import Survey, survey
 from .errors import InterruptedJobError
 from .images.jpeg import JpegReader, thumbnail
 from .progress import Progress
+from .report.dataset_page import Strip, dataset_page
 from .report.leaderboard_page import leaderboard_page
-from .report.page import Strip, page
-from .report.page_files import made_line, write_page
+from .report.markup import made_line, write_page
 from .report.trials_page import start_boxes, trials_page
 from .resources import Locations
 from .workers.executor import LostJobError, run_all
@@ -85,7 +85,7 @@ def _unchecked(error: LostJobError) -> EpisodeFacts:
 
 def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None:
     """Write a dataset's page, whole or not at all; raises ResourceError if the file cannot be written."""
-    write_page(page(survey, summary, contact_sheet(survey), made_line()), path)
+    write_page(dataset_page(survey, summary, contact_sheet(survey), made_line()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:

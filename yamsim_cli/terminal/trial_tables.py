@@ -12,7 +12,7 @@ from .tables import Facts
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.progress import Progress
-    from yamsim_cli.core.trials.films import FilmedTrial, TrialFilms
+    from yamsim_cli.core.trials import FilmedTrial, TrialFilms
 
 
 def trials_table(report: dict[str, Any]) -> Facts:
@@ -27,7 +27,7 @@ def evaluation_table(report: dict[str, Any]) -> Facts:
 
 def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
     """The path of a job's films; a path that cannot be used is refused before any trial runs."""
-    from yamsim_cli.core.trials.films import TrialFilms
+    from yamsim_cli.core.trials import TrialFilms
 
     timing = settings.task.timing
     return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)

@@ -47,7 +47,7 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
 
 @pytest.mark.parametrize("damage", ["byte", "cut", "missing", "report", "no report"])
 def test_what_is_damaged_is_made_again(world, tiny, source, monkeypatch, damage):
-    monkeypatch.setattr(reduced, "reduce_stl", lambda data, how: data)
+    monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: data)
     made = make_reduced(world.store, tiny, source, "the notice")
     mesh, report = made.directory / "part.stl", made.directory / reduction.REPORT
     whole = mesh.read_bytes()

@@ -25,7 +25,6 @@ from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Cause
-from yamsim_cli.core.verify import ACTIONS, SEED, EpisodeVerifier, Tolerances
 
 OBJECTS = ("banana", "plate")
 LEFT, RIGHT = slice(0, 7), slice(7, 14)

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.reader import RecordedEpisode, recorded_images
-from ..images.video import BT601, VideoWriter, require_encoder
 from ..closing import Closing
 from ..dataset.lowdim import ACTION, BETWEEN_BASES, STATE
-from ..dataset.reader import RecordedEpisode, StoredEpisode
+from ..dataset.reader import RecordedEpisode, StoredEpisode, recorded_images
 from ..errors import DatasetError
-from ..policies.environment_state import joints_key, state_names, state_row, things_told
+from ..images.video import BT601, VideoWriter, require_encoder
+from ..policies.environment_state import joints_key, object_pose_keys, state_names, state_row
 from ..progress import Progress
 from ..recordings.lerobot_files import require_pyarrow
 from . import lerobot_schema as schema
@@ -130,7 +129,7 @@ class _SimulatedContent(_Content):
         super().__init__(pictures, {})
         self._source = source
         self._cameras = tuple(source.cameras) if pictures else ()
-        self._things = tuple(things_told(source.config)) if environment_state else ()
+        self._things = tuple(object_pose_keys(source.config)) if environment_state else ()
 
     def columns(self) -> dict[str, Feature]:
         source = self._source

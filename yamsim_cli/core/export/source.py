@@ -18,9 +18,15 @@ from numpy.typing import ArrayLike
 from ..config.real import RealConfig
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
-from ..dataset.reader import RecordedEpisode, StoredEpisode, dataset_config, open_episode, select_episodes
 from ..dataset.layout import depth_name, image_name, lowdim_name
-from ..dataset.reader import RecordedEpisode, StoredEpisode, dataset_config, open_episode, open_recorded
+from ..dataset.reader import (
+    RecordedEpisode,
+    StoredEpisode,
+    dataset_config,
+    open_episode,
+    open_recorded,
+    select_episodes,
+)
 from ..dataset.real import RealRecord, real_config
 from ..dataset.rows import drive_names, prefixes, weld_names
 from ..errors import DatasetError

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import SimulationError
-from ..report.gap_page import JointCurves, Shown, gap_page
-from ..report.page_files import made_line, write_page
+from ..report.gap_page import CaptionedJpeg, JointCurves, gap_page
+from ..report.markup import made_line, write_page
 from ..sim.follow import held
 from .curves import PHASES
 from .figures import ErrorSize, Following, Gap, HandGap, JointGap, WorstError
@@ -170,7 +170,9 @@ def _worst(worst: WorstError) -> dict[str, Any]:
     }
 
 
-def write_gap_page(report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[Shown], path: Path) -> None:
+def write_gap_page(
+    report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[CaptionedJpeg], path: Path
+) -> None:
     """Write the page on a gap, with all joints of the recording with the worst error, and replace an existing file.
 
     Args:

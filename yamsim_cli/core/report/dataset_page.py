@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..dataset.checks.facts import EpisodeFacts
-from ..dataset.summary import within, workspace_coverage
-from ..dataset.survey import Survey
+from ..dataset.summary import Survey, within, workspace_coverage
 from ..errors import file_size
 from . import plots
 from .markup import (

@@ -134,7 +134,7 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     return scene.start_qpos(layout, stands)
 
 
-def _check(faults: Sequence[Fault], buses: Sequence[Bus]) -> None:
+def _check(faults: Sequence[BusFault], buses: Sequence[Bus]) -> None:
     """Raise a UsageError for a fault of a channel or a motor that does not exist."""
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]

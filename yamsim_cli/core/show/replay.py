@@ -24,7 +24,7 @@ from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..images.video import VideoWriter
-from ..recordings.episodes import read_episode
+from ..recordings.reading import read_episode
 from ..resources import Locations
 from ..scene.blueprint import Blueprint
 from ..session import Session

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..trials import run_batch
 import mujoco
 import numpy as np
 
@@ -29,7 +28,7 @@ from ..scene.compiled import CompiledScene, Ids
 from ..session import Session
 from ..skills.contradictions import program_contradiction
 from ..skills.program import read_program
-from ..trials.batch import run_batch
+from ..trials import run_batch
 from ..types import Actions, Attempt, EpisodeJob
 
 MIN_REACH = 0.9  # share of a region that hands have to reach

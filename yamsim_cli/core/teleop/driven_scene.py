@@ -21,8 +21,8 @@ from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob
-from .attempt_writer import AttemptReceiver
 from ..viewers.driven import Driven, DriveStatus
+from .attempt_writer import AttemptReceiver
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
 

@@ -17,7 +17,6 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writing.opening import OpenMode
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import PartialJobError
-from ..record.destination import config_as_stated
 from ..scene.build import noting_meshes
 from ..session import Session
 from ..show.view import require_page, task_viewpoint
@@ -180,7 +179,7 @@ def open_teleop(
             journal = Journal(writer.path)
             with (
                 open_worker(session) as worker,
-                AttemptWriter(as_said(config, writer), writer, worker, journal.drop) as attempts,
+                AttemptWriter(config_as_stated(config, writer), writer, worker, journal.drop) as attempts,
             ):
                 scene = DrivenScene(session, attempts, journal, time_limit)
                 _take_up(scene, attempts, journal, warn)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.own_sets import is_own
+from ...assets.store import is_own
 from ...config.things.parts import Contact, ObjectMesh
 from ...config.things.primitives import (
     Box,
