@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -246,13 +245,19 @@ def test_workers_that_draw_differently_are_mentioned(recording: Recording) -> No
     assert any("Workers render with different OpenGL (driver" in warning for warning in recording.warnings)
 
 
-def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recording, monkeypatch: Any) -> None:
-    monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
+def test_a_disk_without_room_is_refused_before_anything_is_made(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0)
+    monkeypatch.setattr("os.statvfs", lambda place: full)
     with pytest.raises(ResourceError, match=r"5 episodes take .* 0 fit"):
         recording.run()
     assert not recording.path.exists()
     monkeypatch.undo()
     recording.run()
+    monkeypatch.setattr("os.statvfs", lambda place: full)
+    # A finished dataset needs no room.
+    recording.resume()
 
 
 @pytest.mark.parametrize("wrist", [False, True])
