@@ -33,7 +33,7 @@ def frames_of(dataset: Path) -> list[int]:
 
 
 def ignore(done: int, total: int) -> None:
-    """Progress that nobody sees."""
+    """A progress callback that does nothing."""
 
 
 def jpeg(camera: str, episode: int, frame: int) -> bytes:

@@ -68,8 +68,8 @@ def test_a_sheet_has_a_row_for_each_episode_from_first_frame_to_last(
 
 def test_a_sheet_that_cannot_be_is_refused_before_the_work(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(dataset, None, locations)
-    for out, told in (("sheet.gif", "end it in .jpg"), ("no/sheet.jpg", "there is no directory")):
-        with pytest.raises(UsageError, match=re.escape(told)):
+    for out, message in (("sheet.gif", "end it in .jpg"), ("no/sheet.jpg", "there is no directory")):
+        with pytest.raises(UsageError, match=re.escape(message)):
             export_sheet(source, tmp_path / out, (), ignore)
     with pytest.raises(UsageError, match="16000 is the most: take fewer with --episodes"):
         export_sheet(source, tmp_path / "sheet.jpg", (), ignore, columns=100, width=1920)
@@ -93,7 +93,7 @@ def test_a_damaged_episode_leaves_no_sheet(dataset: Path, locations: Locations, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_sheet_on_a_full_disk_is_told(
+def test_a_full_disk_is_reported_for_a_sheet(
     dataset: Path, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, data: bytes) -> None:

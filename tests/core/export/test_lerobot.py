@@ -224,7 +224,7 @@ def test_the_same_dataset_gives_the_same_bytes(
         assert (tmp_path / "again" / file.relative_to(export)).read_bytes() == file.read_bytes(), file.name
 
 
-def test_what_breaks_off_leaves_nothing(dataset: Path, locations: Locations, tmp_path: Path) -> None:
+def test_an_export_that_fails_leaves_nothing(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     copy = shutil.copytree(dataset, tmp_path / "copy")
     (copy / "ep_000001" / "rgb" / "scene_camera" / "000030.jpg").write_bytes(b"\xff\xd8\xff\xd9")
     with pytest.raises(DatasetError, match=r"000030\.jpg is not what was recorded"):

@@ -126,7 +126,7 @@ def at_30_hz(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempP
     return write(dataset, tmp_path_factory.mktemp("raiden") / "at_30_hz", locations, NEAREST)
 
 
-def test_at_30_hz_each_picture_says_which_recorded_one_it_is(dataset: Path, at_30_hz: Path) -> None:
+def test_at_30_hz_the_metadata_has_the_recorded_frame_of_each_picture(dataset: Path, at_30_hz: Path) -> None:
     assert differences(at_30_hz) == []
     metadata = json.loads((at_30_hz / "0001" / "metadata.json").read_text())
     last = (frame_count(dataset / "ep_000001") - 1) * 0.064
@@ -184,7 +184,7 @@ def test_one_arm_alone_has_arrays_of_one_arm(export: Path, dataset: Path, locati
         np.testing.assert_array_equal(column(alone, key), column(both, key)[:, :width])
 
 
-def test_how_the_arm_was_driven_and_whose_hand_it_is_stands_in_the_metadata(
+def test_the_metadata_has_the_control_and_the_hand_frame(
     export: Path, dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:
     ours = json.loads((export / "0000" / "metadata.json").read_text())
@@ -220,7 +220,7 @@ def test_the_makers_hand_is_some_millimetres_from_ours_and_turned_the_same(
         assert np.linalg.norm(off) < 0.004
 
 
-def test_the_fork_at_the_lab_finds_the_same_poses_where_it_looks(export: Path) -> None:
+def test_the_labs_fork_reads_the_same_poses(export: Path) -> None:
     """It reads `extrinsics` of either kind of camera, and names what they are in."""
     cameras = json.loads((export / "calibration_results.json").read_text())["cameras"]
     assert cameras["scene_camera"]["extrinsics"]["reference_frame"] == "left_arm_base"
@@ -244,7 +244,7 @@ def test_an_altered_file_stops_the_export_and_leaves_nothing(
     assert differences(tmp_path / "out") == []
 
 
-def test_what_is_in_the_way_stays_or_is_moved_aside(dataset: Path, locations: Locations, tmp_path: Path) -> None:
+def test_an_existing_directory_is_kept_or_moved_aside(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine").write_text("keep")

@@ -88,7 +88,9 @@ def test_an_export_to_lerobot_comes_back(filmed: Real, locations: Locations, tmp
     same_motion(back, filmed.motion)
 
 
-def test_commands_that_nobody_recorded_are_not_made_up(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_commands_that_were_not_recorded_are_not_invented(
+    single: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
     motion = without_commands(swinging(single, 0.5))
     dataset = of_tables(tmp_path, [motion], single, locations)
     with pytest.raises(DatasetError, match=r"has no commands.*--actions measured"):
@@ -104,7 +106,7 @@ def test_commands_that_nobody_recorded_are_not_made_up(single: RigConfig, locati
     assert "action" not in json.loads((tmp_path / "none/meta/info.json").read_text())["features"]
 
 
-def test_uneven_times_are_told_or_made_even(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_uneven_times_are_reported_or_made_even(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     whole = swinging(single, 1.0)
     kept = np.r_[0:40, 70:100]
     dataset = of_tables(tmp_path, [some(whole, kept)], single, locations)
@@ -260,7 +262,7 @@ def test_raidens_layout_comes_back(filmed: Real, locations: Locations, tmp_path:
     same_motion(back, filmed.motion)
 
 
-def test_what_raidens_layout_has_no_place_for(
+def test_recordings_that_raidens_layout_cannot_hold_are_refused(
     filmed: Real, single: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
     blind = of_tables(tmp_path, [swinging(single, 0.3)], single, locations)

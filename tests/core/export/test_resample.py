@@ -67,9 +67,9 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     assert len(found.times) == ticks
     np.testing.assert_array_equal(found.qpos, seen.qpos)
     np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.states])
-    asked = np.array([frame["action_joints"] for frame in found.frames])
-    np.testing.assert_array_equal(asked[::2], plan[0:ticks:2].astype(np.float32))
-    off = np.abs(asked - plan[:ticks])
+    found_commands = np.array([frame["action_joints"] for frame in found.frames])
+    np.testing.assert_array_equal(found_commands[::2], plan[0:ticks:2].astype(np.float32))
+    off = np.abs(found_commands - plan[:ticks])
     # Straight lines between the recorded commands would be up to 22 mrad off, in the second of these.
     assert off[:, :6].max() < 0.004
     assert off[:, 6].max() < 0.0007
@@ -93,9 +93,7 @@ def _quaternions(model: mujoco.MjModel) -> Iterator[int]:
             yield int(model.jnt_qposadr[joint]) + 3
 
 
-def test_physics_that_leads_elsewhere_is_told_and_nothing_is_made_up(
-    dataset: Path, locations: Locations, tmp_path: Path
-) -> None:
+def test_physics_that_deviates_is_refused(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     copy = shutil.copytree(dataset, tmp_path / "copy")
     ctrl = open_episode(copy / "ep_000000").frames()[20]["sim_ctrl"]
     change_frame(copy / "ep_000000", 20, rehash=True, sim_ctrl=ctrl + 0.01)
@@ -147,7 +145,7 @@ def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
 
 
 @pytest.mark.render
-def test_what_would_look_otherwise_is_not_drawn(
+def test_pictures_that_would_differ_are_not_drawn(
     tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     write_dataset(tmp_path / "dataset", make_config({("wrist",): True}), locations, 1, jpeg)

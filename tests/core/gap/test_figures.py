@@ -50,7 +50,7 @@ def test_a_perfect_model_has_no_gap(perfect: Gap) -> None:
     assert [joint.name for joint in perfect.joints] == [f"joint{k}" for k in range(1, 7)]
 
 
-def test_it_follows_its_commands_late_as_the_simulation_does(perfect: Gap) -> None:
+def test_the_measured_arm_follows_commands_as_late_as_the_simulation(perfect: Gap) -> None:
     for joint in perfect.joints:
         assert joint.measured.delay == pytest.approx(joint.simulated.delay, abs=1e-6)
         assert joint.measured.delay is not None and 0.02 < joint.measured.delay < 0.2
@@ -78,7 +78,7 @@ def test_friction_makes_a_gap_that_grows_with_it() -> None:
     assert (np.array(sizes[1]) > 2 * np.array(sizes[0])).all()
 
 
-def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
+def test_uncompensated_weight_shows_as_sag_at_rest() -> None:
     times = np.arange(0, 4.0, 0.004)
     still = swings(times, amplitude=0.0)
     # The simulation starts at the measured joints, and settles within a second.
@@ -119,7 +119,7 @@ def test_the_worst_frame_counts_measured_samples(made: Motion) -> None:
     assert worst.time == pytest.approx(4.0) and worst.error == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_hand_is_off_by_what_its_joints_are_off(made: Motion) -> None:
+def test_a_hands_gap_follows_from_its_joints_gap(made: Motion) -> None:
     joints = made.arms[0].joints.copy()
     joints[:, 0] += 0.01
     (hand,) = gap_of(rig_scene(), measured(made, joints)).hands
@@ -128,7 +128,7 @@ def test_a_hand_is_off_by_what_its_joints_are_off(made: Motion) -> None:
     assert 0.001 < hand.position.p95 < 0.01
 
 
-def test_only_what_lies_between_is_compared(made: Motion) -> None:
+def test_only_samples_from_begin_to_end_are_compared(made: Motion) -> None:
     joints = made.arms[0].joints.copy()
     joints[:500] += 0.1
     off = measured(made, joints)

@@ -35,7 +35,7 @@ def _excitation(name: str, number: int = 0, seed: int = 0) -> Excitation:
 
 
 @pytest.mark.parametrize(("name", "number"), [("single", 0), ("bimanual", 1), ("yam_pro+linear_4310", 0)])
-def test_it_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: str, number: int) -> None:
+def test_a_motion_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: str, number: int) -> None:
     found, arm = _excitation(name, number), _rig(name).arms[number]
     room = Room(_rig(name), number, SCENE, WHERE)
     low, high = arm.robot.joint_range.T
@@ -49,7 +49,7 @@ def test_it_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: str, num
     assert not any(room.touches(row) for row in found.commands[::20])
 
 
-def test_room_is_told_from_what_touches() -> None:
+def test_touching_poses_are_detected() -> None:
     room = Room(_rig("single"), 0, SCENE, WHERE)
 
     assert room.touches(np.array([0.0, 3.2, 0.6, 0.0, 0.0, 0.0]))
@@ -64,7 +64,7 @@ def test_every_joint_is_excited_in_every_third_of_it() -> None:
         check_usable([log.between(start, start + 20)], _rig("single").arms[0].robot.joint_names)
 
 
-def test_it_begins_and_ends_at_rest_in_one_place_and_follows_from_its_seed() -> None:
+def test_a_motion_starts_and_ends_at_rest_in_one_pose_and_follows_from_its_seed() -> None:
     found, again, other = (
         _excitation("single"),
         excite(_rig("single"), 0, SCENE, WHERE, 30.0, 0),
@@ -77,17 +77,17 @@ def test_it_begins_and_ends_at_rest_in_one_place_and_follows_from_its_seed() -> 
     assert not np.allclose(found.commands, other.commands)
 
 
-def test_its_files_hold_commands_and_what_the_simulated_arm_reads(tmp_path: Path) -> None:
+def test_the_files_hold_commands_and_simulated_readings(tmp_path: Path) -> None:
     rig, found = _rig("bimanual"), _excitation("bimanual", 1)
     (tmp_path / "log.csv").write_bytes(log_csv(rig, 1, found, SCENE, WHERE))
 
     motion = read_csv(tmp_path / "log.csv", rig)
 
     place = rig.recorded.index(1)
-    told = motion.arms[place].commands
-    assert told is not None
-    assert np.allclose(told, found.commands)
-    behind = np.abs(motion.arms[place].joints - told).max()
+    commanded = motion.arms[place].commands
+    assert commanded is not None
+    assert np.allclose(commanded, found.commands)
+    behind = np.abs(motion.arms[place].joints - commanded).max()
     assert 0.001 < behind < 0.5
     lines = commands_csv(rig, 1, found).decode().splitlines()
     assert lines[0].startswith("t,command_left_joint1,")

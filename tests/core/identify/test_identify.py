@@ -80,7 +80,7 @@ def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytes
 
 
 @pytest.mark.slow
-def test_an_offset_is_told_from_a_gravity_factor_by_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_poses_tell_an_offset_from_a_gravity_factor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "parameters", _some)
     moving, still = _commands(12.0), _commands(12.0)
     still[1][:] = still[1][0] + 0.02 * (still[1] - still[1][0])
@@ -106,7 +106,7 @@ def test_a_simulated_log_is_followed_by_its_own_values() -> None:
     assert np.abs(again - read).max() < 1e-9
 
 
-def test_finer_steps_change_little_and_what_is_told_late_acts_late() -> None:
+def test_finer_steps_change_little_and_late_commands_act_late() -> None:
     times, commands = _commands(3.0)
     log = Log("log", times, commands, commands, None)
     coarse, fine = ArmPlant(ARM), ArmPlant(ARM, 0.0005)
@@ -119,7 +119,7 @@ def test_finer_steps_change_little_and_what_is_told_late_acts_late() -> None:
     assert np.abs(later[52:] - at_once[50:-2]).max() < np.abs(later - at_once).max() / 5
 
 
-def test_fingers_are_where_the_log_has_them_and_closed_where_it_says_nothing() -> None:
+def test_fingers_follow_the_log_and_are_closed_without_it() -> None:
     times, commands = _commands(2.0)
     fingers = ARM.robot.fingers
     assert fingers is not None
@@ -140,7 +140,7 @@ def test_fingers_are_where_the_log_has_them_and_closed_where_it_says_nothing() -
     assert np.abs(told - closed)[:, -1].max() > 1e-4
 
 
-def test_a_revision_of_a_revision_keeps_what_no_log_tells() -> None:
+def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> None:
     was = Dynamics(
         revision="first",
         base="i2rt_yam",
@@ -226,7 +226,7 @@ def test_a_joint_that_stands_still_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_an_arm_that_differs_is_identified_and_what_was_held_out_says_so() -> None:
+def test_an_arm_that_differs_is_identified_and_the_held_out_gap_falls() -> None:
     scene = load_config(SceneConfig, "scenes", "tabletop", WHERE)
     motion = excite(RIG, 0, scene, WHERE, 40.0, 0)
     plant = ArmPlant(ARM)
@@ -294,7 +294,7 @@ def test_a_log_in_which_all_joints_swing_is_taken(seed: int) -> None:
     check_usable([_log(*_swinging(30.0, seed))], JOINTS)
 
 
-def test_what_one_log_lacks_another_may_show() -> None:
+def test_logs_complement_each_other() -> None:
     times, joints = _swinging(30.0)
     still = joints.copy()
     still[:, 2] = 0.0
@@ -315,7 +315,7 @@ def test_a_short_log_is_refused() -> None:
         check_usable([_log(*_swinging(6.0))], JOINTS)
 
 
-def test_of_two_arms_the_side_is_told() -> None:
+def test_the_error_for_one_of_two_arms_names_its_side() -> None:
     times, joints = _swinging(30.0)
     joints[:, 3] = 0.1
 

@@ -51,7 +51,7 @@ def test_a_csv_becomes_an_episode_and_comes_back(single: RigConfig, locations: L
     assert set(open_recorded(tmp_path / "real/ep_000000").frames()[0]) == {"joints", "timestamp", "ctrl"}
 
 
-def test_nothing_of_it_can_be_simulated_again(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_imported_recordings_cannot_be_simulated_again(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     source = write_csv(tmp_path / "log.csv", swinging(single, 0.3), single)
     bring_in(ImportRequest([source], single, out=tmp_path / "real"), locations)
     with pytest.raises(DatasetError, match="not simulated"):
@@ -154,7 +154,7 @@ def test_a_refused_recording_is_imported_with_its_correction(
     same_motion(back, motion, atol=1e-5)
 
 
-def test_resuming_keeps_what_is_there(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_resuming_keeps_existing_episodes(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     one = write_csv(tmp_path / "one.csv", swinging(single, 0.3), single)
     two = write_csv(tmp_path / "two.csv", swinging(single, 0.4), single)
     request = ImportRequest([one], single, out=tmp_path / "real")

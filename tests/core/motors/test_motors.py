@@ -64,13 +64,13 @@ def test_feedback_by_hand() -> None:
     assert data == bytes.fromhex("17ffff0007ff21ff")
 
 
-def test_it_acts_only_once_it_is_enabled(motor: Motor) -> None:
-    told = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
-    assert status(say(motor, told)) == Status.DISABLED
+def test_a_motor_acts_only_once_enabled(motor: Motor) -> None:
+    command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
+    assert status(say(motor, command)) == Status.DISABLED
     assert motor.law() == (0, 0, 0)
     assert status(say(motor, ENABLE)) == Status.ENABLED
     assert motor.law() == (0, 0, 0)
-    answer = say(motor, told)
+    answer = say(motor, command)
     assert answer is not None and answer.id == 0x14
     kp, kd, constant = motor.law()
     assert (kp, kd, constant) == pytest.approx((20.0, 0.5, 20.0), abs=0.15)
@@ -78,23 +78,23 @@ def test_it_acts_only_once_it_is_enabled(motor: Motor) -> None:
     assert motor.law() == (0, 0, 0)
 
 
-def test_it_fails_when_it_hears_nothing_for_400_ms(motor: Motor) -> None:
+def test_a_motor_fails_after_400_ms_without_frames(motor: Motor) -> None:
     say(motor, ENABLE, now=1.0)
     motor.passes(1.39, 0.39)
     assert motor.status is Status.ENABLED
     motor.passes(1.41, 0.02)
     assert motor.status is Status.LOST_COMMUNICATION
-    # Enabling does not clear an error, and nothing that it is told acts.
+    # Enabling does not clear an error, and no command acts.
     assert status(say(motor, ENABLE, 2.0)) == Status.LOST_COMMUNICATION
     assert status(say(motor, CLEAR, 2.0)) == Status.DISABLED
     assert status(say(motor, ENABLE, 2.0)) == Status.ENABLED
-    # 0 is no patience at all.
+    # 0 disables the timeout.
     say(motor, register(frames.WRITE, 9), to=frames.TO_ALL)
     motor.passes(1e6, 0.01)
     assert motor.status is Status.ENABLED
 
 
-def test_it_warms_up_by_what_it_gives_and_fails_when_too_hot(motor: Motor) -> None:
+def test_a_motor_warms_up_by_its_torque_and_fails_when_too_hot(motor: Motor) -> None:
     say(motor, register(frames.WRITE, 9), to=frames.TO_ALL)
     say(motor, ENABLE)
     motor.torque = motor.kind.rated
@@ -107,7 +107,7 @@ def test_it_warms_up_by_what_it_gives_and_fails_when_too_hot(motor: Motor) -> No
     assert motor.status is Status.ROTOR_TOO_HOT
 
 
-def test_zero_is_where_it_is_told_to_be(motor: Motor) -> None:
+def test_set_zero_moves_the_zero_position(motor: Motor) -> None:
     motor.position = 2.0
     answer = say(motor, ZERO)
     assert answer is not None and int.from_bytes(answer.data[1:3], "big") == 0x7FFF
@@ -144,7 +144,7 @@ def test_registers_are_read_written_and_kept(motor: Motor) -> None:
         pytest.param(8, struct.pack("<I", 0x7FF), id="the-identifier-of-all"),
     ],
 )
-def test_what_a_register_cannot_take_changes_nothing(motor: Motor, number: int, value: bytes) -> None:
+def test_invalid_values_of_registers_change_nothing(motor: Motor, number: int, value: bytes) -> None:
     before = motor.registers[number]
     say(motor, register(frames.WRITE, number, value), to=frames.TO_ALL)
     assert motor.registers[number] == before
@@ -227,14 +227,14 @@ def test_a_fault_by_its_flag() -> None:
         ("drop:share=0.1,share=0.2", "share is there twice"),
     ],
 )
-def test_a_wrong_flag_says_what_would_be_valid(text: str, says: str) -> None:
+def test_the_error_for_a_wrong_flag_names_valid_values(text: str, says: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_fault(text)
     assert says in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["yam_v1", "yam_pro_v1", "yam_ultra_v1", "yam_ultra_v2", "big_yam_v1", "i2rt_yam"])
-def test_every_arm_says_what_its_motors_are(name: str, locations: Locations) -> None:
+def test_every_arm_has_wiring(name: str, locations: Locations) -> None:
     wiring = find_wiring(name, "linear_4310", 6, locations)
     assert wiring.gripper is not None
     # 6.57 rad of the motor for 96 mm between the fingers, and forwards closes them.
@@ -242,12 +242,12 @@ def test_every_arm_says_what_its_motors_are(name: str, locations: Locations) -> 
     assert [motor.id for motor in wiring.arm.motors] == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_gripper_without_wiring_is_told_which_have_one(locations: Locations) -> None:
+def test_the_error_for_a_gripper_without_wiring_names_those_with_one(locations: Locations) -> None:
     with pytest.raises(ConfigError, match=r"linear_3507 has no can.yaml.*crank, crank_4310, finray"):
         find_wiring("yam_v1", "linear_3507", 6, locations)
 
 
-def test_a_wrong_wiring_is_told_where(locations: Locations, tmp_path: Path) -> None:
+def test_the_error_for_wrong_wiring_names_its_place(locations: Locations, tmp_path: Path) -> None:
     folder = tmp_path / "robot_models" / "yam_v1"
     folder.mkdir(parents=True)
     (folder / "can.yaml").write_text("motors:\n- {id: 1, kind: DM9999}\n")

@@ -39,9 +39,9 @@ def shares(motion: Motion, rig: RigConfig) -> tuple[list[np.ndarray], list[np.nd
 def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     """As raiden's recorder writes it: a key for each array, times in ns."""
     folder.mkdir()
-    measured, told = shares(motion, rig)
+    measured, commanded = shares(motion, rig)
     arrays: dict[str, Any] = {"timestamps": START_NS + np.round(motion.times * 1e9).astype(np.int64)}
-    for name, rows, commands in zip(("follower_l", "follower_r"), measured, told, strict=False):
+    for name, rows, commands in zip(("follower_l", "follower_r"), measured, commanded, strict=False):
         arrays |= {
             f"{name}_joint_pos": rows[:, :6],
             f"{name}_gripper_pos": rows[:, 6:],
@@ -55,8 +55,8 @@ def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
 
 def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
     """Version 2.1: one episode, one camera of 64 x 48 whose grey shows the number of the frame."""
-    measured, told = shares(motion, rig)
-    rows, commands = np.hstack(measured), np.hstack(told)
+    measured, commanded = shares(motion, rig)
+    rows, commands = np.hstack(measured), np.hstack(commanded)
     n = len(rows)
     for place in ("data/chunk-000", "videos/chunk-000/observation.images.top", "meta"):
         (folder / place).mkdir(parents=True)
@@ -103,13 +103,15 @@ def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: Sequen
 def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     """As the lab writes it: a pickle per frame, grippers in metres, pictures whose grey shows the frame's number."""
     rows = np.hstack([np.column_stack([arm.joints, arm.openings]) for arm in motion.arms if arm.openings is not None])
-    told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms if arm.commands is not None]
+    commanded = [
+        np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms if arm.commands is not None
+    ]
     (folder / "lowdim").mkdir(parents=True)
     (folder / "rgb/scene_camera").mkdir(parents=True)
     for k, time in enumerate(motion.times):
         frame = {"joints": rows[k], "timestamp": float(time), "language_prompt": PROMPT}
-        if told:
-            frame["action_joints"] = np.hstack(told)[k]
+        if commanded:
+            frame["action_joints"] = np.hstack(commanded)[k]
         (folder / f"lowdim/{k:06d}.pkl").write_bytes(pickle.dumps(frame))
         picture = cv2.imencode(".jpg", np.full((24, 32, 3), grey_of(k), np.uint8))[1]
         (folder / f"rgb/scene_camera/{k:06d}.jpg").write_bytes(picture.tobytes())
@@ -196,7 +198,7 @@ def write_mcap(
     from mcap_protobuf.writer import Writer
 
     kinds = _messages()
-    measured, told = shares(motion, rig)
+    measured, commanded = shares(motion, rig)
     film = _film_packets(len(range(0, len(motion.times), FILM_EVERY)))
     with path.open("wb") as file, Writer(file) as writer:
 
@@ -208,7 +210,7 @@ def write_mcap(
 
         say("/instruction", kinds["Instruction"](text=PROMPT), 0)
         for k in range(len(motion.times)):
-            for side, rows, commands in zip(("left", "right"), measured, told, strict=True):
+            for side, rows, commands in zip(("left", "right"), measured, commanded, strict=True):
                 say(f"/{side}-arm-state", kinds["RobotState"](position=rows[k, :6]), k)
                 say(f"/{side}-arm-action", kinds["RobotState"](position=commands[k, :6]), k)
                 say(f"/{side}-ee-state", kinds["GripperState"](position=rows[k, 6:]), k)

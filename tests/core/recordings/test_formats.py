@@ -118,7 +118,7 @@ def test_lerobot_with_a_picture_in_each_row(station: RigConfig, locations: Locat
         list(only(folder, station, locations).pictures["top"].read())
 
 
-def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_unknown_names_need_a_mapping(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(station, 0.3)
     folder = write_lerobot_v2(tmp_path / "two", motion, station, [f"motor{k}" for k in range(14)])
     with pytest.raises(DatasetError, match="--mapping"):
@@ -192,7 +192,9 @@ def test_a_camera_that_raiden_did_not_calibrate_has_no_place(
     assert recording.extrinsics == {}
 
 
-def test_what_raiden_itself_calls_cut_off_is_told(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_recordings_that_raiden_marks_as_incomplete_are_reported(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
     folder = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
     assert only(folder, station, locations).problems == ()
     (folder / "metadata.json").write_text(json.dumps({"complete": False}))

@@ -46,12 +46,12 @@ def test_a_recording_comes_in_with_its_film(
         assert abs(float(image.mean()) - grey_of(k)) < 3
 
 
-def test_another_rig_is_told_the_topics(file: Path, single: RigConfig, locations: Locations) -> None:
+def test_the_error_for_another_rig_names_the_topics(file: Path, single: RigConfig, locations: Locations) -> None:
     with pytest.raises(DatasetError, match="/left-arm-state"):
         reader_of("mcap")(file, single, None, locations)
 
 
-def test_a_topic_that_ends_early_and_a_camera_that_paused_are_told(
+def test_a_topic_that_ends_early_and_a_camera_that_paused_are_reported(
     station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
     path = write_mcap(

@@ -26,7 +26,7 @@ def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", request.param, locations)
 
 
-def test_the_header_is_what_users_were_told(single: RigConfig) -> None:
+def test_the_header_is_the_documented_one(single: RigConfig) -> None:
     kinds = [[f"{kind}_joint{k}" for k in range(1, 7)] + [f"{kind}_gripper"] for kind in ("command", "position")]
     assert header(single) == ["t", *kinds[0], *kinds[1]]
 
@@ -76,7 +76,7 @@ def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Pa
         (lambda lines: [], "has no column 't'"),
     ],
 )
-def test_what_is_no_motion_is_told_with_its_line(single: RigConfig, tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_errors_of_a_csv_name_its_line(single: RigConfig, tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
     path = write_csv(tmp_path / "log.csv", swinging(single, 0.2), single)
     path.write_text("\n".join(change(path.read_text().splitlines())))
     with pytest.raises(DatasetError, match=r"log\.csv") as caught:
@@ -84,7 +84,7 @@ def test_what_is_no_motion_is_told_with_its_line(single: RigConfig, tmp_path: Pa
     assert message in str(caught.value)
 
 
-def test_what_is_not_there_or_no_recording_is_told(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+def test_missing_and_unknown_files_are_refused(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("")
     for path, message in ((tmp_path / "log.txt", "is no recording"), (tmp_path / "no.csv", "does not exist")):
         with pytest.raises(DatasetError, match=message):
