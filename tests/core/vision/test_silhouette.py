@@ -19,6 +19,7 @@ from yamsim_cli.core.vision.silhouette import (
 )
 
 CENTRE, RADIUS = (160.0, 120.0), 60.0
+K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
 
 
 def disk(
@@ -89,7 +90,6 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
 
 def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
     """Seen straight on from 1 m with 500 px, 6 px to the side is 12 mm; what edges cannot tell is left as it was."""
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     photo = disk((166.0, 116.0))
     T = pose((0, 0, 1.0))
     so_far = np.zeros(6)
@@ -107,7 +107,6 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
 
 
 def test_what_the_boards_know_is_not_given_up() -> None:
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     line = outline(mask())
     offsets = edge_offsets(disk((164.0, 120.0)), line).offsets
     part = pull(line, np.ones(len(line.points)), offsets, K, np.array([0, 0, 1.0]))
@@ -119,7 +118,6 @@ def test_what_the_boards_know_is_not_given_up() -> None:
 
 
 def test_outlines_that_move_together_are_weighed_together() -> None:
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     line = outline(mask())
     centre = np.array([0, 0, 1.0])
     parts = [
