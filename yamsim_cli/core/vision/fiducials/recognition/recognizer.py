@@ -64,9 +64,7 @@ class Recognizer:
     def __init__(
         self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int, limits: PoseLimits
     ) -> None:
-        self._grey, self._photo, self._camera, self._limits = grey, photo, camera, limits
-        # All places of the photo count as trials.
-        self._most_log_chance = math.log(FALSE_ALARMS / (boards * _PLACES * _LOOKS_A_FIT))
+        self._grey, self._photo, self._camera, self._boards, self._limits = grey, photo, camera, boards, limits
         self._likeliest: tuple[float, Alignment] | None = None
 
     @cached_property
@@ -157,7 +155,8 @@ class Recognizer:
         first, bits = found
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
-        if bits.log_chance > self._most_log_chance:
+        # All places of the photo count as trials.
+        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _PLACES * _LOOKS_A_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
             fewer = align(self._photo, self._camera, [piece_of(board, bits.markers)], first.T_ref_in_cam, first.smear)
