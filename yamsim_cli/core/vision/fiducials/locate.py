@@ -27,6 +27,8 @@ from .sighting import PRINT_SIGMA, USUAL_LIMITS, BoardStatus, PoseLimits, Sighti
 
 Grey = NDArray[np.uint8]
 
+_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
+
 
 def locate(
     grey: Grey,
@@ -139,11 +141,6 @@ def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Arr
     check = agreement(grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.smear or USUAL_SMEAR, noise=1.0)
     rms = None if check is None else shift_rms(check.tiles[0])
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
-
-
-Grey = NDArray[np.uint8]
-
-_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
 
 
 def locate_together(

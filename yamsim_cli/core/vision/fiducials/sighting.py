@@ -23,6 +23,29 @@ from .fitting.print_shape import CREASED_SHARE
 from .fitting.print_view import piece_of
 from .fitting.smear import Smear
 
+Grey = NDArray[np.uint8]
+
+# Markers that are left out of the fit, but are whole and displaced, lie beyond a crease. Covered markers correlate less
+# or are not shifted. Source: 14 half-covered prints and 3 creased ones.
+_LEAST_DISPLACED = 2  # markers
+_STILL_ALIKE = 0.5  # correlation of drawing and photo
+_DISPLACED_PX = 0.7  # px
+_CREASED_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
+_WITH_LENS = 4 / 3  # of the largest turn, allowed with the uncertainty of the lens and of the print's scale
+_FLAT = 0.5  # probability, below which a message names the print's shape as the cause
+
+PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
+
+# Limits within which nearly all boards are found. Source: `make bench-fiducials`.
+_MOTION = 3.0  # px
+_BLUR = 1.5  # px, sigma
+_CONTRAST = 8.0  # times the noise
+_CELL = 0.8  # px
+_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
+_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
+_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
+_ENDS = (0.5, 99.5)  # percentiles of a photo's range
+
 
 class BoardStatus(StrEnum):
     """The result for a board; UNCERTAIN: there is a pose, but its uncertainty is beyond the limits."""
@@ -85,18 +108,6 @@ class Sighting:
     def rotation_sigma(self) -> float | None:
         """Standard deviation of the orientation, all axes together, rad."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
-
-
-# Markers that are left out of the fit, but are whole and displaced, lie beyond a crease. Covered markers correlate less
-# or are not shifted. Source: 14 half-covered prints and 3 creased ones.
-_LEAST_DISPLACED = 2  # markers
-_STILL_ALIKE = 0.5  # correlation of drawing and photo
-_DISPLACED_PX = 0.7  # px
-_CREASED_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_WITH_LENS = 4 / 3  # of the largest turn, allowed with the uncertainty of the lens and of the print's scale
-_FLAT = 0.5  # probability, below which a message names the print's shape as the cause
-
-PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
 
 
 @dataclass(frozen=True)
@@ -203,19 +214,6 @@ def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tupl
     shared: Array = moved @ np.column_stack(mistakes)
     covariance: Array = moved @ alignment.covariance @ moved.T + shared @ shared.T
     return covariance, shared
-
-
-Grey = NDArray[np.uint8]
-
-# PoseLimits within which nearly all boards are found. Source: `make bench-fiducials`.
-_MOTION = 3.0  # px
-_BLUR = 1.5  # px, sigma
-_CONTRAST = 8.0  # times the noise
-_CELL = 0.8  # px
-_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
-_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
-_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
-_ENDS = (0.5, 99.5)  # percentiles of a photo's range
 
 
 @dataclass(frozen=True)
