@@ -19,7 +19,7 @@ from ..vision.fiducials.sighting import USUAL_LIMITS, BoardStatus, PoseLimits, S
 from .lenses import Lens
 from .photos import Photo
 
-# BoardStatus of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
+# Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
 INFERRED = "inferred"
 RECORDED = "recorded"
 NO_BOARD = "no_board"
