@@ -37,7 +37,7 @@ from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.locate import locate, locate_together
-from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
+from yamsim_cli.core.vision.fiducials.sighting import BoardStatus, Sighting
 
 # Poses that are off by more than this are wrong.
 WRONG_DEG, WRONG_MM = 3.0, 15.0
@@ -190,7 +190,7 @@ def _both(case: Case, photographer: Photographer, rng: np.random.Generator) -> l
     photo = spoilt(photographer.take(), rng)
     began = time.process_time()
     seen, _ = locate(photo, photographer.camera, [placed.board for placed in photographer.boards])
-    if all(one.status is Status.OK for one in seen):
+    if all(one.status is BoardStatus.OK for one in seen):
         seen = locate_together(photo, photographer.camera, seen, [b.T_in_world for b in photographer.boards]) or seen
     took = time.process_time() - began
     return [

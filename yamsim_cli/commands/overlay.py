@@ -103,7 +103,7 @@ def overlay(
     from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.vision.fiducials.sighting import Limits
+    from yamsim_cli.core.vision.fiducials.sighting import PoseLimits
 
     photos = (
         recorded_photos(episode, episode_camera, settings)
@@ -118,7 +118,7 @@ def overlay(
         trust_margin=trust_margin,
         refine=refine,
         opacity=opacity,
-        limits=Limits(math.radians(max_turn), max_shift / 1000),
+        limits=PoseLimits(math.radians(max_turn), max_shift / 1000),
         video=video,
         frame_period=1 / fps,
         max_reprojection=max_reprojection,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.images.image_files import grey_of, read_image, read_mask
+from yamsim_cli.core.images.png import encode_png
 
 HEIGHT, WIDTH = 48, 64
 
@@ -163,3 +165,23 @@ def test_masks(tmp_path: Path) -> None:
     smeared = saved(tmp_path / "white.jpg", inside * np.uint8(255))
     assert (cv2.imread(str(smeared), 0)[~inside] > 0).any()
     assert np.array_equal(read_mask(smeared), inside)
+
+
+def test_png_holds_its_scale() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (40, 30), dtype=np.uint8)
+    plain, scaled = encode_png(image), encode_png(image, 23263.3)
+    assert b"pHYs" not in plain
+    start = scaled.index(b"pHYs")
+    across, down, unit = struct.unpack(">IIB", scaled[start + 4 : start + 13])
+    assert (across, down, unit) == (23263, 23263, 1)
+    assert scaled[start + 13 : start + 17] == struct.pack(">I", zlib.crc32(scaled[start : start + 13]))
+    assert scaled.index(b"IHDR") < start < scaled.index(b"IDAT")
+    for data in (plain, scaled):
+        assert np.array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED), image)
+
+
+def test_png_of_colour_is_rgb() -> None:
+    image = np.zeros((2, 3, 3), np.uint8)
+    image[..., 0] = 200
+    decoded = cv2.imdecode(np.frombuffer(encode_png(image), np.uint8), cv2.IMREAD_COLOR)
+    assert (decoded[..., 2] == 200).all()

@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from yamsim_cli.core.overlay.arm_poses import ArmPose, PhotoResult
 from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.moves import Moved, Stillness, find_moves
-from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
+from yamsim_cli.core.vision.fiducials.sighting import BoardStatus, Sighting
 
 LENS = Lens.known(CameraModel.pinhole(640, 480, 600.0), "file")
 T_CAM_IN_WORLD = pose(
@@ -56,14 +56,14 @@ class Series:
         arms = []
         for k, (arm, T_base_in_cam) in enumerate(zip(rig.arms, bases, strict=True)):
             if (number, k) in self.unseen:
-                gone = Sighting(arm.board.board, (), Status.NOT_FOUND, "nothing there")
+                gone = Sighting(arm.board.board, (), BoardStatus.NOT_FOUND, "nothing there")
                 arms.append(ArmPose(arm.name, arm.board.name, "not_found", gone))
                 continue
             shift = rng.normal(0, self.noise_m, 3) + (0.05 if (number, k) in self.wrong else 0.0)
             T_board = T_base_in_cam @ arm.T_board_in_base
             turn = rotation_from_vector(rng.normal(0, self.noise_rad, 3))
             seen = pose(T_board[:3, 3] + shift, turn @ T_board[:3, :3])
-            sighting = Sighting(arm.board.board, (1, 2, 3), Status.OK, T_board_in_cam=seen)
+            sighting = Sighting(arm.board.board, (1, 2, 3), BoardStatus.OK, T_board_in_cam=seen)
             arms.append(ArmPose(arm.name, arm.board.name, "ok", sighting, seen @ inverse(arm.T_board_in_base)))
         return PhotoResult(Path(f"{number:03d}.png"), LENS, "file", tuple(arms), (), time=number / 10)
 

@@ -11,14 +11,15 @@ from yamsim_cli.core.vision.silhouette import (
     REACH,
     Correction,
     correction,
+    edge_equations,
     edge_offsets,
     grain_px,
     outline,
-    pull,
     rounds,
 )
 
 CENTRE, RADIUS = (160.0, 120.0), 60.0
+K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
 
 
 def disk(
@@ -89,7 +90,6 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
 
 def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
     """Seen straight on from 1 m with 500 px, 6 px to the side is 12 mm; what edges cannot tell is left as it was."""
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     photo = disk((166.0, 116.0))
     T = pose((0, 0, 1.0))
     so_far = np.zeros(6)
@@ -99,7 +99,7 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
         centre = (160 + 500 * T[0, 3] / T[2, 3], 120 + 500 * T[1, 3] / T[2, 3])
         line = outline(mask(centre, RADIUS / T[2, 3]))
         offsets = edge_offsets(photo, line, reach).offsets
-        part = pull(line, np.full(len(line.points), T[2, 3]), offsets, K, T[:3, 3].copy())
+        part = edge_equations(line, np.full(len(line.points), T[2, 3]), offsets, K, T[:3, 3].copy())
         move = correction([part], T[:3, 3].copy(), weak, so_far)
         T, so_far = move.applied(T), so_far + move.step
     assert T[:2, 3] == pytest.approx((0.012, -0.008), abs=0.0008)
@@ -107,10 +107,9 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
 
 
 def test_what_the_boards_know_is_not_given_up() -> None:
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     line = outline(mask())
     offsets = edge_offsets(disk((164.0, 120.0)), line).offsets
-    part = pull(line, np.ones(len(line.points)), offsets, K, np.array([0, 0, 1.0]))
+    part = edge_equations(line, np.ones(len(line.points)), offsets, K, np.array([0, 0, 1.0]))
     sure = np.diag([1e8] * 3 + [1e10] * 3)
     assert np.linalg.norm(correction([part], np.array([0, 0, 1.0]), sure, np.zeros(6)).step) < 1e-5
     # And having left it, it is drawn back.
@@ -119,11 +118,12 @@ def test_what_the_boards_know_is_not_given_up() -> None:
 
 
 def test_outlines_that_move_together_are_weighed_together() -> None:
-    K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     line = outline(mask())
     centre = np.array([0, 0, 1.0])
     parts = [
-        pull(line, np.ones(len(line.points)), edge_offsets(disk((160.0 + dx, 120.0)), line).offsets, K, centre)
+        edge_equations(
+            line, np.ones(len(line.points)), edge_offsets(disk((160.0 + dx, 120.0)), line).offsets, K, centre
+        )
         for dx in (4.0, 0.0)
     ]
     weak = np.diag([1e6] * 3 + [10.0] * 3)
@@ -134,7 +134,7 @@ def test_outlines_that_move_together_are_weighed_together() -> None:
 
 
 def test_no_outline_no_step() -> None:
-    nothing = pull(outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
+    nothing = edge_equations(outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
     assert correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).size == 0.0
 
 

@@ -36,7 +36,7 @@ from ..vision.picture_overlay import blend, write_lines
 
 
 @dataclass(frozen=True)
-class Taken:
+class RecordedPhoto:
     """A photo that was taken during a recording.
 
     Attributes:
@@ -51,7 +51,7 @@ class Taken:
     path: Path
 
 
-def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Taken]]:
+def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
     """The name of one camera, and its photos in the compared parts of recordings.
 
     Args:
@@ -74,7 +74,7 @@ def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Tak
             if gap.name in folders and gap.counted[sample]:
                 path = folders[gap.name] / image_name(camera, frame)
                 if path.is_file():
-                    taken.append(Taken(gap, frame, sample, path))
+                    taken.append(RecordedPhoto(gap, frame, sample, path))
     if not taken:
         raise UsageError(
             f"--pictures: camera {camera!r} has no photo of what was compared; choose another --from, --to"
@@ -82,7 +82,7 @@ def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Tak
     return camera, taken
 
 
-def chosen_photos(taken: Sequence[Taken], most: int) -> list[Taken]:
+def chosen_photos(taken: Sequence[RecordedPhoto], most: int) -> list[RecordedPhoto]:
     """At most `most` of the photos, evenly chosen. The photo with the largest joint error is among them."""
     if len(taken) <= most:
         return list(taken)
@@ -91,7 +91,7 @@ def chosen_photos(taken: Sequence[Taken], most: int) -> list[Taken]:
     return [taken[k] for k in sorted({worst, *even})]
 
 
-def _error(photo: Taken) -> float:
+def _error(photo: RecordedPhoto) -> float:
     both = zip(photo.gap.motion.arms, photo.gap.simulated.arms, strict=True)
     return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
 
@@ -108,13 +108,13 @@ def stands_at(motion: Motion, sample: int, rig: RigConfig) -> Stands:
     return tuple(stands[number] for number in range(len(rig.arms)))
 
 
-def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
+def photo_of(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
     """A photo with its recorded camera and that camera's pose, as far as they were recorded.
 
     Raises:
         DatasetError: the frame cannot be read, or is damaged.
     """
-    file = Path(taken.gap.name) / lowdim_name(taken.frame)
+    file = Path(recorded.gap.name) / lowdim_name(recorded.frame)
     try:
         frame = load_frame(file.read_bytes())
         K, T_cam_in_base = (
@@ -132,7 +132,9 @@ def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
         T_cam_in_world = rig.T_base_in_world(rig.recorded[0]) @ T_cam_in_base
         T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
     model = None if K is None else pinhole_camera(K, width, height)
-    return Photo(taken.path, model, stands_at(taken.gap.simulated, taken.sample, rig), "episode", T_base_in_cam)
+    return Photo(
+        recorded.path, model, stands_at(recorded.gap.simulated, recorded.sample, rig), "episode", T_base_in_cam
+    )
 
 
 _SHOWN = 2  # pictures on a page
@@ -166,7 +168,7 @@ class PhotoGap:
         picture: the simulated arms over the photo.
     """
 
-    taken: Taken
+    recorded: RecordedPhoto
     outline: float | None
     measured_outline: float | None
     iou: float
@@ -211,27 +213,27 @@ def compare_photos(
 
 
 def _compared(
-    taken: Taken, camera: str, rig: RigConfig, lenses: PhotoLenses, renderers: ArmRenderers
+    recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoLenses, renderers: ArmRenderers
 ) -> PhotoGap | None:
     """The comparison of one photo; None where neither its frame nor a board gives the camera's pose."""
-    image = read_image(taken.path)
-    photo = photo_of(taken, camera, rig, image)
+    image = read_image(recorded.path)
+    photo = photo_of(recorded, camera, rig, image)
     lens, grey = lenses.of(photo, image), grey_of(image)
     result = find_arms(rig, photo, grey, lens, trust_margin=False)
     if not result.bases:
         return None
     renderer = renderers.of(lens.camera)
-    renderer.pose(result.bases, stands_at(taken.gap.motion, taken.sample, rig))
+    renderer.pose(result.bases, stands_at(recorded.gap.motion, recorded.sample, rig))
     measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
-    renderer.pose(result.bases, stands_at(taken.gap.simulated, taken.sample, rig))
+    renderer.pose(result.bases, stands_at(recorded.gap.simulated, recorded.sample, rig))
     simulated, iou = score_outlines(result, renderer, grey), overlap(renderer.flat_labels() > 0, measured_mask)
     arms = renderer.render()
     picture = blend(image, arms.colour, arms.labels, _OPACITY)
-    lines = [f"simulated, {taken.gap.motion.times[taken.sample]:.2f} s, frame {taken.frame}"]
+    lines = [f"simulated, {recorded.gap.motion.times[recorded.sample]:.2f} s, frame {recorded.frame}"]
     if simulated.edge_residual is not None:
         lines.append(f"outline {simulated.edge_residual:.1f} px, overlap {iou:.3f}")
     write_lines(picture, lines, arms.labels > 0)
-    return PhotoGap(taken, simulated.edge_residual, measured.edge_residual, iou, picture)
+    return PhotoGap(recorded, simulated.edge_residual, measured.edge_residual, iou, picture)
 
 
 def _badness(found: PhotoGap) -> tuple[float, float]:
@@ -251,7 +253,7 @@ def _plain(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, 
         "frames": [
             {
                 **_place(one),
-                "image": str(one.taken.path),
+                "image": str(one.recorded.path),
                 "outline_px": one.outline,
                 "measured_outline_px": one.measured_outline,
                 "iou": one.iou,
@@ -262,9 +264,9 @@ def _plain(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, 
 
 
 def _place(found: PhotoGap) -> dict[str, Any]:
-    taken = found.taken
-    time = float(taken.gap.motion.times[taken.sample])
-    return {"recording": taken.gap.name, "frame": taken.frame, "time_s": time}
+    recorded = found.recorded
+    time = float(recorded.gap.motion.times[recorded.sample])
+    return {"recording": recorded.gap.name, "frame": recorded.frame, "time_s": time}
 
 
 def _spread(values: Sequence[float | None], worst: Any) -> dict[str, float] | None:

@@ -15,7 +15,7 @@ from ..config.rig import RigConfig
 from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.locate import locate, locate_together, unlocated
 from ..vision.fiducials.markers import seen_ids
-from ..vision.fiducials.sighting import USUAL_LIMITS, Limits, Sighting, Status
+from ..vision.fiducials.sighting import USUAL_LIMITS, BoardStatus, PoseLimits, Sighting
 from .lenses import Lens
 from .photos import Photo
 
@@ -41,7 +41,7 @@ class ArmPose:
 
     Attributes:
         board: the board's name; None for an arm without one.
-        status: a `Status` of the board; INFERRED or RECORDED if the pose has another source; NO_BOARD.
+        status: a `BoardStatus` of the board; INFERRED or RECORDED if the pose has another source; NO_BOARD.
         T_base_in_cam: pose (4, 4) of the arm's base; None if there is none.
         edge_residual: median distance (px) of the rendered outline to the photo's edges.
     """
@@ -56,7 +56,7 @@ class ArmPose:
     @property
     def located(self) -> bool:
         """Whether there is a pose of the base that is not uncertain."""
-        return self.T_base_in_cam is not None and self.status != Status.UNCERTAIN
+        return self.T_base_in_cam is not None and self.status != BoardStatus.UNCERTAIN
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def find_arms(
     lens: Lens,
     trust_margin: bool,
     before: PhotoResult | None = None,
-    limits: Limits = USUAL_LIMITS,
+    limits: PoseLimits = USUAL_LIMITS,
 ) -> PhotoResult:
     """Each arm's pose from its board, or else from the other board or from the recording.
 
@@ -147,7 +147,7 @@ def _T_board_in_world(rig: RigConfig, k: int) -> Array:
 
 def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, Sighting]]:
     """Number and sighting of each arm whose own board is located."""
-    return [(k, arm.sighting) for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is Status.OK]
+    return [(k, arm.sighting) for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is BoardStatus.OK]
 
 
 def _of_one_size(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
@@ -161,7 +161,7 @@ def _of_one_size(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
             "says: measure both, and set the rig's marker_length_mm and gap_mm"
         )
         for n, sighting in ((k, one), (j, two)):
-            refused = replace(_without_pose(sighting), status=Status.POOR_FIT, reason=reason)
+            refused = replace(_without_pose(sighting), status=BoardStatus.POOR_FIT, reason=reason)
             arms[n] = replace(arms[n], status=refused.status, sighting=refused, T_base_in_cam=None)
         break
     return arms

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
-from ..vision.fiducials.sighting import Status
+from ..vision.fiducials.sighting import BoardStatus
 from .arm_poses import ArmPose, PhotoResult
 
 # Smallest reported move. An arm in front of its board shifts the board's pose by some of that.
@@ -192,7 +192,7 @@ def _track(results: Sequence[PhotoResult], k: int) -> _Track | None:
     for number, result in enumerate(results):
         arm = result.arms[k]
         board = arm.sighting.T_board_in_cam if arm.sighting else None
-        if board is None or arm.T_base_in_cam is None or arm.status != Status.OK:
+        if board is None or arm.T_base_in_cam is None or arm.status != BoardStatus.OK:
             continue
         photos.append(number)
         boards.append(board)

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.locate import at_pose
-from ..vision.silhouette import EdgeOffsets, Pull, correction, edge_offsets, grain_px, outline, pull, rounds
+from ..vision.silhouette import (
+    EdgeEquations,
+    EdgeOffsets,
+    correction,
+    edge_equations,
+    edge_offsets,
+    grain_px,
+    outline,
+    rounds,
+)
 from .arm_poses import ArmPose, PhotoResult
 from .joint_files import Stands
 from .rendered_arms import ArmRenderer, FlatArms
@@ -56,10 +65,10 @@ def refine(
         renderer.pose(poses, stands)
         flat = renderer.flat()
         for group, (centre, information), step in zip(groups, priors, steps, strict=True):
-            pulls = [part for k in group if (part := _pull(flat, flat_grey, k, centre, reach)) is not None]
-            if not pulls:
+            equations = [part for k in group if (part := _equations(flat, flat_grey, k, centre, reach)) is not None]
+            if not equations:
                 continue
-            move = correction(pulls, centre, information, step)
+            move = correction(equations, centre, information, step)
             step += move.step
             poses.update({k: move.applied(poses[k]) for k in group})
     camera = result.lens.camera
@@ -67,7 +76,9 @@ def refine(
     return replace(result, arms=arms)
 
 
-def _pull(flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float) -> Pull | None:
+def _equations(
+    flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
+) -> EdgeEquations | None:
     """The normal equations that move the k-th arm onto the photo's edges; None if too little of it is visible."""
     line = outline(flat.labels == k + 1, _other(flat.labels, k))
     if len(line.points) < _LEAST_POINTS:
@@ -75,7 +86,7 @@ def _pull(flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, r
     inside = np.round(line.points - line.normals).astype(int)
     depth = flat.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
     offsets = edge_offsets(flat_grey, line, reach).offsets
-    return pull(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
+    return edge_equations(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
 
 
 def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:

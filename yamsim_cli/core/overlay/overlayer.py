@@ -22,7 +22,7 @@ from ..images.png import encode_png
 from ..images.video import VideoWriter
 from ..progress import Progress
 from ..resources import Locations
-from ..vision.fiducials.sighting import USUAL_LIMITS, Limits, Status
+from ..vision.fiducials.sighting import USUAL_LIMITS, BoardStatus, PoseLimits
 from ..vision.picture_overlay import blend, draw_board, write_lines
 from .arm_poses import PhotoResult, find_arms
 from .joint_files import Stands, home_stands
@@ -72,7 +72,7 @@ class OverlayRequest:
     trust_margin: bool = False
     refine: bool = False
     opacity: float = 0.55
-    limits: Limits = USUAL_LIMITS
+    limits: PoseLimits = USUAL_LIMITS
     video: Path | None = None
     frame_period: float = 1 / 15
     max_reprojection: float | None = None
@@ -260,7 +260,7 @@ def _failures(result: PhotoResult, request: OverlayRequest) -> list[str]:
         if request.max_reprojection is None or arm.board is None or not arm.sighting:
             continue
         rms = arm.sighting.reprojection_rms
-        if arm.sighting.status is not Status.OK:
+        if arm.sighting.status is not BoardStatus.OK:
             found.append(f"{result.path}: {arm.name} is not located: {arm.sighting.explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(

@@ -157,14 +157,16 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class Pull:
+class EdgeEquations:
     """The normal equations (6, 6) and (6,) of a `Correction`'s step, from the edges along an outline."""
 
     normal: Array
     gradient: Array
 
 
-def pull(line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0) -> Pull:
+def edge_equations(
+    line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
+) -> EdgeEquations:
     """The normal equations of the step that brings an outline onto the photo's edges.
 
     Args:
@@ -187,20 +189,20 @@ def pull(line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Arra
     # Neighbouring outline points see the same edge, so that they count together as a few dozen independent ones.
     weight *= min(1.0, _INDEPENDENT / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]
-    return Pull(weighted.T @ jacobian, weighted.T @ off)
+    return EdgeEquations(weighted.T @ jacobian, weighted.T @ off)
 
 
-def correction(pulls: Sequence[Pull], centre: Array, information: Array, so_far: Array) -> Correction:
+def correction(equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array) -> Correction:
     """The step that brings a pose's outlines onto the photo's edges, weighed against the pose that the boards give.
 
     Args:
-        pulls: normal equations of all outlines that move with the pose.
+        equations: normal equations of all outlines that move with the pose.
         centre: the point (3,) in the camera's frame about which the pose turns.
         information: inverse covariance (6, 6) of the boards' pose: turn about `centre` (rad) and shift (m).
         so_far: sum (6,) of the steps since the boards' pose.
     """
-    normal = information + sum(part.normal for part in pulls)
-    gradient = sum(part.gradient for part in pulls) - information @ so_far
+    normal = information + sum(part.normal for part in equations)
+    gradient = sum(part.gradient for part in equations) - information @ so_far
     return Correction(np.linalg.solve(normal, gradient).astype(np.float64), centre)
 
 

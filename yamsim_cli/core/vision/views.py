@@ -19,7 +19,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 @dataclass(frozen=True)
-class View:
+class RigView:
     """A direction from which to look at a rig.
 
     Attributes:
@@ -37,9 +37,9 @@ class View:
 
 # Azimuth 180 looks along -x, at the arms' front. A negative elevation looks down.
 VIEWS = (
-    View("front", azimuth=155.0, elevation=-28.0),
-    View("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
-    View("low_close_up", azimuth=125.0, elevation=-14.0, low=True),
+    RigView("front", azimuth=155.0, elevation=-28.0),
+    RigView("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
+    RigView("low_close_up", azimuth=125.0, elevation=-14.0, low=True),
 )
 
 
@@ -57,7 +57,7 @@ class Camera:
         return float(u), float(v)
 
 
-def place_camera(view: View, points: Array, size: tuple[int, int]) -> Camera:
+def place_camera(view: RigView, points: Array, size: tuple[int, int]) -> Camera:
     """A camera that looks in the view's direction, from just far enough away to see all `points`.
 
     Args:

@@ -18,11 +18,11 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.vision.fiducials import markers
 from yamsim_cli.core.vision.fiducials.fitting.align import align
-from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece
+from yamsim_cli.core.vision.fiducials.fitting.print_view import PrintPiece
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import at_pose, locate, locate_together
 from yamsim_cli.core.vision.fiducials.markers import find_markers, seen_ids
-from yamsim_cli.core.vision.fiducials.sighting import Limits, Sighting, Status
+from yamsim_cli.core.vision.fiducials.sighting import BoardStatus, PoseLimits, Sighting
 
 WEBCAM = replace(
     CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
@@ -50,7 +50,7 @@ def assert_exact(sighting: Sighting, truth: Array) -> None:
 @pytest.mark.parametrize("where", [(0, 0, 0.5), (-0.15, 0.1, 0.6), (0.1, -0.05, 0.45, -0.7, -0.3)])
 def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -> None:
     sighting = seen(photograph(camera, [(ONE, facing(*where))]), camera=camera)
-    assert sighting.status is Status.OK
+    assert sighting.status is BoardStatus.OK
     assert sighting.markers == ONE.ids
     assert_exact(sighting, facing(*where))
     assert sighting.reprojection_rms < 0.05
@@ -72,12 +72,12 @@ def test_two_boards_are_not_mistaken_for_each_other() -> None:
         for sighting, board in zip(sightings, order, strict=True):
             assert sighting.board == board
             assert_exact(sighting, LEFT if board is ONE else RIGHT)
-    assert seen(photograph(CAMERA, [(TWO, LEFT)])).status is Status.NOT_FOUND
+    assert seen(photograph(CAMERA, [(TWO, LEFT)])).status is BoardStatus.NOT_FOUND
 
 
 def test_the_same_print_twice_is_refused() -> None:
     sighting = seen(photograph(CAMERA, [(ONE, LEFT), (ONE, RIGHT)]))
-    assert sighting.status is Status.AMBIGUOUS
+    assert sighting.status is BoardStatus.AMBIGUOUS
     assert sighting.T_board_in_cam is None
     assert sighting.reason == "its markers are in 2 places: hide or remove the other prints"
 
@@ -95,7 +95,7 @@ def test_the_same_print_twice_is_refused() -> None:
 def test_other_prints_in_the_photo_change_nothing(other: Board) -> None:
     alone = seen(photograph(CAMERA, [(ONE, LEFT)]))
     beside = seen(photograph(CAMERA, [(ONE, LEFT), (other, RIGHT)]))
-    assert beside.status is Status.OK
+    assert beside.status is BoardStatus.OK
     assert np.abs(alone.T_board_in_cam - beside.T_board_in_cam).max() < 1e-9
     assert_exact(beside, LEFT)
 
@@ -103,7 +103,7 @@ def test_other_prints_in_the_photo_change_nothing(other: Board) -> None:
 def test_a_board_of_another_dictionary_is_not_found_and_what_was_read_is_told() -> None:
     photo = photograph(CAMERA, [(replace(ONE, dictionary="DICT_4X4_250"), LEFT), (TWO, RIGHT)])
     sightings, markers = locate(photo, CAMERA, [ONE])
-    assert (sightings[0].status, sightings[0].markers) == (Status.NOT_FOUND, ())
+    assert (sightings[0].status, sightings[0].markers) == (BoardStatus.NOT_FOUND, ())
     assert seen_ids(markers) == list(TWO.ids)
 
 
@@ -125,7 +125,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         grown = quad.mean(axis=0) + 1.1 * (quad - quad.mean(axis=0))
         cv2.fillConvexPoly(photo, np.round(grown).astype(np.int32), (120,))
     part = seen(photo)
-    if part.status is not Status.OK:
+    if part.status is not BoardStatus.OK:
         # One marker alone may be refused, never guessed.
         assert hidden == 8
         return
@@ -148,7 +148,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
 )
 def test_what_cannot_be_told_is_refused_with_its_reason(photo: np.ndarray, part: str) -> None:
     sighting = seen(photo)
-    assert sighting.status is not Status.OK
+    assert sighting.status is not BoardStatus.OK
     assert sighting.T_board_in_cam is None
     assert part in sighting.reason
 
@@ -262,7 +262,7 @@ def test_a_flat_print_whose_markers_are_rounded_to_pixels_is_located(seed: int) 
     """Seeds 0 to 7 hold three that were refused for markers that lie 0.03 px off a flat print's."""
     photo, truth = photo_of(seed, enlarged_print)
     found = seen(photo)
-    assert found.status is Status.OK, found.reason
+    assert found.status is BoardStatus.OK, found.reason
     shift, turn = errors(found, truth)
     assert shift < 1e-3
     assert turn < math.radians(1.5)
@@ -274,20 +274,20 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     truth = facing(0.0, 0.0, 0.8, 0.4, 0.2)
     photo = with_noise(creased(np.random.default_rng(seed), picture(CAMERA, [(ONE, truth)]), CAMERA, ONE, truth))
     found = seen(photo)
-    assert found.status is Status.UNCERTAIN
+    assert found.status is BoardStatus.UNCERTAIN
     assert "a crease" in found.reason
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
-    wide = Limits(turn=math.radians(10.0), shift=1.0)
-    assert locate(photo, CAMERA, [ONE], limits=wide)[0][0].status is Status.OK
+    wide = PoseLimits(turn=math.radians(10.0), shift=1.0)
+    assert locate(photo, CAMERA, [ONE], limits=wide)[0][0].status is BoardStatus.OK
 
 
 def test_a_pose_beyond_the_limits_is_uncertain_but_given() -> None:
     truth = facing(0.0, 0.0, 0.5)
     photo = photograph(CAMERA, [(ONE, truth)])
-    for limits in (Limits(turn=0.0), Limits(shift=0.0)):
+    for limits in (PoseLimits(turn=0.0), PoseLimits(shift=0.0)):
         (found,), _ = locate(photo, CAMERA, [ONE], limits=limits)
-        assert found.status is Status.UNCERTAIN
+        assert found.status is BoardStatus.UNCERTAIN
         assert found.reason.startswith("its pose is uncertain by ")
         assert_exact(found, truth)
 
@@ -295,7 +295,7 @@ def test_a_pose_beyond_the_limits_is_uncertain_but_given() -> None:
 def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     """White paper and a grey table are smeared into its outer markers, where black was drawn: it was 6 mm off."""
     truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
-    whole = Piece(ONE, np.eye(4), tuple(range(9)))
+    whole = PrintPiece(ONE, np.eye(4), tuple(range(9)))
     fit = align(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, Smear(3.5))
     assert fit.smear.blur == pytest.approx(4.0, abs=0.02)
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3

@@ -12,7 +12,7 @@ from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, po
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece, plane_of, view_print
+from yamsim_cli.core.vision.fiducials.fitting.print_view import PrintPiece, plane_of, view_print
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.recognition.bits import bits_of, evidence, least_chance
@@ -23,7 +23,7 @@ from yamsim_cli.core.vision.fiducials.recognition.candidates import (
     edge_quads,
     moved_candidates,
 )
-from yamsim_cli.core.vision.fiducials.sighting import Status
+from yamsim_cli.core.vision.fiducials.sighting import BoardStatus
 from yamsim_cli.core.vision.lens import project_points
 
 
@@ -32,7 +32,7 @@ def corners_of(board: Board, T: Array) -> Array:
 
 
 def chance(photo: np.ndarray, board: Board, T: Array) -> float:
-    piece = Piece(board, np.eye(4), tuple(range(9)))
+    piece = PrintPiece(board, np.eye(4), tuple(range(9)))
     plane = plane_of(piece, T)
     view = view_print(photo.astype(np.float32), CAMERA, piece, plane)
     return evidence(view, plane, Smear(0.6), 2.0).log_chance
@@ -110,12 +110,12 @@ def test_another_board_tells_two_poses_apart() -> None:
     truth, apart = facing(-0.15, 0.0, 1.3, 0.2, 0.0), pose((0.3, 0.0, 0.0))
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0, noise=3.0)
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
-    assert alone[0].status is Status.AMBIGUOUS and alone[1].status is Status.OK
+    assert alone[0].status is BoardStatus.AMBIGUOUS and alone[1].status is BoardStatus.OK
     told, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
     assert pose_error(told[0].T_board_in_cam, truth)[1] < math.radians(3)
     tilted = apart @ pose((0, 0, 0), rotation_from_vector([math.radians(-13), 0, 0]))
     untold, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
-    assert untold[0].status is Status.AMBIGUOUS
+    assert untold[0].status is BoardStatus.AMBIGUOUS
 
 
 def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
@@ -128,7 +128,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     photo[:, right - 8 :] = 35
     photo[int(corners[:, 1].max()) - 4 :, right - 90 :] = 35
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
-    assert alone[0].status is Status.OK and alone[1].status is Status.NOT_FOUND
+    assert alone[0].status is BoardStatus.OK and alone[1].status is BoardStatus.NOT_FOUND
     # About so; and in a photo just before, nearly there.
     near = pose((0.004, -0.003, 0.002))
     beside, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
@@ -142,7 +142,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
 def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
     one, two = facing(-0.2, 0.0, 1.5), facing(0.2, 0.05, 1.5)
     (seen,), _ = locate(photograph(CAMERA, [(ONE, one), (ONE, two)], blur=1.3), CAMERA, [ONE])
-    assert seen.status is Status.AMBIGUOUS and seen.T_board_in_cam is None
+    assert seen.status is BoardStatus.AMBIGUOUS and seen.T_board_in_cam is None
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.se3 import Array, inverse
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, outlines_in
 from yamsim_cli.core.vision.fiducials.locate import locate
-from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
+from yamsim_cli.core.vision.fiducials.sighting import BoardStatus, Sighting
 
 pytestmark = pytest.mark.render
 
@@ -73,7 +73,7 @@ def test_useless_photos_are_refused(russet: Photographer, spoil: dict) -> None:
     for _ in range(2):
         image, _ = photo_of(russet, rng, 0.9)
         (seen,), _ = locate(spoilt(image, rng, **spoil), CAMERA, [russet.boards[0].board])
-        assert seen.status is not Status.OK
+        assert seen.status is not BoardStatus.OK
         assert seen.T_board_in_cam is None and seen.reason and seen.advice
 
 

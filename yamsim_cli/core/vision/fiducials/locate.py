@@ -20,12 +20,14 @@ from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
 from .fitting.align import INFLATION, USUAL_SMEAR, Guess, agreement, align, with_shape
 from .fitting.fits import PoseFit, fit_pose, starts
-from .fitting.print_view import Piece, piece_of
+from .fitting.print_view import PrintPiece, piece_of
 from .markers import DetectedMarker, find_markers, groups
 from .recognition.recognizer import Recognizer
-from .sighting import PRINT_SIGMA, USUAL_LIMITS, Limits, Sighting, Status, judge, shift_rms, uncertainty
+from .sighting import PRINT_SIGMA, USUAL_LIMITS, BoardStatus, PoseLimits, Sighting, judge, shift_rms, uncertainty
 
 Grey = NDArray[np.uint8]
+
+_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
 
 
 def locate(
@@ -34,7 +36,7 @@ def locate(
     boards: Sequence[Board],
     T_boards_in_ref: Sequence[Array] = (),
     before: Sequence[Array | None] = (),
-    limits: Limits = USUAL_LIMITS,
+    limits: PoseLimits = USUAL_LIMITS,
 ) -> tuple[list[Sighting], dict[str, list[DetectedMarker]]]:
     """Look for boards in a photo (height, width) that `camera` took.
 
@@ -54,14 +56,14 @@ def locate(
     photo = grey.astype(np.float32)
     sightings = [_read(photo, camera, board, markers, limits) for board in boards]
     recognizer = Recognizer(grey, photo, camera, len(boards), limits)
-    located = [seen.status is Status.OK for seen in sightings]
+    located = [seen.status is BoardStatus.OK for seen in sightings]
     for k, seen in enumerate(sightings):
-        if seen.status is not Status.OK and not seen.twice:
+        if seen.status is not BoardStatus.OK and not seen.twice:
             was = [T] if k < len(before) and (T := before[k]) is not None else []
             sightings[k] = recognizer.sighting(seen, _beside(k, sightings, T_boards_in_ref), was, anywhere=True)
     # Boards that were just recognized say where boards before them in the list are.
     for k, seen in enumerate(sightings):
-        if seen.status is not Status.OK and not seen.twice:
+        if seen.status is not BoardStatus.OK and not seen.twice:
             new = [
                 one if not was else replace(one, T_board_in_cam=None)
                 for one, was in zip(sightings, located, strict=True)
@@ -77,7 +79,7 @@ def _beside(k: int, sightings: Sequence[Sighting], T_boards_in_ref: Sequence[Arr
     return [
         T @ inverse(T_boards_in_ref[j]) @ T_boards_in_ref[k]
         for j, other in enumerate(sightings)
-        if j != k and other.status is Status.OK and (T := other.T_board_in_cam) is not None
+        if j != k and other.status is BoardStatus.OK and (T := other.T_board_in_cam) is not None
     ]
 
 
@@ -95,12 +97,12 @@ def unlocated(
     for board in boards:
         found = groups(markers[board.dictionary], board, camera)
         ids = tuple(sorted(board.ids[k] for k in found[0].places)) if found else ()
-        sightings.append(Sighting(board, ids, Status.POOR_FIT, reason) if ids else _not_found(board))
+        sightings.append(Sighting(board, ids, BoardStatus.POOR_FIT, reason) if ids else _not_found(board))
     return sightings, markers
 
 
 def _not_found(board: Board) -> Sighting:
-    return Sighting(board, (), Status.NOT_FOUND, "none of its markers was found")
+    return Sighting(board, (), BoardStatus.NOT_FOUND, "none of its markers was found")
 
 
 def _read(
@@ -108,7 +110,7 @@ def _read(
     camera: CameraModel,
     board: Board,
     markers: Mapping[str, Sequence[DetectedMarker]],
-    limits: Limits,
+    limits: PoseLimits,
 ) -> Sighting:
     found = groups(markers[board.dictionary], board, camera)
     if not found:
@@ -117,7 +119,7 @@ def _read(
     ids = tuple(sorted(board.ids[k] for k in best.places))
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
         reason = f"its markers are in {len(found)} places: hide or remove the other prints"
-        return Sighting(board, ids, Status.AMBIGUOUS, reason, twice=True)
+        return Sighting(board, ids, BoardStatus.AMBIGUOUS, reason, twice=True)
     fits: list[PoseFit] = []
     for T in starts(best, board, camera):
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
@@ -127,7 +129,7 @@ def _read(
                 break
     if not fits:
         return Sighting(
-            board, ids, Status.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
+            board, ids, BoardStatus.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
         )
     fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
     return judge(photo, camera, board, fit, fits, limits=limits)
@@ -139,11 +141,6 @@ def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Arr
     check = agreement(grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.smear or USUAL_SMEAR, noise=1.0)
     rms = None if check is None else shift_rms(check.tiles[0])
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
-
-
-Grey = NDArray[np.uint8]
-
-_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
 
 
 def locate_together(
@@ -159,7 +156,7 @@ def locate_together(
         New sightings; None where the boards do not lie so for any size of print.
     """
     pieces = [
-        Piece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
+        PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
         for seen, T in zip(sightings, T_boards_in_ref, strict=True)
     ]
     # The search starts at the shared frame by the most certain board.
@@ -182,7 +179,7 @@ def locate_together(
         covariance, shared = uncertainty(alignment, camera, T[:3, 3])
         rms = shift_rms(alignment.tiles[k])
         joint.append(
-            Sighting(seen.board, seen.markers, Status.OK, "", T_ref @ T, covariance, shared, rms, alignment.smear)
+            Sighting(seen.board, seen.markers, BoardStatus.OK, "", T_ref @ T, covariance, shared, rms, alignment.smear)
         )
     return joint
 

@@ -23,8 +23,31 @@ from .fitting.print_shape import CREASED_SHARE
 from .fitting.print_view import piece_of
 from .fitting.smear import Smear
 
+Grey = NDArray[np.uint8]
 
-class Status(StrEnum):
+# Markers that are left out of the fit, but are whole and displaced, lie beyond a crease. Covered markers correlate less
+# or are not shifted. Source: 14 half-covered prints and 3 creased ones.
+_LEAST_DISPLACED = 2  # markers
+_STILL_ALIKE = 0.5  # correlation of drawing and photo
+_DISPLACED_PX = 0.7  # px
+_CREASED_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
+_WITH_LENS = 4 / 3  # of the largest turn, allowed with the uncertainty of the lens and of the print's scale
+_FLAT = 0.5  # probability, below which a message names the print's shape as the cause
+
+PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
+
+# Limits within which nearly all boards are found. Source: `make bench-fiducials`.
+_MOTION = 3.0  # px
+_BLUR = 1.5  # px, sigma
+_CONTRAST = 8.0  # times the noise
+_CELL = 0.8  # px
+_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
+_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
+_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
+_ENDS = (0.5, 99.5)  # percentiles of a photo's range
+
+
+class BoardStatus(StrEnum):
     """The result for a board; UNCERTAIN: there is a pose, but its uncertainty is beyond the limits."""
 
     OK = "ok"
@@ -54,7 +77,7 @@ class Sighting:
 
     board: Board
     markers: tuple[int, ...]
-    status: Status
+    status: BoardStatus
     reason: str = ""
     T_board_in_cam: Array | None = None
     covariance: Array | None = None
@@ -87,20 +110,8 @@ class Sighting:
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
-# Markers that are left out of the fit, but are whole and displaced, lie beyond a crease. Covered markers correlate less
-# or are not shifted. Source: 14 half-covered prints and 3 creased ones.
-_LEAST_DISPLACED = 2  # markers
-_STILL_ALIKE = 0.5  # correlation of drawing and photo
-_DISPLACED_PX = 0.7  # px
-_CREASED_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_WITH_LENS = 4 / 3  # of the largest turn, allowed with the uncertainty of the lens and of the print's scale
-_FLAT = 0.5  # probability, below which a message names the print's shape as the cause
-
-PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
-
-
 @dataclass(frozen=True)
-class Limits:
+class PoseLimits:
     """The uncertainty up to which a pose counts as located.
 
     Attributes:
@@ -114,7 +125,7 @@ class Limits:
     shift: float = 0.01
 
 
-USUAL_LIMITS = Limits()
+USUAL_LIMITS = PoseLimits()
 
 
 def judge(
@@ -124,7 +135,7 @@ def judge(
     fit: PoseFit,
     fits: Sequence[PoseFit],
     beside: Sequence[Array] = (),
-    limits: Limits = USUAL_LIMITS,
+    limits: PoseLimits = USUAL_LIMITS,
 ) -> Sighting:
     """The sighting of a board with fitted poses: the pose with its uncertainty, or why there is none.
 
@@ -141,7 +152,7 @@ def judge(
         fit, rival = rival, rival_of(photo, camera, board, rival, [*fits, fit], beside)
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = shift_rms(fit.alignment.tiles[0])
-    advice = advice_on(looks_of(board, camera, photo, fit.alignment))
+    advice = advice_on(appearance_of(board, camera, photo, fit.alignment))
     if rival is not None:
         apart = math.degrees(angle_between(fit.T, rival.T))
         reason = (
@@ -149,11 +160,11 @@ def judge(
             "from nearer by or from a slant"
         )
         smear = fit.alignment.smear
-        return Sighting(board, ids, Status.AMBIGUOUS, reason, reprojection_rms=rms, smear=smear, advice=advice)
+        return Sighting(board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, smear=smear, advice=advice)
     creased = _CREASED_IF_DISPLACED if _displaced(photo, camera, board, fit) else CREASED_SHARE
     shaped = with_shape(photo, camera, [piece_of(board, fit.agreeing)], fit.alignment, creased=creased)
     covariance, shared = uncertainty(shaped, camera, np.zeros(3))
-    sighting = Sighting(board, ids, Status.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.smear)
+    sighting = Sighting(board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.smear)
     turn, shift = sighting.rotation_sigma, sighting.own_position_sigma
     assert turn is not None and shift is not None
     own_turn = math.sqrt(float(np.trace((covariance - shared @ shared.T)[:3, :3])))
@@ -168,7 +179,7 @@ def judge(
         )
     )
     reason = f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: {why}"
-    return replace(sighting, status=Status.UNCERTAIN, reason=reason, advice=advice)
+    return replace(sighting, status=BoardStatus.UNCERTAIN, reason=reason, advice=advice)
 
 
 def _displaced(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> bool:
@@ -205,21 +216,8 @@ def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tupl
     return covariance, shared
 
 
-Grey = NDArray[np.uint8]
-
-# Limits within which nearly all boards are found. Source: `make bench-fiducials`.
-_MOTION = 3.0  # px
-_BLUR = 1.5  # px, sigma
-_CONTRAST = 8.0  # times the noise
-_CELL = 0.8  # px
-_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
-_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
-_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
-_ENDS = (0.5, 99.5)  # percentiles of a photo's range
-
-
 @dataclass(frozen=True)
-class Looks:
+class BoardAppearance:
     """A board's appearance in a photo.
 
     Attributes:
@@ -236,7 +234,7 @@ class Looks:
     noise: float
 
 
-def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment) -> Looks:
+def appearance_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment) -> BoardAppearance:
     """A board's appearance at a fitted pose in a photo (height, width)."""
     T = fit.T_ref_in_cam
     corners = project_points(camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
@@ -248,10 +246,10 @@ def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit:
     part = photo[top : bottom + 1, left : right + 1]
     low, high = np.percentile(part, _ENDS) if part.size else (0.0, 0.0)
     shorter = area / max(longer, 1.0)
-    return Looks(shorter / across, fit.smear.blur, fit.smear.length, float(high - low), fit.noise)
+    return BoardAppearance(shorter / across, fit.smear.blur, fit.smear.length, float(high - low), fit.noise)
 
 
-def advice_on(looks: Looks) -> tuple[str, ...]:
+def advice_on(looks: BoardAppearance) -> tuple[str, ...]:
     """What would help a board with this appearance; empty if all measures are within the limits."""
     found = []
     if looks.motion > _MOTION:

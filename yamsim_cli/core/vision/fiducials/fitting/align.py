@@ -19,7 +19,7 @@ from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array, pose, rotation_from_vector
 from .normal_equations import Pixels, PrintProblem, System, Tile, linearized, weighed
 from .print_shape import CREASED_SHARE, marginalized, mode_count, placement_modes, shape_modes
-from .print_view import Piece, PrintView, plane_of, view_print
+from .print_view import PrintPiece, PrintView, plane_of, view_print
 from .smear import Smear
 
 Grey = NDArray[np.float32]
@@ -83,7 +83,7 @@ class Guess:
 def align(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[Piece],
+    pieces: Sequence[PrintPiece],
     T_ref_in_cam: Array,
     smear: Smear = USUAL_SMEAR,
     growth: Guess | None = None,
@@ -104,15 +104,15 @@ def align(
     fit = _problem(photo, camera, pieces, T_ref_in_cam, smear.length > 0, growth, roughly)
     if fit is None:
         return None
-    found = fit.solve(_State(T_ref_in_cam, smear, growth.start if growth else 0.0))
+    found = fit.solve(_PoseState(T_ref_in_cam, smear, growth.start if growth else 0.0))
     return None if found is None else fit.alignment(*found)
 
 
 def agreement(
-    photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T_ref_in_cam: Array, smear: Smear, noise: float
+    photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, smear: Smear, noise: float
 ) -> Alignment | None:
     """The agreement of print and photo at a given pose, which is not moved; residuals are weighted for `noise`."""
-    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _State(T_ref_in_cam, smear)
+    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, smear)
     if fit is None:
         return None
     system = fit.system(state, noise)
@@ -122,7 +122,7 @@ def agreement(
 def with_shape(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[Piece],
+    pieces: Sequence[PrintPiece],
     found: Alignment,
     growth: Guess | None = None,
     creased: float = CREASED_SHARE,
@@ -137,13 +137,13 @@ def with_shape(
     fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.smear.length > 0, growth)
     if fit is None:
         return found
-    return fit.shaped(_State(found.T_ref_in_cam, found.smear, found.growth), found, creased)
+    return fit.shaped(_PoseState(found.T_ref_in_cam, found.smear, found.growth), found, creased)
 
 
 def _problem(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[Piece],
+    pieces: Sequence[PrintPiece],
     T: Array,
     moving: bool,
     growth: Guess | None = None,
@@ -158,7 +158,7 @@ def _problem(
 
 
 @dataclass(frozen=True)
-class _State:
+class _PoseState:
     T: Array
     smear: Smear
     growth: float = 0.0
@@ -168,10 +168,10 @@ class _State:
 _BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
-_Columns = Callable[[Pixels, Piece, Array, float], Array]
+_Columns = Callable[[Pixels, PrintPiece, Array, float], Array]
 
 
-class _PoseProblem(PrintProblem[_State]):
+class _PoseProblem(PrintProblem[_PoseState]):
     """Least squares over the pose's six parameters, the blur, and, if wanted, motion and the print's size."""
 
     def __init__(
@@ -194,10 +194,10 @@ class _PoseProblem(PrintProblem[_State]):
         self._coarsest = max(coarser)
         self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
-    def system(self, state: _State, noise: float | None) -> System | None:
+    def system(self, state: _PoseState, noise: float | None) -> System | None:
         return self._system(state, noise, self._columns)
 
-    def _system(self, state: _State, noise: float | None, columns: _Columns) -> System | None:
+    def _system(self, state: _PoseState, noise: float | None, columns: _Columns) -> System | None:
         larger = math.exp(state.growth)
         system = weighed(
             [
@@ -221,7 +221,7 @@ class _PoseProblem(PrintProblem[_State]):
         misfit = system.misfit + strength * missing**2
         return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
 
-    def _columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
+    def _columns(self, pixels: Pixels, piece: PrintPiece, T: Array, larger: float) -> Array:
         """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and the uncertain lens parameters."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
@@ -243,7 +243,7 @@ class _PoseProblem(PrintProblem[_State]):
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
-    def _shape_columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
+    def _shape_columns(self, pixels: Pixels, piece: PrintPiece, T: Array, larger: float) -> Array:
         """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape and placement modes."""
         columns = self._columns(pixels, piece, T, larger)
         # A shift of the print along the axes of its board, at each pixel.
@@ -254,7 +254,7 @@ class _PoseProblem(PrintProblem[_State]):
         of_pieces = [np.column_stack(own) if view.piece is piece else others[view.piece.board] for view in self._views]
         return np.column_stack([columns, *of_pieces])
 
-    def shaped(self, state: _State, found: Alignment, creased: float) -> Alignment:
+    def shaped(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
         """`found` with the print's shape marginalized; unchanged where that breaks down."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
@@ -286,7 +286,7 @@ class _PoseProblem(PrintProblem[_State]):
     def _depth(self, T: Array) -> float:
         return float((T[:3, :3] @ self._centre + T[:3, 3])[2])
 
-    def moved(self, state: _State, step: Array) -> _State:
+    def moved(self, state: _PoseState, step: Array) -> _PoseState:
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         R = rotation_from_vector(turn) @ state.T[:3, :3]
@@ -295,7 +295,7 @@ class _PoseProblem(PrintProblem[_State]):
         motion = np.array(state.smear.motion) + every[_MOTION]
         motion *= min(1.0, _MOST_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
         smear = Smear(blur, (float(motion[0]), float(motion[1])))
-        return _State(pose(at - R @ self._centre, R), smear, state.growth + float(every[_GROWTH]))
+        return _PoseState(pose(at - R @ self._centre, R), smear, state.growth + float(every[_GROWTH]))
 
     def _every(self, step: Array) -> Array:
         """A step of all parameters before the lens's, 0 for those that are not fitted."""
@@ -303,14 +303,14 @@ class _PoseProblem(PrintProblem[_State]):
         every[list(self._free)] = step
         return every
 
-    def moved_px(self, state: _State, step: Array) -> float:
+    def moved_px(self, state: _PoseState, step: Array) -> float:
         """By the shift, by the turn of a print of 0.1 m, and by the size."""
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
         return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(every[_GROWTH]))
 
-    def alignment(self, state: _State, system: System) -> Alignment | None:
+    def alignment(self, state: _PoseState, system: System) -> Alignment | None:
         """The alignment at a state; None where the pixels do not determine the pose."""
         normal, free = system.normal, list(system.free)
         held = [k for k in range(len(system.every_gradient)) if k not in free]

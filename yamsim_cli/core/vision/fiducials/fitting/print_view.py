@@ -27,7 +27,7 @@ _LEAST_PX = 8  # px, smallest side of a view
 
 
 @dataclass(frozen=True)
-class Piece:
+class PrintPiece:
     """A board, and where it lies in the reference frame whose pose is sought.
 
     Attributes:
@@ -40,9 +40,9 @@ class Piece:
     markers: tuple[int, ...]
 
 
-def piece_of(board: Board, markers: Sequence[int] | None = None) -> Piece:
+def piece_of(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
     """A board alone, in its own frame, with some or all of its markers."""
-    return Piece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
+    return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class PrintView:
         field: rays (rows, columns, 2) of the points at which the print is drawn, `_FINE` x `_FINE` a pixel.
     """
 
-    piece: Piece
+    piece: PrintPiece
     photo: Grey
     coarser: int
     centre_rays: Array
@@ -90,13 +90,13 @@ class Drawing:
     marker: NDArray[np.int_]
 
 
-def plane_of(piece: Piece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
+def plane_of(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
     """The matrix (3, 3) from a piece's print, (x, y, 1) in m, to the camera's frame, at a pose and a size of print."""
     plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
     return plane
 
 
-def view_print(photo: Grey, camera: CameraModel, piece: Piece, plane: Array) -> PrintView | None:
+def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PrintView | None:
     """The part of a photo (height, width) in which a piece lies.
 
     Args:

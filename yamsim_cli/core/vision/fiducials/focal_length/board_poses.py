@@ -115,7 +115,7 @@ class BoardPoses:
         _, _, by_lens = self.equations(poses, lens)
         # The effect of distortion hardly changes during the steps.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
-        found = descend(_PoseProblem(self, lens, bend), poses, _STEPS)
+        found = descend(_BoardPosesProblem(self, lens, bend), poses, _STEPS)
         assert found is not None  # the equations exist at every state
         return found[0]
 
@@ -194,7 +194,7 @@ class _Linear:
         return gradient
 
 
-class _PoseProblem(LeastSquares[Poses, _Linear]):
+class _BoardPosesProblem(LeastSquares[Poses, _Linear]):
     """Least squares over the poses, separately at each focal length, with fixed shifts by distortion."""
 
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:

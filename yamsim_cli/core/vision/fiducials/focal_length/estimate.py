@@ -24,6 +24,34 @@ from ..markers import find_markers, groups
 from .board_poses import BoardPoses, Poses, choose, poses_of
 from .outline import Outline, outline_of
 
+Grey = NDArray[np.uint8]
+
+# Range of the search, image widths: from a field of view of 100 degrees to a longer lens than robots are filmed with.
+_FOCALS = (0.42, 16.0)
+_NODES, _NODES_CLOSE = 57, 33  # focal lengths of a profile over the whole range, and over one valley
+_VALLEYS = 3  # valleys of the misfit that are searched at most
+_NODES_INSIDE = 14  # nodes within a valley, below which the profile is refined
+_MOST_ZOOMS = 6  # refinements of a valley
+
+_CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
+_CHI_AROUND = 16.0  # chi squared up to which a valley is searched
+# Least standard deviations for any number of boards, from lens effects that are not modelled: of the log of the focal
+# length, of the principal point, focal lengths, and of k1. Source: 120 times five photos by lenses with distortion;
+# errors of the focal length had an rms of 0.2 and 0.3 %, of which the outlines explain 0.1 %.
+_LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
+# Share of each sigma that is added independently, since likely lenses lie in a curved valley and a covariance is
+# straight. Source: outlines of 200 single and of 70 times four random photos by expected lenses; without this share 62
+# and 84 % of squared errors are within the 95 % bounds, with this share 95 and 96 %.
+_CURVED = 0.5
+_WIDEST = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
+_FAR = 3.72  # standard deviations, exceeded by one in ten thousand sets of outlines that one lens explains
+
+_USUAL = 0.5 / math.tan(math.radians(30.0))  # image widths, focal length of a 60 degrees horizontal field of view
+_USUAL_SIGMA = 0.35  # standard deviation of its logarithm
+
+_NO_BOARD = "no board tells the focal length"
+_ADVICE = "photograph the board from a slant, or give --camera"
+
 # Prior of lenses: standard deviations of the principal point, image widths right and down, and of the distortion k1.
 # Source: 13 published calibrations of webcams and robots' cameras, half of which are within these, and three in four
 # within twice as much. Phones correct their distortion and are well within.
@@ -170,35 +198,6 @@ class _LensProblem(LeastSquares[_Seen, _Evidence]):
         )
         lens = np.where(better[:, None], there[0].lens, here[0].lens)
         return _Seen(lens, poses), choose(better, there[1], here[1])
-
-
-Grey = NDArray[np.uint8]
-
-# Range of the search, image widths: from a field of view of 100 degrees to a longer lens than robots are filmed with.
-_FOCALS = (0.42, 16.0)
-_NODES, _NODES_CLOSE = 57, 33  # focal lengths of a profile over the whole range, and over one valley
-_VALLEYS = 3  # valleys of the misfit that are searched at most
-_NODES_INSIDE = 14  # nodes within a valley, below which the profile is refined
-_MOST_ZOOMS = 6  # refinements of a valley
-
-_CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
-_CHI_AROUND = 16.0  # chi squared up to which a valley is searched
-# Least standard deviations for any number of boards, from lens effects that are not modelled: of the log of the focal
-# length, of the principal point, focal lengths, and of k1. Source: 120 times five photos by lenses with distortion;
-# errors of the focal length had an rms of 0.2 and 0.3 %, of which the outlines explain 0.1 %.
-_LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
-# Share of each sigma that is added independently, since likely lenses lie in a curved valley and a covariance is
-# straight. Source: outlines of 200 single and of 70 times four random photos by expected lenses; without this share 62
-# and 84 % of squared errors are within the 95 % bounds, with this share 95 and 96 %.
-_CURVED = 0.5
-_WIDEST = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
-_FAR = 3.72  # standard deviations, exceeded by one in ten thousand sets of outlines that one lens explains
-
-_USUAL = 0.5 / math.tan(math.radians(30.0))  # image widths, focal length of a 60 degrees horizontal field of view
-_USUAL_SIGMA = 0.35  # standard deviation of its logarithm
-
-_NO_BOARD = "no board tells the focal length"
-_ADVICE = "photograph the board from a slant, or give --camera"
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from ...lens import rays
 from ..fitting.align import BLUR_RANGE
 from ..fitting.fits import SAME_PRINT
 from ..fitting.normal_equations import Pixels, PrintProblem, System, linearized, weighed
-from ..fitting.print_view import Piece, PrintView, view_print
+from ..fitting.print_view import PrintPiece, PrintView, view_print
 from ..fitting.smear import Smear
 from ..markers import Group
 
@@ -86,7 +86,7 @@ def outline_of(photo: NDArray[np.float32], group: Group, board: Board) -> Outlin
 
 
 @dataclass(frozen=True)
-class _State:
+class _MapState:
     """The map (3, 3) from (x, y, 1) on the board to viewing rays, its last element 1; the blur (sigma, px)."""
 
     plane: Array
@@ -95,17 +95,17 @@ class _State:
 
 def _fitted(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], plane: Array
-) -> tuple[_PlaneProblem, _State, System] | None:
+) -> tuple[_PlaneProblem, _MapState, System] | None:
     plane = plane / plane[2, 2]
-    view = view_print(photo, camera, Piece(board, np.eye(4), tuple(places)), plane)
+    view = view_print(photo, camera, PrintPiece(board, np.eye(4), tuple(places)), plane)
     if view is None:
         return None
     fit = _PlaneProblem(view, camera.focal)
-    found = fit.solve(_State(plane, _USUAL_BLUR))
+    found = fit.solve(_MapState(plane, _USUAL_BLUR))
     return None if found is None else (fit, *found)
 
 
-class _PlaneProblem(PrintProblem[_State]):
+class _PlaneProblem(PrintProblem[_MapState]):
     def __init__(self, view: PrintView, focal: float) -> None:
         super().__init__()
         self._view, self._focal = view, focal
@@ -115,40 +115,42 @@ class _PlaneProblem(PrintProblem[_State]):
         half = np.array([board.width, board.height]) / math.sqrt(12)
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
 
-    def system(self, state: _State, noise: float | None) -> System | None:
+    def system(self, state: _MapState, noise: float | None) -> System | None:
         def columns(pixels: Pixels) -> Array:
             return self._by_map(state, pixels.at, pixels.rays, pixels.by_ray)
 
         return weighed([linearized(self._view, state.plane, Smear(state.blur), columns)], noise, _FREE)
 
-    def _by_map(self, state: _State, at: Array, seen: Array, by_ray: Array) -> Array:
+    def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
         """Derivatives (n, 8) by the map, from those by the viewing rays, `by_ray` (n, 2)."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
         along = (by_ray * seen).sum(axis=1, keepdims=True)
         return np.column_stack([by_ray[:, :1] * u, by_ray[:, 1:] * u, -along * u[:, :2]])
 
-    def moved(self, state: _State, step: Array) -> _State:
+    def moved(self, state: _MapState, step: Array) -> _MapState:
         change = np.append(step[1:], 0.0).reshape(3, 3) * (self._per_metre, self._per_metre, 1.0)
         coarser = self._view.coarser
         blur = float(np.clip(state.blur + step[0], BLUR_RANGE[0] * coarser, BLUR_RANGE[1] * coarser))
-        return _State(state.plane + change, blur)
+        return _MapState(state.plane + change, blur)
 
-    def moved_px(self, state: _State, step: Array) -> float:
+    def moved_px(self, state: _MapState, step: Array) -> float:
         return float(np.abs(self._by_points(state) @ step[1:]).max())
 
-    def _rays(self, state: _State) -> Array:
+    def _rays(self, state: _MapState) -> Array:
         in_cam = np.column_stack([self._on_board, np.ones(4)]) @ state.plane.T
         seen: Array = in_cam[:, :2] / in_cam[:, 2:]
         return seen
 
-    def _by_points(self, state: _State) -> Array:
+    def _by_points(self, state: _MapState) -> Array:
         """Derivative (8, 8) of the four points, px, by the map."""
         seen, focal = self._rays(state), self._focal
         by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
         return np.stack(by, axis=1).reshape(8, 8)
 
-    def outline(self, state: _State, system: System, camera: CameraModel, markers: tuple[int, ...]) -> Outline | None:
+    def outline(
+        self, state: _MapState, system: System, camera: CameraModel, markers: tuple[int, ...]
+    ) -> Outline | None:
         """The outline at a state; None where the pixels do not determine the map."""
         try:
             covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2

@@ -234,9 +234,6 @@ def _mapped(flat: NDArray[np.float64], points: Array) -> Array:
     return mapped
 
 
-Grey = NDArray[np.uint8]
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A patch that may be a board.

@@ -22,9 +22,9 @@ from ....geometry.se3 import Array
 from ...lens import project_points, rays
 from ..fitting.align import USUAL_SMEAR, Alignment, align
 from ..fitting.fits import EXPLAINED, PoseFit, faces_camera, planar_poses
-from ..fitting.print_view import Piece, PrintView, draw_print, piece_of, plane_of, view_print
+from ..fitting.print_view import PrintPiece, PrintView, draw_print, piece_of, plane_of, view_print
 from ..fitting.smear import Smear
-from ..sighting import Limits, Sighting, Status, advice_on, advice_on_photo, judge, looks_of
+from ..sighting import BoardStatus, PoseLimits, Sighting, advice_on, advice_on_photo, appearance_of, judge
 from .bits import Evidence, evidence
 from .candidates import Candidate, board_quads, candidates, dark_quads, edge_quads, moved_candidates
 
@@ -54,7 +54,7 @@ _COMPARED = Smear(_BLURS[1])
 
 
 class Recognizer:
-    """Looks for boards in one photo.
+    """BoardAppearance for boards in one photo.
 
     Args:
         grey, photo: the photo (height, width), as bytes and as floats.
@@ -62,11 +62,9 @@ class Recognizer:
     """
 
     def __init__(
-        self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int, limits: Limits
+        self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int, limits: PoseLimits
     ) -> None:
-        self._grey, self._photo, self._camera, self._limits = grey, photo, camera, limits
-        # All places of the photo count as trials.
-        self._most_log_chance = math.log(FALSE_ALARMS / (boards * _PLACES * _LOOKS_A_FIT))
+        self._grey, self._photo, self._camera, self._boards, self._limits = grey, photo, camera, boards, limits
         self._likeliest: tuple[float, Alignment] | None = None
 
     @cached_property
@@ -108,7 +106,7 @@ class Recognizer:
         size = board.width * self._camera.focal / best.T[2, 3]
         if any(self._distance_px(fit, best) > _APART * size for fit in fits):
             reason = "it is in the photo twice: hide or remove the other print"
-            return Sighting(board, seen.markers, Status.AMBIGUOUS, reason, twice=True)
+            return Sighting(board, seen.markers, BoardStatus.AMBIGUOUS, reason, twice=True)
         return judge(self._photo, self._camera, board, best, fits, beside, self._limits)
 
     def _candidates(self, board: Board) -> Iterator[list[Candidate]]:
@@ -120,7 +118,7 @@ class Recognizer:
     def _advice(self, board: Board) -> tuple[str, ...]:
         """What would help to recognize a board, from the place that looks most like the board."""
         if self._likeliest is not None and self._likeliest[0] < _LIKE_A_BOARD:
-            found = advice_on(looks_of(board, self._camera, self._photo, self._likeliest[1]))
+            found = advice_on(appearance_of(board, self._camera, self._photo, self._likeliest[1]))
             if found:
                 return found
         return advice_on_photo(self._grey)
@@ -157,7 +155,8 @@ class Recognizer:
         first, bits = found
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
-        if bits.log_chance > self._most_log_chance:
+        # All places of the photo count as trials.
+        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _PLACES * _LOOKS_A_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
             fewer = align(self._photo, self._camera, [piece_of(board, bits.markers)], first.T_ref_in_cam, first.smear)
@@ -166,11 +165,11 @@ class Recognizer:
             first = fewer
         return PoseFit(first, bits.markers, len(bits.agreement) - len(bits.markers))
 
-    def _view(self, piece: Piece, T: Array) -> tuple[PrintView | None, Array]:
+    def _view(self, piece: PrintPiece, T: Array) -> tuple[PrintView | None, Array]:
         plane = plane_of(piece, T)
         return view_print(self._photo, self._camera, piece, plane), plane
 
-    def _recognized(self, piece: Piece, T: Array, tried: Smear | None = None) -> tuple[Alignment, Evidence] | None:
+    def _recognized(self, piece: PrintPiece, T: Array, tried: Smear | None = None) -> tuple[Alignment, Evidence] | None:
         """A piece, aligned from a pose and the likeliest smear there, and the evidence of its bits.
 
         Args:
