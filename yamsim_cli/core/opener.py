@@ -352,8 +352,7 @@ class Opener:
 def parse_size(text: str) -> tuple[int, int]:
     """WIDTHxHEIGHT as two numbers of pixels.
 
-    Raises:
-        UsageError: the text has another form, or a number is out of range.
+    Raises UsageError if the text has another form, or a number is out of range.
     """
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():

@@ -111,8 +111,7 @@ def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
 
     An arm or a station with an invalid file has its error as `fault`, and an empty `goes_with`.
 
-    Raises:
-        ConfigError: a gripper's file is not valid.
+    Raises ConfigError if a gripper's file is not valid.
     """
     meshes = _meshes(locations)
     families, faults = valid_families(locations)
@@ -224,8 +223,7 @@ def _common(source: str | None, path: str, sets: Iterable[str], meshes: Mapping[
 def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     """Write the files of a new arm under a root of data, and return their paths.
 
-    Raises:
-        UsageError: the name is not valid or taken, or the folder cannot be written.
+    Raises UsageError if the name is not valid or taken, or the folder cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")

@@ -387,11 +387,6 @@ def test_what_is_new_in_tasks_is_left_out_of_datasets_that_do_not_use_it(tmp_pat
     assert not any("from_arm" in start for start in task["starts"].values())
 
 
-def test_another_rig_is_taken_where_one_is_named(tmp_path: Path) -> None:
-    session = session_of(tmp_path, changed({}), rig="yam_station_linear_4310_d405")
-    assert session.config.rig.name == "yam_station_linear_4310_d405"
-
-
 @pytest.mark.parametrize("name", Locations.find(os.environ).config_names("tasks"))
 def test_every_task_of_ours_is_valid(name: str, locations: Locations) -> None:
     load_config(ProgramTask, "tasks", name, locations, check=check_config)

@@ -52,8 +52,7 @@ def run_child(
         idle_s: longest time without a change of `watch`, s: a dead line is given up early, and a slow one is not.
         watch: returns the progress of the program; called ten times a second.
 
-    Raises:
-        SourceError: the program could not be started, or a limit was reached.
+    Raises SourceError if the program could not be started, or a limit was reached.
     """
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:

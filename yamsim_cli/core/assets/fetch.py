@@ -136,8 +136,7 @@ def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, pr
 
     A failure is noted in the store: for `FAILURE_VALID_S`, no source on the network is tried again.
 
-    Raises:
-        ResourceError: a set could not be fetched, now or within `FAILURE_VALID_S`.
+    Raises ResourceError if a set could not be fetched, now or within `FAILURE_VALID_S`.
     """
     try:
         store.root.mkdir(parents=True, exist_ok=True)

@@ -154,8 +154,7 @@ class AssetLock(_Frozen):
     def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
         """The named sets in the lock's order, each once; without names, all that are not `on_demand`.
 
-        Raises:
-            UsageError: a name is not in the lock.
+        Raises UsageError if a name is not in the lock.
         """
         wanted = set(names)
         for name in sorted(wanted):

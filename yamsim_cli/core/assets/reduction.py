@@ -37,8 +37,7 @@ Surface = tuple[Array, Faces]
 def recipe() -> str:
     """Everything that decides a reduced mesh's bytes, except the source and its `Reduction`, as text.
 
-    Raises:
-        ImportError: a library for it is not installed.
+    Raises ImportError if a library for it is not installed.
     """
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
     return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {LIMIT_MM} {_SAMPLES} {libraries}"
@@ -47,8 +46,7 @@ def recipe() -> str:
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
     """A binary STL (m) with fewer faces, within `LIMIT_MM` of the given one; the given one if no attempt is.
 
-    Raises:
-        ResourceError: `data` is no binary STL.
+    Raises ResourceError if `data` is no binary STL.
     """
     vertices, triangles = read_stl(data)
     source = vertices * _MM, triangles
@@ -108,8 +106,7 @@ class ReducedSet:
 def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
     """The set's reduced meshes, each verified by SHA-256; None if they are missing or made by another recipe.
 
-    Raises:
-        ResourceError: a library for making them is not installed.
+    Raises ResourceError if a library for making them is not installed.
     """
     folder = store.root / _folder_name(assets)
     try:
@@ -133,8 +130,7 @@ def make_reduced(
         source: the folder with the set's own files, as `AssetStore.resolve` gives it.
         notice: the licence text to publish with them.
 
-    Raises:
-        ResourceError: a library for it is not installed, a mesh cannot be read, or the store cannot be written to.
+    Raises ResourceError if a library for it is not installed, a mesh cannot be read, or the store cannot be written to.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there

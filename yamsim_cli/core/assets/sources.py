@@ -39,6 +39,5 @@ class AssetSource(Protocol):
         Args:
             scratch: an empty folder, deleted afterwards. Its parent exists until all sets of the fetch are read.
 
-        Raises:
-            SourceError: the source cannot give the set.
+        Raises SourceError if the source cannot give the set.
         """

@@ -101,8 +101,7 @@ class AssetStore:
     def writing(self) -> Iterator[Path]:
         """Lock the store for writing, and yield a scratch folder inside it; another process waits for the lock.
 
-        Raises:
-            ResourceError: the store cannot be written to, here or in the block.
+        Raises ResourceError if the store cannot be written to, here or in the block.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -175,8 +174,7 @@ def publish_own(store: AssetStore, thing: str, files: Mapping[str, bytes], about
     Args:
         about: the origin of the thing, for people: the source's name and hash, its unit, and how it was made.
 
-    Raises:
-        ResourceError: the store cannot be written to.
+    Raises ResourceError if the store cannot be written to.
     """
     if wrong := [name for name in files if not _FILE.fullmatch(name) or name == ABOUT]:
         raise ValueError(f"no names for a set's files: {wrong}")

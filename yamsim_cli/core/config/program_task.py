@@ -213,8 +213,7 @@ class ProgramTiming(Config):
         Returns:
             `timestep` (s) and `ticks_per_frame`.
 
-        Raises:
-            ValueError: no whole number of ticks of about this length gives the rate.
+        Raises ValueError if no whole number of ticks of about this length gives the rate.
         """
         ticks = max(1, round(1 / (fps * self.tick)))
         tick = 1 / (fps * ticks)
@@ -412,8 +411,7 @@ class ProgramTask(Config):
     def radius_path(self) -> tuple[str | int, ...]:
         """Key path of the radius of `target_predicate`, relative to the task.
 
-        Raises:
-            ConflictError: its goal has no `on` with a radius.
+        Raises ConflictError if its goal has no `on` with a radius.
         """
         for path, _ in self._scored():
             return ("goal", *path, "radius")

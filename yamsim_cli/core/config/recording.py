@@ -247,8 +247,7 @@ def check_fingers(
     Args:
         items: key path in the recording's config -> a thing that is picked up by a weld.
 
-    Raises:
-        ConflictError: an arm cannot grasp a thing.
+    Raises ConflictError if an arm cannot grasp a thing.
     """
     for arm in arms:
         fingers = arm.gripper.fingers

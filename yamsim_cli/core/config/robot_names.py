@@ -18,8 +18,7 @@ Families = Mapping[str, Mapping[str, str]]
 def families(locations: Locations) -> Families:
     """All families of arms, see `ArmModel`.
 
-    Raises:
-        ConfigError: a model cannot be read, or two models of a family have the same revision.
+    Raises ConfigError if a model cannot be read, or two models of a family have the same revision.
     """
     found, faults = valid_families(locations)
     for fault in faults.values():
@@ -63,8 +62,7 @@ def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigE
 def model_named(name: str, locations: Locations) -> str:
     """The model of that name, or the newest revision of the family of that name.
 
-    Raises:
-        ConfigError: there is neither.
+    Raises ConfigError if there is neither.
     """
     models = locations.config_names(ARMS)
     if name in models:

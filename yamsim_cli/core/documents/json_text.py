@@ -16,8 +16,7 @@ def json_text(data: Mapping[str, Any]) -> str:
 
     NumPy's scalars and arrays become numbers, booleans and lists; paths become text; infinities and NaN become null.
 
-    Raises:
-        TypeError: a value has no JSON form.
+    Raises TypeError if a value has no JSON form.
     """
     return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -72,8 +72,7 @@ class Dynamics(Config):
     def check(self, arm: ArmModel) -> None:
         """Make sure that these are dynamics of an arm.
 
-        Raises:
-            ValueError: the dynamics are of another model, or name a joint that the arm lacks.
+        Raises ValueError if the dynamics are of another model, or name a joint that the arm lacks.
         """
         if self.base != arm.name:
             raise ValueError(f"revision {self.revision!r} is one of {self.base!r}, and the arm is {arm.name!r}")

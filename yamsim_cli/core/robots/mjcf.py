@@ -46,8 +46,7 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
 
-    Raises:
-        ConfigError: a file is no MJCF of a robot, or the two contradict each other.
+    Raises ConfigError if a file is no MJCF of a robot, or the two contradict each other.
     """
     root, hand = parse(arm.mjcf), parse(gripper.mjcf)
     if gripper.finray is not None:
@@ -78,8 +77,7 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
 def parse(mjcf: Mjcf) -> Element:
     """The root element of an MJCF.
 
-    Raises:
-        ConfigError: the text is no MJCF, declares entities, or names files other than meshes of its sets.
+    Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes of its sets.
     """
     try:
         root = root_of(mjcf.text)
@@ -127,8 +125,7 @@ def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
 def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     """The position drive of a joint.
 
-    Raises:
-        ConfigError: the joint has not exactly one drive, a <position> with a name.
+    Raises ConfigError if the joint has not exactly one drive, a <position> with a name.
     """
     found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
@@ -290,8 +287,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
 
     Gravity factors, offsets, sensors and delays have none. Scenes apply delays when they are stepped.
 
-    Raises:
-        ConfigError: there is a mass at the tip, and no site for it.
+    Raises ConfigError if there is a mass at the tip, and no site for it.
     """
     for limits in arm.joints:
         _set_joint(root, arm, limits.name, dynamics.joint(limits.name))

@@ -174,8 +174,7 @@ def fovy_of(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...
 def _read_mjcf(path: Path) -> dict[str, object]:
     """The values of the `Mjcf` of a file, with its includes expanded.
 
-    Raises:
-        ConfigError: the file cannot be read, is no XML, or includes files outside its folder.
+    Raises ConfigError if the file cannot be read, is no XML, or includes files outside its folder.
     """
     data = read_config(path)
     try:
@@ -219,8 +218,7 @@ class _InAFolder(Config):
     def read(cls, path: Path) -> Document:
         """The YAML with the content of its MJCF.
 
-        Raises:
-            ConfigError: a file cannot be read, or the name is not the folder's.
+        Raises ConfigError if a file cannot be read, or the name is not the folder's.
         """
         document = load_yaml(path)
         name = path.absolute().parent.name

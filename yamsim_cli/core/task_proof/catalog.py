@@ -59,8 +59,7 @@ expert:
 def tasks_there(locations: Locations) -> list[dict[str, Any]]:
     """Every task that commands accept by name, JSON-ready, see `task_there`.
 
-    Raises:
-        ConfigError: a task's file is not valid.
+    Raises ConfigError if a task's file is not valid.
     """
     return [task_there(name, locations) for name in locations.config_names("tasks")]
 
@@ -68,8 +67,7 @@ def tasks_there(locations: Locations) -> list[dict[str, Any]]:
 def task_there(name: str, locations: Locations) -> dict[str, Any]:
     """One task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path and so on.
 
-    Raises:
-        ConfigError: there is no task of that name, or its file is not valid.
+    Raises ConfigError if there is no task of that name, or its file is not valid.
     """
     task = load_config(ProgramTask, "tasks", name, locations, check=check_config)
     names = {kind: name for name, kind in SKILLS.items()}
@@ -99,8 +97,7 @@ def _plain(config: Config) -> Mapping[str, Any]:
 def new_task(name: str, folder: Path) -> Path:
     """Write the skeleton of a task, and return its file.
 
-    Raises:
-        UsageError: the name is not valid, the file exists, or the folder cannot be written.
+    Raises UsageError if the name is not valid, the file exists, or the folder cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} is no name for a task; start with a letter, then letters, digits and underscores")

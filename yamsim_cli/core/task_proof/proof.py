@@ -209,8 +209,7 @@ def prove(session: Session, least: float, progress: Progress) -> dict[str, Any]:
         JSON-ready: ok, task, rig, n, n_success, success_rate, wilson95, causes, recovered, core_seconds_per_trial,
         checks, trials (those that failed).
 
-    Raises:
-        InterruptedJobError: stopped by the user.
+    Raises InterruptedJobError if stopped by the user.
     """
     config = session.config
     report = run_batch(session, (), progress)

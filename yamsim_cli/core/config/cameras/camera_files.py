@@ -73,8 +73,7 @@ def read_camera(path: Path) -> Document:
 def camera_parts(path: Path) -> tuple[Path, ...]:
     """`FILE:CAMERA` for each named camera of a file; the path itself if it names a camera or the file has no names.
 
-    Raises:
-        ConfigError: the file is unreadable, or not of the format of its suffix.
+    Raises ConfigError if the file is unreadable, or not of the format of its suffix.
     """
     file, name, document = _open(path)
     named = _named(document)

@@ -58,8 +58,7 @@ def made_from(data: Mapping[str, Any]) -> dict[str, Any]:
 def scaled_shape(shape: Shape, factor: float) -> Shape:
     """The shape with all lengths times a factor, and its mass times the cube of the factor.
 
-    Raises:
-        ValidationError: no thing can be made in these sizes.
+    Raises ValidationError if no thing can be made in these sizes.
     """
     data = shape.model_dump(mode="json", exclude_none=True)
     return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})

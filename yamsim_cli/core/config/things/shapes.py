@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, FiniteFloat, model_validator
 
@@ -262,7 +262,7 @@ def _m(mm: float) -> float:
 
 def _in_metres(kind: type[T], shape: _Shape) -> T:
     """A dataclass of geometry whose fields are those of a shape: `wall` is `wall_mm` in m."""
-    values = {}
+    values: dict[str, Any] = {}
     for field in fields(kind):
         mm = getattr(shape, f"{field.name}_mm", None)
         if mm is None:

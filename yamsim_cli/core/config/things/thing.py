@@ -191,8 +191,7 @@ class ObjectConfig(Config):
     def scaled(self, factor: float) -> ObjectConfig:
         """The thing with all lengths times a factor; its mass and its grasps follow.
 
-        Raises:
-            ValueError: the thing is not made from sizes alone, or cannot be made in these sizes.
+        Raises ValueError if the thing is not made from sizes alone, or cannot be made in these sizes.
         """
         if factor == 1.0:
             return self

@@ -25,8 +25,7 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     Args:
         name: of the gripper, and of its asset set.
 
-    Raises:
-        KeyError: there is no body for a foot.
+    Raises KeyError if there is no body for a foot.
     """
     bodies = {body.get("name"): body for body in root.iter("body")}
     assets, tendons, contacts = (get_section(root, tag) for tag in ("asset", "tendon", "contact"))
