@@ -18,7 +18,7 @@ import numpy as np
 
 from ..untrusted.jail import MOST_BYTES, Folder
 from ..untrusted.refusals import RefusedError
-from .parts import Material, Part, ReadThing, Surface, Weight
+from .parts import Part, ReadThing, Surface, SurfaceMaterial, Weight
 
 REFUSED = "refused.json"
 _THING, _ARRAYS = "thing.json", "arrays.npz"
@@ -38,7 +38,7 @@ def main(file: str, root: str, out: str, seconds: int) -> None:
     except RefusedError as error:
         _refuse(out, error.code, str(error))
     except MemoryError:
-        _refuse(out, "too-much-memory", "it would take more memory than its size deserves")
+        _refuse(out, "too-much-memory", "reading it takes too much memory for a file of its size")
     except RecursionError:
         _refuse(out, "damaged", "it is nested too deeply")
 
@@ -95,7 +95,6 @@ def _description(data: bytes, folder: Folder, base: Path) -> ReadThing:
 
 
 def _write_thing(thing: ReadThing, folder: Path) -> None:
-    """Write a thing into an empty folder."""
     arrays: dict[str, Any] = {}
     pictures: dict[bytes, str] = {}
 
@@ -158,5 +157,5 @@ def _surface(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) 
     material = entry["material"]
     red, green, blue, alpha = material["rgba"]
     texture = None if material["texture"] is None else (folder / Path(material["texture"]).name).read_bytes()
-    looks = Material((red, green, blue, alpha), texture, material["specular"], material["shininess"])
+    looks = SurfaceMaterial((red, green, blue, alpha), texture, material["specular"], material["shininess"])
     return Surface(vertices, faces, looks, uv, bool(entry["convex"]))
