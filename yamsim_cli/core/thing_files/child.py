@@ -127,8 +127,9 @@ def read_written(folder: Path) -> ReadThing:
     data = json.loads((folder / _THING).read_bytes())
     with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
-    parts = tuple(_part(entry, arrays, folder) for entry in data["parts"])
-    return ReadThing(**{**data, "parts": parts, "notes": tuple(data["notes"])})
+    data["parts"] = tuple(_part(entry, arrays, folder) for entry in data["parts"])
+    data["notes"] = tuple(data["notes"])
+    return ReadThing(**data)
 
 
 def _part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> Part:
@@ -138,7 +139,7 @@ def _part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> Par
     shapes = entry["shapes"] and tuple(
         _surface(shape, arrays, folder) if "vertices" in shape else shape for shape in entry["shapes"]
     )
-    made = {
+    made: dict[str, Any] = {
         "T_in_parent": np.asarray(arrays[entry["T_in_parent"]], np.float64).reshape(4, 4),
         "weight": weight,
         "looks": tuple(_surface(look, arrays, folder) for look in entry["looks"]),
