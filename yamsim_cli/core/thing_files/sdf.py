@@ -57,15 +57,12 @@ def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]
 def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
     """The model that an include names: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
-    path: Path | None = None
-    for name in (uri, f"{uri}/model.sdf"):
-        try:
-            path = folder.find(name, base)
-            break
-        except RefusedError as error:
-            if error.code == "outside" or (name != uri and error.code == "missing"):
-                raise
-    assert path is not None
+    try:
+        path = folder.find(uri, base)
+    except RefusedError as error:
+        if error.code == "outside":
+            raise
+        path = folder.find(f"{uri}/model.sdf", base)
     if path in seen_files or len(seen_files) >= _DEEPEST_INCLUDE:
         raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
     return _model(folder.read(path.name, path.parent), folder, path.parent, (*seen_files, path))
