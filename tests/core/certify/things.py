@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,6 @@ class Thing:
     data: dict[str, Any]
     vertices: np.ndarray
     faces: Faces
-    also: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, name: str, locations: Locations) -> Thing:

@@ -17,6 +17,7 @@ from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.parts import ReadThing, Surface
 from yamsim_cli.core.thing_files.read import UnitOptions, in_metres, read_thing
 from yamsim_cli.core.things.surfaces import whole
+from yamsim_cli.core.untrusted.refusals import RefusedError
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -118,6 +119,13 @@ def test_a_drawer_in_sdf(tmp_path: Path) -> None:
     assert handle["position"] == pytest.approx([-0.112, 0, 0.035])
     assert handle["approach"] == pytest.approx([0, 0, -1], abs=1e-6)
     assert all(isinstance(shape, dict) and shape["type"] == "box" for shape in base.shapes or ())
+
+
+def test_an_include_of_no_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mug" / "model.sdf").mkdir(parents=True)
+    (tmp_path / "world.sdf").write_text('<sdf version="1.9"><include><uri>model://mug</uri></include></sdf>')
+    with pytest.raises(RefusedError, match="no regular file"):
+        read_here(tmp_path / "world.sdf")
 
 
 def test_a_lid_in_urdf(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from yamsim_cli.core.import_thing.from_file import import_directly, import_file,
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.thing_files.child import read_file
-from yamsim_cli.core.thing_files.parts import Material, Part, ReadThing, Surface
+from yamsim_cli.core.thing_files.parts import Part, ReadThing, Surface, SurfaceMaterial
 from yamsim_cli.core.thing_files.read import UnitOptions
 from yamsim_cli.core.thing_files.solids import seen, touching
 from yamsim_cli.core.things.convex import decompose
@@ -104,7 +104,7 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
 
 
 def test_what_is_a_block_becomes_one() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
+    block = seen("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
     made = make(thing(block), ImportOptions("brick"), Path("unused"))
     assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
     assert made.collision[0].fit is not None and made.collision[0].fit.most < 1e-3
@@ -160,7 +160,7 @@ def test_many_faces_are_reduced_within_half_a_millimetre_and_keep_their_colours(
 
     image = np.zeros((4, 4, 3), np.uint8)
     image[:, :2], image[:, 2:] = (0, 0, 255), (255, 0, 0)
-    looks = looks_of("ball", (Surface(vertices, faces, Material((1, 1, 1, 1), encode_png(image)), uv),))
+    looks = looks_of("ball", (Surface(vertices, faces, SurfaceMaterial((1, 1, 1, 1), encode_png(image)), uv),))
     text = looks.files["ball_0.obj"].decode()
     assert text.count("\nf ") < len(faces) / 3
     points = np.array([[float(x) for x in line.split()[1:]] for line in text.splitlines() if line.startswith("v ")])

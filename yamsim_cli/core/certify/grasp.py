@@ -28,7 +28,7 @@ from ..scene.compiling import breakdown
 from ..scene.compose import hold_by_friction
 from ..scene.robot import arm_spec, finger_places
 from ..skills.errors import SkillFailedError
-from .outcome import Outcome, View, short, unchecked
+from .outcome import CheckOutcome, CheckView, short, unchecked
 from .subject import Subject, bare_spec, compiled, step, with_camera
 
 _CLOSE, _HOLD, _TURN, _SHAKE = 0.8, 0.8, 1.6, 1.0  # s, time to close, to lift, and for each rotation and shake
@@ -43,7 +43,7 @@ _STIFF, _DAMP = 8e4, 2.6e3  # N/m, N s/m, of the base's drives, as stiff as a ro
 _TURN_STIFF, _TURN_DAMP = 2e3, 60.0  # N m/rad, N m s/rad
 
 
-def grasp(subject: Subject) -> Outcome:
+def grasp(subject: Subject) -> CheckOutcome:
     """Whether the skill `pick` lifts the thing from a table, and two pads then hold the thing by the same grasp."""
     item = subject.item
     if item.links or item.base == "fixed":
@@ -59,11 +59,11 @@ def grasp(subject: Subject) -> Outcome:
     try:
         taken = take(item, replace(subject.locations, meshes=subject.meshes))
     except SkillFailedError as error:
-        return Outcome(False, {"force_n": short(friction.force, 3)}, f"the skill `pick` fails: {error}")
+        return CheckOutcome(False, {"force_n": short(friction.force, 3)}, f"the skill `pick` fails: {error}")
     return _held(_Hand.of(subject), taken, item.grasp.clearance)
 
 
-def _held(hand: _Hand, taken: Taken, clearance: float) -> Outcome:
+def _held(hand: _Hand, taken: Taken, clearance: float) -> CheckOutcome:
     """Whether a thing stays between the pads while the hand lifts, turns and shakes it."""
     T = inverse(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()
@@ -78,12 +78,12 @@ def _held(hand: _Hand, taken: Taken, clearance: float) -> Outcome:
     hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
     slips = [_go(hand, T, held, np.linspace(0, 1, round(_HOLD / _STEP)), _lifted)]
-    views = [View(hand.model, hand.data.qpos.copy(), "lifted")]
+    views = [CheckView(hand.model, hand.data.qpos.copy(), "lifted")]
     there = np.sin(np.linspace(0, np.pi, round(_TURN / _STEP)))
     slips += [_go(hand, T, held, there, functools.partial(_turned, axis=axis)) for axis in (0, 1)]
     times = np.linspace(0, _SHAKE, round(_SHAKE / _STEP))
     slips += [_go(hand, T, held, times, functools.partial(_shaken, axis=axis)) for axis in range(3)]
-    views.append(View(hand.model, hand.data.qpos.copy(), "after turning and shaking"))
+    views.append(CheckView(hand.model, hand.data.qpos.copy(), "after turning and shaking"))
     moved, turned = (max(each[k] for each in slips) for k in (0, 1))
     fault = ""
     if breakdown(hand.data) is not None or not np.isfinite(hand.data.qpos).all():
@@ -98,7 +98,7 @@ def _held(hand: _Hand, taken: Taken, clearance: float) -> Outcome:
         "slip_mm": short(moved * 1000, 3),
         "turn_deg": short(np.degrees(turned), 3),
     }
-    return Outcome(not fault, figures, fault, tuple(views))
+    return CheckOutcome(not fault, figures, fault, tuple(views))
 
 
 def _go(hand: _Hand, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]) -> tuple[float, float]:
@@ -117,7 +117,6 @@ def _lifted(T: Array, share: float) -> Array:
 
 
 def _turned(T: Array, share: float, axis: int) -> Array:
-    """Rotated about the x or y axis of the pinch frame."""
     return pose((0, 0, _LIFT)) @ T @ pose((0, 0, 0), rotation_from_vector(_ANGLE * share * np.eye(3)[axis]))
 
 
@@ -131,7 +130,6 @@ def _arm(locations: Locations) -> ArmConfig:
 
 
 def _full_opening(locations: Locations) -> float:
-    """The full opening of one finger of the hand, m."""
     fingers = _arm(locations).robot.fingers
     assert fingers is not None  # the rig has fingers
     return fingers.full_opening

@@ -18,7 +18,7 @@ _THIN = 0.35  # opacity of the thing around that mark
 
 
 @dataclass(frozen=True)
-class View:
+class CheckView:
     """A state of a scene to be drawn by its camera `view`."""
 
     model: mujoco.MjModel
@@ -27,7 +27,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """The outcome of one check.
 
     Attributes:
@@ -39,12 +39,12 @@ class Outcome:
     ok: bool | None
     figures: Mapping[str, float | int | str] = field(default_factory=dict)
     note: str = ""
-    views: tuple[View, ...] = ()
+    views: tuple[CheckView, ...] = ()
 
 
-def unchecked(why: str) -> Outcome:
+def unchecked(why: str) -> CheckOutcome:
     """The outcome of a check that does not apply or cannot be made."""
-    return Outcome(None, note=why)
+    return CheckOutcome(None, note=why)
 
 
 def short(value: Any, digits: int = 4) -> float:
@@ -52,12 +52,12 @@ def short(value: Any, digits: int = 4) -> float:
     return float(f"{float(value):.{digits}g}")
 
 
-def portrait(subject: Subject, caption: str, *, steep: float = 0.75) -> View:
+def portrait(subject: Subject, caption: str, *, steep: float = 0.75) -> CheckView:
     """A view of the thing as it stands; `steep` is the camera's height over its distance."""
     return _view(_spec(subject, steep), caption)
 
 
-def collision_view(subject: Subject) -> View:
+def collision_view(subject: Subject) -> CheckView:
     """A view of the collision geoms."""
     view = _view(_spec(subject, 0.75), "what touches")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
@@ -65,7 +65,7 @@ def collision_view(subject: Subject) -> View:
     return view
 
 
-def weighted(subject: Subject, *, block: bool) -> View:
+def weighted(subject: Subject, *, block: bool) -> CheckView:
     """A view of the transparent thing with its centre of mass, or with the block of the same moments of inertia."""
     inertia = subject.item.inertia
     spec = _spec(subject, 0.75)
@@ -90,6 +90,6 @@ def _spec(subject: Subject, steep: float) -> mujoco.MjSpec:
     return with_camera(bare_spec(subject.item, subject.meshes), (low + high) / 2, size, steep)
 
 
-def _view(spec: mujoco.MjSpec, caption: str) -> View:
+def _view(spec: mujoco.MjSpec, caption: str) -> CheckView:
     model = compiled(spec)
-    return View(model, model.qpos0.copy(), caption)
+    return CheckView(model, model.qpos0.copy(), caption)

@@ -12,7 +12,7 @@ from ..geometry.attitudes import Attitude, attitudes
 from ..geometry.columns import columns, water_level
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from ..scene.compiling import breakdown
-from .outcome import Outcome, View, short, unchecked
+from .outcome import CheckOutcome, CheckView, short, unchecked
 from .static_checks import NO_MESHES
 from .subject import Subject, bare_spec, compiled, grounded_spec, step, with_camera
 
@@ -95,11 +95,11 @@ class _World:
             if np.abs(self.data.qvel[:3]).max() < _STILL and np.abs(self.data.qvel[3:6]).max() < 10 * _STILL:
                 break
 
-    def view(self, caption: str) -> View:
-        return View(self.model, self.data.qpos.copy(), caption)
+    def view(self, caption: str) -> CheckView:
+        return CheckView(self.model, self.data.qpos.copy(), caption)
 
 
-def rest(subject: Subject) -> Outcome:
+def rest(subject: Subject) -> CheckOutcome:
     """Whether the thing rests still as it stands, and on each face on which it can rest."""
     if subject.item.base == "fixed":
         return unchecked(_FIXED)
@@ -108,19 +108,21 @@ def rest(subject: Subject) -> Outcome:
     others = attitudes(subject.collision_points, np.array(subject.item.inertia.centre))
     faces = [upright, *(face for face in others if face.down[2] > -0.999)]
     worst = {"tilt_deg": 0.0, "drift_mm": 0.0, "sinks_mm": 0.0}
-    views, faults = list[View](), list[str]()
+    views, faults = list[CheckView](), list[str]()
     for number, face in enumerate(faces):
         try:
             found = _lies(world, face, stands=number == 0)
         except ArithmeticError as error:
-            return Outcome(False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views))
+            return CheckOutcome(
+                False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views)
+            )
         views.append(world.view("as it stands" if number == 0 else f"face {number}"))
         worst = {key: max(worst[key], value) for key, value in found.items()}
         if found["tilt_deg"] > np.degrees(_TILT) or found["drift_mm"] > _DRIFT * 1e3 or found["sinks_mm"] > _SINK * 1e3:
             shown = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
             faults.append(f"face {number}: {shown}")
     figures = {"faces": len(faces)} | {key: short(value, 3) for key, value in worst.items()}
-    return Outcome(not faults, figures, "; ".join(faults), tuple(views))
+    return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
 def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
@@ -143,14 +145,14 @@ def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
     return {"tilt_deg": float(np.degrees(tilt)), "drift_mm": drift * 1000, "sinks_mm": deep * 1000}
 
 
-def drop(subject: Subject) -> Outcome:
+def drop(subject: Subject) -> CheckOutcome:
     """Whether the thing stays over the ground and gains no energy when it falls from 10 cm in random orientations."""
     if subject.item.base == "fixed":
         return unchecked(_FIXED)
     world = _World.of(subject)
     rng = np.random.default_rng(0)
     deepest, gained, speed = 0.0, 0.0, 0.0
-    views = list[View]()
+    views = list[CheckView]()
     for number in range(_DROPS):
         quat = rng.normal(size=4)
         turn = _rotation(quat / np.linalg.norm(quat))
@@ -160,7 +162,7 @@ def drop(subject: Subject) -> Outcome:
         try:
             deep, energy = world.run(_FALL)
         except ArithmeticError as error:
-            return Outcome(False, {"drops": _DROPS}, f"drop {number}: physics broke down: {error}", tuple(views))
+            return CheckOutcome(False, {"drops": _DROPS}, f"drop {number}: physics broke down: {error}", tuple(views))
         deepest, gained = max(deepest, deep), max(gained, (energy - start) / fall)
         speed = max(speed, float(np.abs(world.data.qvel[:3]).max()))
         if number < 3:
@@ -168,7 +170,7 @@ def drop(subject: Subject) -> Outcome:
         lowest = float((subject.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
         if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
             note = f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground"
-            return Outcome(False, {"drops": _DROPS}, note, tuple(views))
+            return CheckOutcome(False, {"drops": _DROPS}, note, tuple(views))
     figures = {
         "drops": _DROPS,
         "sinks_mm": short(deepest * 1000, 3),
@@ -176,10 +178,10 @@ def drop(subject: Subject) -> Outcome:
         "last_speed_m_s": short(speed, 3),
     }
     if deepest > _THROUGH:
-        return Outcome(False, figures, f"it sinks into the ground by {deepest * 1000:.3g} mm", tuple(views))
+        return CheckOutcome(False, figures, f"it sinks into the ground by {deepest * 1000:.3g} mm", tuple(views))
     if gained > _GAIN:
-        return Outcome(False, figures, f"it gains {gained * 100:.3g} % of the energy of its fall", tuple(views))
-    return Outcome(True, figures, views=tuple(views))
+        return CheckOutcome(False, figures, f"it gains {gained * 100:.3g} % of the energy of its fall", tuple(views))
+    return CheckOutcome(True, figures, views=tuple(views))
 
 
 def _rotation(quat: Array) -> Array:
@@ -232,7 +234,7 @@ def hollow_of(subject: Subject) -> Hollow | None:
     return Hollow(wet[best], float(grid.top[deep][best]), float(water), float(room[best]), floors)
 
 
-def ball(subject: Subject) -> Outcome:
+def ball(subject: Subject) -> CheckOutcome:
     """Whether a ball that is dropped into the hollow comes to rest inside."""
     if not subject.looks:
         return unchecked(NO_MESHES)
@@ -253,10 +255,10 @@ def ball(subject: Subject) -> Outcome:
     at = model.joint(subject.item.name).qposadr[0]
     data.qpos[at + 2] = subject.item.rest_height
     step(model, data, _SECONDS)
-    views = (View(model, data.qpos.copy(), "a ball dropped in"),)
+    views = (CheckView(model, data.qpos.copy(), "a ball dropped in"),)
     figures = {"depth_mm": short((found.level - found.floor) * 1000, 3), "ball_mm": short(2000 * radius, 3)}
     if (fault := breakdown(data)) is not None:
-        return Outcome(False, figures, f"physics broke down: {fault}", views)
+        return CheckOutcome(False, figures, f"physics broke down: {fault}", views)
     thing = data.body(subject.item.name)
     inside = thing.xmat.reshape(3, 3).T @ (data.body("certificate_ball").xpos - thing.xpos)
     nearest = found.wet[np.linalg.norm(found.wet[:, :2] - inside[:2], axis=1).argmin()]
@@ -266,16 +268,16 @@ def ball(subject: Subject) -> Outcome:
     limit = _IN * (found.level - found.floor)
     figures |= {"over_floor_mm": short(over * 1000, 3), "aside_mm": short(offset * 1000, 3)}
     if offset > 2 * radius + 0.002:
-        return Outcome(False, figures, "the ball lies beside it", views)
+        return CheckOutcome(False, figures, "the ball lies beside it", views)
     if over > limit:
         note = f"the ball stays {over * 1000:.3g} mm over its floor: what is seen hollow is not"
-        return Outcome(False, figures, note, views)
+        return CheckOutcome(False, figures, note, views)
     if over < -0.25 * radius - 0.004:
-        return Outcome(False, figures, f"the ball went through its floor by {-over * 1000:.3g} mm", views)
-    return Outcome(True, figures, views=views)
+        return CheckOutcome(False, figures, f"the ball went through its floor by {-over * 1000:.3g} mm", views)
+    return CheckOutcome(True, figures, views=views)
 
 
-def articulation(subject: Subject) -> Outcome:
+def articulation(subject: Subject) -> CheckOutcome:
     """Whether every joint can be moved from stop to stop, and then stays or falls shut."""
     links = subject.item.links
     if not links:
@@ -284,7 +286,7 @@ def articulation(subject: Subject) -> Outcome:
     model = compiled(with_camera(spec, (0, 0, subject.size * 0.2), subject.size))
     data = mujoco.MjData(model)
     reached: dict[str, float] = {}
-    views, faults, fastest = list[View](), list[str](), 0.0
+    views, faults, fastest = list[CheckView](), list[str](), 0.0
     for link in links:
         name = f"{subject.item.name}_{link.name}"
         for end in (1, 0):
@@ -292,7 +294,7 @@ def articulation(subject: Subject) -> Outcome:
             which = "upper" if end else "lower"
             reached[f"{link.name}_{which}_missing"] = short(missing, 3)
             if end:
-                views.append(View(model, data.qpos.copy(), f"{link.name} at its upper end"))
+                views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper end"))
             if missing > _AT_END:
                 faults.append(f"{link.name} stops {missing * 100:.3g} % of its way before its {which} end")
         data.qfrc_applied[:] = 0
@@ -302,7 +304,7 @@ def articulation(subject: Subject) -> Outcome:
         if speed > _JOINT_STILL:
             faults.append(f"{link.name} does not come to rest: {speed:.3g} of its way a second")
     figures = {"joints": len(links), "last_speed_1_s": short(fastest, 3), **reached}
-    return Outcome(not faults, figures, "; ".join(faults), tuple(views))
+    return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
 def _push(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:

@@ -10,7 +10,7 @@ from ..images.jpeg import encode_jpeg
 from ..report import markup
 from ..report.certificate_page import certificate_page
 from ..vision.renderer import SceneRenderer
-from .outcome import View
+from .outcome import CheckView
 from .run import CHECKS, Certified
 
 _SIZE, _FINE = (320, 240), (640, 480)  # px, of a picture, and of its rendering before reduction
@@ -30,7 +30,7 @@ def write_page(certified: Certified, path: Path) -> None:
     markup.write_page(certificate_page(certified.plain(), titles, pictures, markup.made_line()), path)
 
 
-def _picture(view: View) -> bytes:
+def _picture(view: CheckView) -> bytes:
     data = mujoco.MjData(view.model)
     data.qpos[:] = view.qpos
     mujoco.mj_forward(view.model, data)

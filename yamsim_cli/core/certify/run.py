@@ -12,7 +12,7 @@ from ..resources import Locations
 from . import grasp
 from . import physics_checks as physics
 from . import static_checks as static
-from .outcome import Outcome, unchecked
+from .outcome import CheckOutcome, unchecked
 from .static_checks import kinds
 from .subject import Subject, read_subject
 
@@ -21,7 +21,7 @@ CheckDone = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
-class Check:
+class ThingCheck:
     """One check of a certificate.
 
     Attributes:
@@ -34,7 +34,7 @@ class Check:
     code: str
     title: str
     advice: str
-    make: Callable[[Subject], Outcome]
+    make: Callable[[Subject], CheckOutcome]
     needs: tuple[str, ...] = ()
 
 
@@ -42,30 +42,32 @@ _SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
 _HEAVY = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
 
 _ALL = (
-    Check("size.implausible", "it is not as large as things are", "give the unit that its file is in", static.size),
-    Check("mesh.open", "a surface has holes", "close it in the program that made it", static.closed, _SURFACES[:1]),
-    Check("mesh.inverted", "a surface is inside out", "turn its faces round where it was made", static.normals,
-          _SURFACES[:2]),
-    Check("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.density, _SURFACES),
-    Check("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m", static.centre,
-          _SURFACES[:1]),
-    Check("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or mend "
-          "`inertia.diagonal`, kg m2", static.inertia, ("size.implausible", "mass.density", "mass.centre")),
-    Check("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
-          static.collision, _SURFACES),
-    Check("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
-          physics.rest, _HEAVY),
-    Check("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.drop,
-          _HEAVY),
-    Check("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
-          physics.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
-    Check("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
-          physics.articulation, _HEAVY),
-    Check("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
-          grasp.grasp, _HEAVY),
+    ThingCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
+               static.size),
+    ThingCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.closed,
+               _SURFACES[:1]),
+    ThingCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made", static.normals,
+               _SURFACES[:2]),
+    ThingCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.density, _SURFACES),
+    ThingCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m", static.centre,
+               _SURFACES[:1]),
+    ThingCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
+               "mend `inertia.diagonal`, kg m2", static.inertia, ("size.implausible", "mass.density", "mass.centre")),
+    ThingCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
+               static.collision, _SURFACES),
+    ThingCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
+               physics.rest, _HEAVY),
+    ThingCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.drop,
+               _HEAVY),
+    ThingCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
+               physics.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
+    ThingCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
+               physics.articulation, _HEAVY),
+    ThingCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
+               grasp.grasp, _HEAVY),
 )  # fmt: skip
 
-CHECKS: Mapping[str, Check] = {check.code: check for check in _ALL}
+CHECKS: Mapping[str, ThingCheck] = {check.code: check for check in _ALL}
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Certified:
     """The outcomes of all checks, by code."""
 
     subject: Subject
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, CheckOutcome]
 
     @property
     def ok(self) -> bool:
@@ -118,7 +120,7 @@ def certify(
         ResourceError: the thing cannot be read.
     """
     subject = read_subject(item, meshes, locations)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, CheckOutcome] = {}
     for number, (code, check) in enumerate(CHECKS.items()):
         progress(number, len(CHECKS), code)
         failed = [other for other in check.needs if outcomes[other].ok is False]

@@ -13,7 +13,7 @@ from ..geometry.solid import depth_in_hull, filling, open_edges, spread_points
 from ..geometry.stl import read_stl
 from ..scene.things.geoms import set_file
 from ..things.primitives import signed_distance
-from .outcome import Outcome, collision_view, portrait, short, unchecked, weighted
+from .outcome import CheckOutcome, collision_view, portrait, short, unchecked, weighted
 from .subject import Subject
 
 NO_MESHES = "its meshes are not here: run `yamsim assets fetch`"
@@ -36,17 +36,17 @@ _OUT, _OUT_SHARE = (
 _SKIN = 0.006  # m, depth under the hull up to which visual surfaces count
 
 
-def size(subject: Subject) -> Outcome:
+def size(subject: Subject) -> CheckOutcome:
     """Whether the size is plausible: a thing of 60 m was modelled in millimetres."""
     extent = np.ptp(subject.outline, axis=0)
     longest = float(extent.max())
     figures = {f"{axis}_m": short(value) for axis, value in zip("xyz", extent, strict=True)}
     fits = _SIZES[0] <= longest <= _SIZES[1]
     note = "" if fits else f"{longest:.4g} m long; valid are {_SIZES[0]:g} to {_SIZES[1]:g} m"
-    return Outcome(fits, figures, note, (portrait(subject, "as it stands"),) if fits else ())
+    return CheckOutcome(fits, figures, note, (portrait(subject, "as it stands"),) if fits else ())
 
 
-def closed(subject: Subject) -> Outcome:
+def closed(subject: Subject) -> CheckOutcome:
     """Whether the visual surfaces are closed."""
     if not subject.looks:
         return unchecked(NO_MESHES)
@@ -55,10 +55,10 @@ def closed(subject: Subject) -> Outcome:
     allowed = _OPEN_SHARE * edges
     note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: there are holes in it"
     views = (portrait(subject, "from below", steep=-0.9),)
-    return Outcome(open_ <= allowed, {"open_edges": open_, "edges": edges}, note, views)
+    return CheckOutcome(open_ <= allowed, {"open_edges": open_, "edges": edges}, note, views)
 
 
-def normals(subject: Subject) -> Outcome:
+def normals(subject: Subject) -> CheckOutcome:
     """Whether the faces of the visual surfaces look outwards."""
     if not subject.looks:
         return unchecked(NO_MESHES)
@@ -66,31 +66,31 @@ def normals(subject: Subject) -> Outcome:
     inside_out = sum(volume <= 0 for volume in volumes)
     note = "" if not inside_out else f"{inside_out} of {len(volumes)} surfaces are inside out"
     figures = {"volume_cm3": short(sum(volumes) * 1e6), "inside_out": inside_out}
-    return Outcome(not inside_out, figures, note, (portrait(subject, "from above", steep=2.0),))
+    return CheckOutcome(not inside_out, figures, note, (portrait(subject, "from above", steep=2.0),))
 
 
-def density(subject: Subject) -> Outcome:
+def density(subject: Subject) -> CheckOutcome:
     """Whether the density is plausible."""
     mass = subject.item.inertia.mass
     if not subject.looks:
-        return Outcome(None, {"mass_kg": short(mass)}, NO_MESHES)
+        return CheckOutcome(None, {"mass_kg": short(mass)}, NO_MESHES)
     volume = sum(abs(filling(*surface).volume) for surface in subject.looks)
     found = mass / volume
     figures = {"mass_kg": short(mass), "volume_cm3": short(volume * 1e6), "density_kg_m3": short(found)}
     fits = _DENSITIES[0] <= found <= _DENSITIES[1]
     low, high = _DENSITIES
     note = "" if fits else f"{found:,.{0 if found > 1 else 4}f} kg/m3; valid are {low:,g} to {high:,g}"
-    return Outcome(fits, figures, note, (portrait(subject, "from the side", steep=0.1),))
+    return CheckOutcome(fits, figures, note, (portrait(subject, "from the side", steep=0.1),))
 
 
-def centre(subject: Subject) -> Outcome:
+def centre(subject: Subject) -> CheckOutcome:
     """Whether the centre of mass lies within the convex hull."""
     deep = float(depth_in_hull(np.array([subject.item.inertia.centre]), subject.outline)[0])
     note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside of it"
-    return Outcome(deep >= -_ROUNDING, {"inside_mm": short(deep * 1000)}, note, (weighted(subject, block=False),))
+    return CheckOutcome(deep >= -_ROUNDING, {"inside_mm": short(deep * 1000)}, note, (weighted(subject, block=False),))
 
 
-def inertia(subject: Subject) -> Outcome:
+def inertia(subject: Subject) -> CheckOutcome:
     """Whether a body of this mass and size can have these principal moments of inertia, each about its own axis."""
     found = subject.item.inertia
     moments = np.array(found.diagonal)
@@ -110,22 +110,24 @@ def inertia(subject: Subject) -> Outcome:
     }
     views = (weighted(subject, block=True),)
     if a + b < c * (1 - _SLACK):
-        return Outcome(False, figures, f"{a:.3g} and {b:.3g} together are less than {c:.3g} kg m2: no body has that")
+        return CheckOutcome(
+            False, figures, f"{a:.3g} and {b:.3g} together are less than {c:.3g} kg m2: no body has that"
+        )
     if (moments > most).any():
         axis = int((moments / most).argmax())
         note = f"{moments[axis]:.3g} kg m2 is more than its mass at its farthest point has, {most[axis]:.3g}"
-        return Outcome(False, figures, note, views)
+        return CheckOutcome(False, figures, note, views)
     if (moments < _LEAST_OF_BOX * filled).any():
         axis = int((moments / filled).argmin())
         note = (
             f"{moments[axis]:.3g} kg m2 is less than {_LEAST_OF_BOX:.0%} of what its mass has, spread evenly in its "
             f"bounding box, {filled[axis]:.3g}"
         )
-        return Outcome(False, figures, note, views)
-    return Outcome(True, figures, views=views)
+        return CheckOutcome(False, figures, note, views)
+    return CheckOutcome(True, figures, views=views)
 
 
-def collision(subject: Subject) -> Outcome:
+def collision(subject: Subject) -> CheckOutcome:
     """Whether the collision geoms have about the volume and the place of the visual surfaces."""
     if not subject.looks:
         return unchecked(NO_MESHES)
@@ -156,12 +158,12 @@ def collision(subject: Subject) -> Outcome:
     }
     views = (collision_view(subject),)
     if volume > _OF_HULL * hull:
-        return Outcome(False, figures, f"what touches is {volume / hull:.2f} times its hull", views)
+        return CheckOutcome(False, figures, f"what touches is {volume / hull:.2f} times its hull", views)
     if volume < _OF_MESH * mesh:
-        return Outcome(False, figures, f"what touches is {volume / mesh:.2f} of what is seen", views)
+        return CheckOutcome(False, figures, f"what touches is {volume / mesh:.2f} of what is seen", views)
     if most > allowed:
-        return Outcome(False, figures, f"it sticks out of what touches by {most * 1000:.3g} mm", views)
-    return Outcome(True, figures, views=views)
+        return CheckOutcome(False, figures, f"it sticks out of what touches by {most * 1000:.3g} mm", views)
+    return CheckOutcome(True, figures, views=views)
 
 
 def kinds(parts: Sequence[CollisionPart]) -> str:

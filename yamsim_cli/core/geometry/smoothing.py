@@ -163,7 +163,6 @@ def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]
 
 
 def _away(place: Array, other: Array, side: float) -> Array:
-    """A place (2,) moved away from another place."""
     way = place - other
     return place + _STRAIGHTEN * side * way / max(float(np.linalg.norm(way)), 1e-9)
 

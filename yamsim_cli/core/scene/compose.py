@@ -177,7 +177,6 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 
 def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
-    """Add the housing of one of a rig's own cameras."""
     file = locations.file(f"robot_models/cameras/{camera.housing}.xml")
     child = with_looks(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
     T = rig.T_cam_in_world(camera)

@@ -135,7 +135,6 @@ def finger_places(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tupl
 
 
 def _is_in(body: mujoco.MjsBody, other: mujoco.MjsBody) -> bool:
-    """Whether a body is another body or its descendant."""
     while body is not None and body.name != "world":
         if body.name == other.name:
             return True

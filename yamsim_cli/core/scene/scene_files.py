@@ -163,7 +163,6 @@ def _unknown(scene: str, what: str) -> str:
 
 
 def _walk(root: Element) -> Iterator[tuple[str, Element]]:
-    """Every element with its key in the tables."""
     yield root.tag, root
     for section in root:
         for element in section.iter():
@@ -179,7 +178,6 @@ def _key(section: Element, element: Element) -> str:
 
 
 def _child(parent: Element, tag: str) -> Element:
-    """The child with a tag; created if missing."""
     found = parent.find(tag)
     return ElementTree.SubElement(parent, tag) if found is None else found
 

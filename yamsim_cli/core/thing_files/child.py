@@ -18,7 +18,7 @@ import numpy as np
 
 from ..untrusted.jail import MOST_BYTES, Folder
 from ..untrusted.refusals import RefusedError
-from .parts import Material, Part, ReadThing, Surface, Weight
+from .parts import Part, ReadThing, Surface, SurfaceMaterial, Weight
 
 REFUSED = "refused.json"
 _THING, _ARRAYS = "thing.json", "arrays.npz"
@@ -38,7 +38,7 @@ def main(file: str, root: str, out: str, seconds: int) -> None:
     except RefusedError as error:
         _refuse(out, error.code, str(error))
     except MemoryError:
-        _refuse(out, "too-much-memory", "it would take more memory than its size deserves")
+        _refuse(out, "too-much-memory", "reading it takes too much memory for a file of its size")
     except RecursionError:
         _refuse(out, "damaged", "it is nested too deeply")
 
@@ -95,7 +95,6 @@ def _description(data: bytes, folder: Folder, base: Path) -> ReadThing:
 
 
 def _write_thing(thing: ReadThing, folder: Path) -> None:
-    """Write a thing into an empty folder."""
     arrays: dict[str, Any] = {}
     pictures: dict[bytes, str] = {}
 
@@ -128,8 +127,9 @@ def read_written(folder: Path) -> ReadThing:
     data = json.loads((folder / _THING).read_bytes())
     with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
-    parts = tuple(_part(entry, arrays, folder) for entry in data["parts"])
-    return ReadThing(**{**data, "parts": parts, "notes": tuple(data["notes"])})
+    data["parts"] = tuple(_part(entry, arrays, folder) for entry in data["parts"])
+    data["notes"] = tuple(data["notes"])
+    return ReadThing(**data)
 
 
 def _part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> Part:
@@ -139,7 +139,7 @@ def _part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> Par
     shapes = entry["shapes"] and tuple(
         _surface(shape, arrays, folder) if "vertices" in shape else shape for shape in entry["shapes"]
     )
-    made = {
+    made: dict[str, Any] = {
         "T_in_parent": np.asarray(arrays[entry["T_in_parent"]], np.float64).reshape(4, 4),
         "weight": weight,
         "looks": tuple(_surface(look, arrays, folder) for look in entry["looks"]),
@@ -158,5 +158,5 @@ def _surface(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) 
     material = entry["material"]
     red, green, blue, alpha = material["rgba"]
     texture = None if material["texture"] is None else (folder / Path(material["texture"]).name).read_bytes()
-    looks = Material((red, green, blue, alpha), texture, material["specular"], material["shininess"])
+    looks = SurfaceMaterial((red, green, blue, alpha), texture, material["specular"], material["shininess"])
     return Surface(vertices, faces, looks, uv, bool(entry["convex"]))

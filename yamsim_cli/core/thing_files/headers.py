@@ -107,14 +107,14 @@ def _tree(tree: Any, binary: int | None, most: int) -> None:
         _accessors(tree, binary, most)
         _nodes(tree)
     except (TypeError, KeyError, AttributeError, IndexError, ValueError) as error:
-        raise RefusedError("damaged", f"its JSON does not hang together ({type(error).__name__}: {error})") from error
+        raise RefusedError("damaged", f"its JSON is inconsistent ({type(error).__name__}: {error})") from error
 
 
 def _accessors(tree: Any, binary: int | None, most: int) -> None:
     views = tree.get("bufferViews", [])
     for view in views:
         if min(view.get("byteOffset", 0), view["byteLength"], view["buffer"]) < 0:
-            raise RefusedError("damaged", "it has a view of less than nothing")
+            raise RefusedError("damaged", "it has a view of negative size")
         size = tree["buffers"][view["buffer"]].get("byteLength", 0)
         own = binary if binary is not None and view["buffer"] == 0 and "uri" not in tree["buffers"][0] else size
         if view.get("byteOffset", 0) + view["byteLength"] > min(size, own + 3):
@@ -142,7 +142,7 @@ def _nodes(tree: Any) -> None:
             if not 0 <= child < len(nodes):
                 raise RefusedError("damaged", f"node {number} has a child that is not there")
             if child in parents:
-                raise RefusedError("cycle", f"node {child} hangs on two others")
+                raise RefusedError("cycle", f"node {child} has two parents")
             parents[child] = number
         for key in ("matrix", "translation", "rotation", "scale"):
             if not all(math.isfinite(value) for value in node.get(key, ())):
@@ -152,4 +152,4 @@ def _nodes(tree: Any) -> None:
         while at in parents:
             at, steps = parents[at], steps + 1
             if steps > len(nodes):
-                raise RefusedError("cycle", "its nodes hang on each other in a circle")
+                raise RefusedError("cycle", "its nodes form a circle")

@@ -17,7 +17,7 @@ from ..geometry.stl import Faces, is_binary_stl, read_stl
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
 from .headers import check_header
-from .parts import GREY, Material, Rgba, Surface
+from .parts import GREY, Rgba, Surface, SurfaceMaterial
 from .textures import bake_colours, open_image, png_of
 
 MOST_FACES = 2_000_000  # more than any scan needs; users reduce larger ones themselves
@@ -109,7 +109,7 @@ def read_mesh(data: bytes, suffix: str, folder: Folder, base: Path) -> MeshFile:
     except RefusedError:
         raise
     except MemoryError:
-        raise RefusedError("too-much-memory", "it would take more memory than its size deserves") from None
+        raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
     # A library may raise anything on damaged input.
     except Exception as error:
         raise folder.refused or _damaged(suffix, error) from error
@@ -190,7 +190,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     if colours is not None:
         uv, texture = bake_colours(vertices, triangles, colours)
         material = (1.0, 1.0, 1.0, 1.0)
-    return Surface(vertices, triangles, Material(material, texture), uv).moved(T)
+    return Surface(vertices, triangles, SurfaceMaterial(material, texture), uv).moved(T)
 
 
 def _textured(material: Any) -> tuple[Rgba, Any]:
@@ -243,7 +243,7 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
 
 
 def mesh_surfaces(
-    folder: Folder, uri: str, base: Path, scale: Sequence[float], material: Material | None
+    folder: Folder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
 ) -> list[Surface]:
     """The surfaces of a mesh that a description names, m, with another material if one is given.
 
@@ -262,17 +262,17 @@ def mesh_surfaces(
     return [_painted(surface, material) for surface in surfaces]
 
 
-def _painted(surface: Surface, material: Material) -> Surface:
+def _painted(surface: Surface, material: SurfaceMaterial) -> Surface:
     """The surface with a description's material; a texture of the mesh stays if the description has none."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)
 
 
-def plain_material(folder: Folder, rgba: Sequence[float], texture: str, base: Path) -> Material:
+def plain_material(folder: Folder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
     """A material with a colour and, if named, a texture."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:
-        return Material(colour)
-    return Material(colour, png_of(open_image(folder.read(texture, base), texture), texture))
+        return SurfaceMaterial(colour)
+    return SurfaceMaterial(colour, png_of(open_image(folder.read(texture, base), texture), texture))

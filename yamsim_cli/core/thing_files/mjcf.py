@@ -21,10 +21,10 @@ from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
 from .headers import check_header
 from .meshes import MOST_FACES
-from .parts import Material, ReadThing, Surface
+from .parts import ReadThing, Surface, SurfaceMaterial
 from .solids import seen, touching
 from .textures import open_image, png_of
-from .tree import Joint, Link, bounded, checked_weight, marked_handle, parts_of
+from .tree import ReadJoint, ReadLink, bounded, checked_weight, marked_handle, parts_of
 from .xml import Element, parse
 
 # Elements that run code of others, or multiply a file's content.
@@ -58,7 +58,7 @@ def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"), assets=assets)
         model = spec.compile()
     except MemoryError:
-        raise RefusedError("too-much-memory", "it would take more memory than its size deserves") from None
+        raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
     except (ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RefusedError("damaged", f"MuJoCo does not read it: {reason}") from error
@@ -123,8 +123,8 @@ def _body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
 
 
-def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link:
-    link = Link(name, _T_in_model(model, body))
+def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> ReadLink:
+    link = ReadLink(name, _T_in_model(model, body))
     if model.body_mass[body] > 0:
         turn = pose_from_quat((0, 0, 0), model.body_iquat[body])[:3, :3]
         tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
@@ -162,7 +162,7 @@ def _T_in_model(model: mujoco.MjModel, body: int) -> Array:
     return T
 
 
-def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> Joint | None:
+def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> ReadJoint | None:
     name, parent = _body_name(model, body), int(model.body_parentid[body])
     count, first = int(model.body_jntnum[body]), int(model.body_jntadr[body])
     if parent == 0:
@@ -172,11 +172,11 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> Joint | None:
         return None
     above = _body_name(model, parent)
     if count == 0:
-        return Joint(name, above, name, None)
+        return ReadJoint(name, above, name, None)
     kinds = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
     kind = kinds.get(mujoco.mjtJoint(model.jnt_type[first]))
     if count > 1 or kind is None:
-        raise RefusedError("joint-kind", f"body {name!r} has another than one hinge or slide")
+        raise RefusedError("joint-kind", f"body {name!r} has a joint other than one hinge or slide")
     if model.jnt_stiffness[first]:
         notes.append("left out: springs of joints")
     low, high = model.jnt_range[first] - model.qpos0[model.jnt_qposadr[first]]
@@ -192,7 +192,7 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> Joint | None:
         "friction": float(model.dof_frictionloss[dof]),
         "armature": float(model.dof_armature[dof]),
     }
-    return Joint(name, above, name, moves)
+    return ReadJoint(name, above, name, moves)
 
 
 def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
@@ -202,7 +202,7 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
     first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     triangles = model.mesh_face[first : first + faces].copy()
     uv = None
-    material = Material() if convex else _material(model, geom)
+    material = SurfaceMaterial() if convex else _material(model, geom)
     if material.texture is not None and model.mesh_texcoordadr[mesh] >= 0:
         at = int(model.mesh_texcoordadr[mesh])
         coordinates = model.mesh_texcoord[at : at + int(model.mesh_texcoordnum[mesh])]
@@ -210,11 +210,11 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
         # MuJoCo counts v from the picture's upper edge.
         uv[..., 1] = 1 - uv[..., 1]
     elif material.texture is not None:
-        material = Material(material.rgba)
+        material = SurfaceMaterial(material.rgba)
     return Surface(vertices, triangles.astype(np.int32), material, uv, convex)
 
 
-def _material(model: mujoco.MjModel, geom: int) -> Material:
+def _material(model: mujoco.MjModel, geom: int) -> SurfaceMaterial:
     number, rgba = int(model.geom_matid[geom]), model.geom_rgba[geom]
     texture = None
     specular, shininess = 0.2, 0.3
@@ -226,7 +226,7 @@ def _material(model: mujoco.MjModel, geom: int) -> Material:
         if place >= 0 and model.tex_type[place] == mujoco.mjtTexture.mjTEXTURE_2D:
             texture = _png(model, place)
     red, green, blue, alpha = (float(min(1.0, max(0.0, value))) for value in rgba)
-    return Material((red, green, blue, alpha), texture, min(1.0, specular), min(1.0, shininess))
+    return SurfaceMaterial((red, green, blue, alpha), texture, min(1.0, specular), min(1.0, shininess))
 
 
 def _png(model: mujoco.MjModel, texture: int) -> bytes:

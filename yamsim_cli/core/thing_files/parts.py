@@ -16,7 +16,7 @@ GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
-class Material:
+class SurfaceMaterial:
     """A material.
 
     Attributes:
@@ -41,7 +41,7 @@ class Surface:
 
     vertices: Array
     faces: Faces
-    material: Material = Material()
+    material: SurfaceMaterial = SurfaceMaterial()
     uv: Array | None = None
     convex: bool = False
 

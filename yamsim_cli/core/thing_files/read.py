@@ -97,13 +97,13 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:
         try:
             return read_written(out)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise RefusedError("crashed", f"what was read of it is not whole ({error})") from error
-    last = (result.stderr.strip().splitlines() or ["no word"])[-1]
+            raise RefusedError("crashed", f"the reader's result is incomplete ({error})") from error
+    last = (result.stderr.strip().splitlines() or ["no message"])[-1]
     if "MemoryError" in last or "Cannot allocate" in result.stderr or "bad_alloc" in result.stderr:
-        raise RefusedError("too-much-memory", "it would take more memory than its size deserves")
+        raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size")
     if result.returncode in (-24, -9):
         raise RefusedError("too-slow", f"reading it takes more than {seconds:.0f} s of a core: reduce it first")
-    raise RefusedError("crashed", f"the reader broke down over it ({result.returncode}: {last[:160]})")
+    raise RefusedError("crashed", f"the reader crashed on it ({result.returncode}: {last[:160]})")
 
 
 def in_metres(thing: ReadThing, units: UnitOptions) -> ReadThing:
@@ -146,7 +146,7 @@ def _extent(thing: ReadThing) -> Array:
     poses = zip(thing.parts, thing.poses(), strict=True)
     corners = [surface.moved(T).vertices for part, T in poses for surface in part.looks]
     if not corners:
-        raise RefusedError("empty", "nothing of it can be seen")
+        raise RefusedError("empty", "it has no visible surface")
     points = np.concatenate(corners)
     extent: Array = points.max(axis=0) - points.min(axis=0)
     return extent

@@ -15,9 +15,9 @@ from ..geometry.se3 import Array, inverse, pose, pose_from_quat
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
 from .meshes import mesh_surfaces, plain_material
-from .parts import Material, ReadThing, Surface, Weight
+from .parts import ReadThing, Surface, SurfaceMaterial, Weight
 from .solids import seen, touching
-from .tree import Joint, Link, bounded, checked_weight, marked_handle, parts_of
+from .tree import ReadJoint, ReadLink, bounded, checked_weight, marked_handle, parts_of
 from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
 
 _DEEPEST_INCLUDE = 8
@@ -57,15 +57,12 @@ def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]
 def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
     """The model that an include names: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
-    path: Path | None = None
-    for name in (uri, f"{uri}/model.sdf"):
-        try:
-            path = folder.find(name, base)
-            break
-        except RefusedError as error:
-            if error.code == "outside" or (name != uri and error.code == "missing"):
-                raise
-    assert path is not None
+    try:
+        path = folder.find(uri, base)
+    except RefusedError as error:
+        if error.code == "outside":
+            raise
+        path = folder.find(f"{uri}/model.sdf", base)
     if path in seen_files or len(seen_files) >= _DEEPEST_INCLUDE:
         raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
     return _model(folder.read(path.name, path.parent), folder, path.parent, (*seen_files, path))
@@ -79,7 +76,7 @@ class _Reader:
         self.notes: list[str] = []
         self.friction: float | None = None
 
-    def model(self, model: Element) -> tuple[list[Link], list[Joint]]:
+    def model(self, model: Element) -> tuple[list[ReadLink], list[ReadJoint]]:
         for tag in ("include", "model"):
             if model.find(tag) is not None:
                 name = model.get("name")
@@ -92,9 +89,9 @@ class _Reader:
             self._handle(element, frames, by_name, links)
         return links, joints
 
-    def _link(self, element: Element, frames: _Frames) -> Link:
+    def _link(self, element: Element, frames: _Frames) -> ReadLink:
         name = _name_of(element)
-        link = Link(name, frames.T(name))
+        link = ReadLink(name, frames.T(name))
         link.weight = _weight(element.find("inertial"))
         for visual in element.findall("visual"):
             surfaces = self._surfaces(visual, self._material(visual))
@@ -106,7 +103,7 @@ class _Reader:
                 self.friction = number(mu)
         return link
 
-    def _surfaces(self, element: Element, material: Material | None) -> list[Surface]:
+    def _surfaces(self, element: Element, material: SurfaceMaterial | None) -> list[Surface]:
         geometry = element.find("geometry")
         if geometry is None:
             return []
@@ -117,9 +114,9 @@ class _Reader:
         if found is None:
             self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
             return []
-        return [seen(*found, material or Material())]
+        return [seen(*found, material or SurfaceMaterial())]
 
-    def _mesh(self, mesh: Element, material: Material | None) -> list[Surface]:
+    def _mesh(self, mesh: Element, material: SurfaceMaterial | None) -> list[Surface]:
         scale = numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
         if mesh.find("submesh") is not None:
             self.notes.append("submesh: the whole mesh was taken")
@@ -136,14 +133,14 @@ class _Reader:
         found = _plain(geometry)
         return [] if found is None else [touching(*found, T)]
 
-    def _joint(self, element: Element, frames: _Frames) -> Joint:
+    def _joint(self, element: Element, frames: _Frames) -> ReadJoint:
         name, kind = _name_of(element), element.get("type", "")
         parent, child = ((element.findtext(tag) or "").strip() for tag in ("parent", "child"))
         parent_link, child_link = frames.link_of(parent), frames.link_of(child)
         if child_link is None:
             raise RefusedError("damaged", f"joint {name!r} has no child")
         if kind == "fixed":
-            return Joint(name, parent_link, child_link, None)
+            return ReadJoint(name, parent_link, child_link, None)
         if kind not in _JOINTS:
             raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_JOINTS)}")
         T = inverse(frames.T(child_link)) @ frames.T(name)
@@ -154,9 +151,9 @@ class _Reader:
         xyz = np.array(numbers(None if along is None else along.text, 3, (0.0, 0.0, 1.0)))
         within = "" if along is None else along.get("expressed_in", "")
         R = T[:3, :3] if not within else (inverse(frames.T(child_link)) @ frames.T(within))[:3, :3]
-        return Joint(name, parent_link, child_link, _moves(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3]))
+        return ReadJoint(name, parent_link, child_link, _moves(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3]))
 
-    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, Link], links: list[Link]) -> None:
+    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, ReadLink], links: list[ReadLink]) -> None:
         """Add the handle that a frame named `handle...` marks."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
@@ -166,7 +163,7 @@ class _Reader:
         T = inverse(link.T) @ frames.T(name)
         link.handles.append(marked_handle(name.replace("-", "_"), T))
 
-    def _material(self, visual: Element) -> Material | None:
+    def _material(self, visual: Element) -> SurfaceMaterial | None:
         element = visual.find("material")
         if element is None:
             return None
@@ -265,9 +262,9 @@ class _Frames:
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
-            raise RefusedError("damaged", f"it tells a pose relative to {name!r}, which is not there")
+            raise RefusedError("damaged", f"a pose is relative to {name!r}, which is not there")
         if name in path:
-            raise RefusedError("cycle", f"the poses of {' and '.join(path[:4])} are told relative to each other")
+            raise RefusedError("cycle", f"the poses of {' and '.join(path[:4])} are relative to each other")
         if name not in self._known:
             T, relative_to = self._frames[name]
             self._known[name] = self.T(relative_to, (*path, name)) @ T

@@ -11,13 +11,13 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces
 from ..untrusted.refusals import RefusedError
-from .parts import Material, Surface
+from .parts import Surface, SurfaceMaterial
 
 _SEGMENTS = 40  # faces around an axis
 _ALIGNED = 1e-6  # most deviation of an axis from the vertical
 
 
-def _turned(outline: Array, material: Material) -> Surface:
+def _turned(outline: Array, material: SurfaceMaterial) -> Surface:
     """A surface of revolution of an outline (n, 2) of radius and height, from the lowest point on the axis upwards."""
     middle = outline[1:-1]
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
@@ -63,10 +63,10 @@ def touching(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Surface:
             yaw = math.degrees(math.atan2(R[1, first], R[0, first]))
             half = [float(size[k]) for k in (first, (up + 2) % 3, up)]
             return {"type": "box", "centre": centre, "half_size": half, "yaw_deg": round(yaw, 6)}
-    return seen(kind, size, Material()).moved(T)
+    return seen(kind, size, SurfaceMaterial()).moved(T)
 
 
-def seen(kind: str, size: Array, material: Material) -> Surface:
+def seen(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
     """The surface of a primitive around the origin; see `touching`. Raises `RefusedError` for an impossible size."""
     if not all(1e-6 <= length <= 1e4 for length in size):
         raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
@@ -87,7 +87,7 @@ def seen(kind: str, size: Array, material: Material) -> Surface:
             return Surface(unit.vertices * size, unit.faces, material)
 
 
-def _box(half: Array, material: Material) -> Surface:
+def _box(half: Array, material: SurfaceMaterial) -> Surface:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]

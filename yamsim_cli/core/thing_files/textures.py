@@ -31,7 +31,6 @@ def open_image(data: bytes, name: str) -> Any:
 
 
 def _checked(image: Any, name: str) -> Any:
-    """The image itself, unless the image has too many pixels."""
     width, height = image.size
     if width * height > _MOST_PIXELS:
         raise RefusedError(

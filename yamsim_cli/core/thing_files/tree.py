@@ -19,7 +19,7 @@ _HANDLE_OPENING = 0.01  # m, opening of each finger at a handle that a file only
 
 
 @dataclass
-class Link:
+class ReadLink:
     """A link, and its pose (4, 4) in the model with every joint at 0."""
 
     name: str
@@ -31,7 +31,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Joint:
+class ReadJoint:
     """A joint between links by name; the parent is None for the world.
 
     Attributes:
@@ -44,7 +44,7 @@ class Joint:
     moves: Mapping[str, Any] | None
 
 
-def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part, ...], bool]:
+def parts_of(links: Sequence[ReadLink], joints: Sequence[ReadJoint]) -> tuple[tuple[Part, ...], bool]:
     """The parts, parents first, and whether the base is fixed to the world. Rigidly joined links become one part.
 
     Raises:
@@ -56,7 +56,7 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
         raise RefusedError("too-large", f"it has {len(links)} links; at most {_MOST_LINKS}")
     by_name, root, fixed = _rooted(links, joints)
     order, owner = _order(root.name, joints), {root.name: root}
-    kept: list[tuple[Link, Joint | None]] = [(root, None)]
+    kept: list[tuple[ReadLink, ReadJoint | None]] = [(root, None)]
     for joint in order:
         link, parent = by_name[joint.child], owner[joint.parent or ""]
         if joint.moves is None:
@@ -85,18 +85,18 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
     return tuple(parts), fixed
 
 
-def _rooted(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[dict[str, Link], Link, bool]:
+def _rooted(links: Sequence[ReadLink], joints: Sequence[ReadJoint]) -> tuple[dict[str, ReadLink], ReadLink, bool]:
     """Name -> link, the root link, and whether the root is fixed to the world. Raises `RefusedError`."""
     by_name = {link.name: link for link in links}
     if len(by_name) < len(links):
         raise RefusedError("damaged", "two of its links have the same name")
-    above: dict[str, Joint] = {}
+    above: dict[str, ReadJoint] = {}
     for joint in joints:
         for name in (joint.child, *((joint.parent,) if joint.parent is not None else ())):
             if name not in by_name:
                 raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which is not there")
         if joint.child in above:
-            raise RefusedError("damaged", f"link {joint.child!r} hangs on two joints: loops are not read")
+            raise RefusedError("damaged", f"link {joint.child!r} has two parent joints: loops are not read")
         above[joint.child] = joint
     for link in links:
         at, steps = link.name, 0
@@ -115,9 +115,8 @@ def _rooted(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[dict[str, L
     return by_name, root, fixed
 
 
-def _order(root: str, joints: Sequence[Joint]) -> list[Joint]:
-    """The joints from the root outwards."""
-    found: list[Joint] = []
+def _order(root: str, joints: Sequence[ReadJoint]) -> list[ReadJoint]:
+    found: list[ReadJoint] = []
     wave = [root]
     while wave:
         nexts = [joint for name in wave for joint in joints if joint.parent == name]
@@ -126,8 +125,7 @@ def _order(root: str, joints: Sequence[Joint]) -> list[Joint]:
     return found
 
 
-def _merge(parent: Link, link: Link) -> None:
-    """Merge a rigidly joined link into its parent."""
+def _merge(parent: ReadLink, link: ReadLink) -> None:
     T = inverse(parent.T) @ link.T
     parent.looks += [surface.moved(T) for surface in link.looks]
     parent.shapes += [moved_shape(shape, T) for shape in link.shapes]
@@ -172,7 +170,6 @@ def moved_weight(weight: Weight, T: Array) -> Weight:
 
 
 def _sum(first: Weight, second: Weight) -> Weight:
-    """Two weights of one body as one."""
     mass = first.mass + second.mass
     centre = (first.mass * first.centre + second.mass * second.centre) / max(mass, 1e-12)
     tensor = np.zeros((3, 3))
@@ -200,7 +197,7 @@ def bounded(low: float, high: float, *, turns: bool, name: str) -> list[float]:
     else:
         ends = [max(math.degrees(low), -_ENDLESS_DEG), min(math.degrees(high), _ENDLESS_DEG)]
     if not ends[0] < ends[1]:
-        raise RefusedError("impossible", f"joint {name!r} has no way to go: {low:g} to {high:g}")
+        raise RefusedError("impossible", f"joint {name!r} has an empty range: {low:g} to {high:g}")
     return ends
 
 

@@ -15,9 +15,9 @@ from ..geometry.se3 import Array, pose
 from ..untrusted.jail import Folder
 from ..untrusted.refusals import RefusedError
 from .meshes import mesh_surfaces, plain_material
-from .parts import Material, ReadThing, Surface, Weight
+from .parts import ReadThing, Surface, SurfaceMaterial, Weight
 from .solids import seen, touching
-from .tree import Joint, Link, bounded, checked_weight, parts_of
+from .tree import ReadJoint, ReadLink, bounded, checked_weight, parts_of
 from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
 
 _TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
@@ -47,7 +47,7 @@ def _ends(joint: Element) -> tuple[str, str]:
 
 
 def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
-    """Link -> pose (4, 4) in the root's frame."""
+    """ReadLink -> pose (4, 4) in the root's frame."""
     above = {child: (parent, joint) for joint in joints for parent, child in (_ends(joint),)}
     known: dict[str, Array] = {}
     for name in links:
@@ -72,7 +72,7 @@ def _origin(element: Element) -> Array:
     return pose(numbers(origin.get("xyz"), 3, (0.0,) * 3), from_rpy(*numbers(origin.get("rpy"), 3, (0.0,) * 3)))
 
 
-def _colour(element: Element, folder: Folder, base: Path) -> Material | None:
+def _colour(element: Element, folder: Folder, base: Path) -> SurfaceMaterial | None:
     colour, texture = element.find("color"), element.find("texture")
     if colour is None and texture is None:
         return None
@@ -80,8 +80,8 @@ def _colour(element: Element, folder: Folder, base: Path) -> Material | None:
     return plain_material(folder, rgba, "" if texture is None else texture.get("filename", ""), base)
 
 
-def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[str, Material]) -> Link:
-    link = Link(element.get("name", ""), T, _weight(element.find("inertial")))
+def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[str, SurfaceMaterial]) -> ReadLink:
+    link = ReadLink(element.get("name", ""), T, _weight(element.find("inertial")))
     for visual in element.findall("visual"):
         named = visual.find("material")
         material = None
@@ -97,13 +97,13 @@ def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[
     return link
 
 
-def _surfaces(element: Element, folder: Folder, base: Path, material: Material | None) -> list[Surface]:
+def _surfaces(element: Element, folder: Folder, base: Path, material: SurfaceMaterial | None) -> list[Surface]:
     mesh = element.find("geometry/mesh")
     if mesh is not None:
         scale = numbers(mesh.get("scale"), 3, (1.0, 1.0, 1.0))
         return mesh_surfaces(folder, mesh.get("filename", ""), base, scale, material)
     found = _plain(element)
-    return [] if found is None else [seen(*found, material or Material())]
+    return [] if found is None else [seen(*found, material or SurfaceMaterial())]
 
 
 def _plain(element: Element) -> tuple[str, Array] | None:
@@ -127,17 +127,16 @@ def _weight(inertial: Element | None) -> Weight | None:
 
 
 def _attribute(element: Element, tag: str, name: str) -> str | None:
-    """An attribute of a child element, or None."""
     child = element.find(tag)
     return None if child is None else child.get(name)
 
 
-def _joint(element: Element) -> Joint:
+def _joint(element: Element) -> ReadJoint:
     name, kind = element.get("name", ""), element.get("type", "")
     parent, child = _ends(element)
     above = None if parent == _WORLD else parent
     if kind == "fixed":
-        return Joint(name, above, child, None)
+        return ReadJoint(name, above, child, None)
     if kind not in _TYPES:
         raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_TYPES)}")
     low, high = -math.inf, math.inf
@@ -152,4 +151,4 @@ def _joint(element: Element) -> Joint:
         "damping": number(_attribute(element, "dynamics", "damping"), 0.0),
         "friction": number(_attribute(element, "dynamics", "friction"), 0.0),
     }
-    return Joint(name, above, child, moves)
+    return ReadJoint(name, above, child, moves)

@@ -1,4 +1,4 @@
-"""XML from elsewhere, without entities and with limits, and the numbers and rotations in it."""
+"""XML of untrusted files, without entities and with limits, and the numbers and rotations in it."""
 
 from __future__ import annotations
 

@@ -106,7 +106,6 @@ def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | N
 
 
 def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
-    """The file of one content of a thing."""
     return assets / _FOLDER / f"{item.name}-{_identity(item, item.mesh.set)}-{inputs[:12]}.json"
 
 

@@ -57,7 +57,7 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
     vertices, faces = merge_vertices(*body)
     if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _NEAR_MM, closed=True)) is not None:
         vertices, faces = fewer
-    how = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
+    how: dict[str, Any] = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
     source = io.BytesIO()
     np.savez(source, vertices=vertices, faces=faces)
     text = json.dumps(how, sort_keys=True).encode()

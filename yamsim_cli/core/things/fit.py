@@ -119,7 +119,6 @@ def fit_solid(points: Array) -> SolidFit:
 
 
 def _outside(points: Array) -> Array:
-    """The points near the convex hull."""
     heights = points @ np.ascontiguousarray(directions(_PLANES).T)
     depth = (heights.max(axis=0) - heights).min(axis=1)
     near: Array = points[depth < _DIMPLE]
@@ -194,7 +193,7 @@ def _row(points: Array, count: int) -> Array:
 
 
 @dataclass(frozen=True)
-class _Shape:
+class _FitState:
     """A shape's parameters, and the distances of points from its surface (n,)."""
 
     make: Make
@@ -224,19 +223,19 @@ class _Shape:
         return -self._slope.T @ self.distance
 
 
-class _ShapeProblem(LeastSquares[Array, _Shape]):
+class _ShapeProblem(LeastSquares[Array, _FitState]):
     """Least squares of points' distances from a shape, over the shape's parameters."""
 
     def __init__(self, make: Make, points: Array) -> None:
         self._make, self._points = make, points
 
-    def linearized(self, state: Array, before: _Shape | None) -> _Shape:
-        return _Shape(self._make, self._points, state)
+    def linearized(self, state: Array, before: _FitState | None) -> _FitState:
+        return _FitState(self._make, self._points, state)
 
     def moved(self, state: Array, step: Array) -> Array:
         return state + step
 
-    def settled(self, state: Array, known: _Shape, step: Array, gain: Array) -> bool:
+    def settled(self, state: Array, known: _FitState, step: Array, gain: Array) -> bool:
         return bool(0 < gain < _NO_GAIN * known.cost)
 
 

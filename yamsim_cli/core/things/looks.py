@@ -16,7 +16,7 @@ from ..files import sha256_bytes
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces, stl_bytes
 from ..images.png import decode_png, encode_png
-from ..thing_files.parts import Material, Surface
+from ..thing_files.parts import Surface, SurfaceMaterial
 from .surfaces import simplified_mesh, whole
 
 _MOST_DRAWN = 20_000  # faces that are drawn quickly; a surface with more is reduced within LIMIT_MM
@@ -28,14 +28,14 @@ _TILES = (2, 16)  # px, smallest and largest side of a triangle's tile
 
 
 @dataclass(frozen=True)
-class Looks:
+class VisualMeshes:
     """The visual meshes of a part as configs write them, without their set, and the files that they name."""
 
     meshes: tuple[Mapping[str, Any], ...]
     files: Mapping[str, bytes]
 
 
-def looks_of(name: str, surfaces: tuple[Surface, ...]) -> Looks:
+def looks_of(name: str, surfaces: tuple[Surface, ...]) -> VisualMeshes:
     """One mesh per material: OBJ and PNG with a texture, else STL; `name` begins the names of the files."""
     groups: dict[tuple[Any, ...], list[Surface]] = {}
     for surface in surfaces:
@@ -49,7 +49,7 @@ def looks_of(name: str, surfaces: tuple[Surface, ...]) -> Looks:
         mesh, made = _mesh(f"{name}_{number}", tuple(group))
         meshes.append(mesh)
         files |= made
-    return Looks(tuple(meshes), files)
+    return VisualMeshes(tuple(meshes), files)
 
 
 def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -66,7 +66,7 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
     return {"file": f"{name}.obj", "texture": f"{name}.png", **entry}, files
 
 
-def _drawn(group: tuple[Surface, ...], material: Material) -> tuple[Any, Any, Any, bytes | None]:
+def _drawn(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple[Any, Any, Any, bytes | None]:
     """Vertices, triangles, texture coordinates and PNG of a mesh, reduced if there are many triangles."""
     vertices, faces = whole(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
@@ -121,7 +121,6 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
 
 
 def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
-    """Points sampled from the surfaces (n, 3), m, and their colours (n, 3)."""
     places, found = [], []
     rng = np.random.default_rng(0)
     for surface in source:

@@ -21,7 +21,7 @@ from .collision import CollisionGeometry, CollisionMode, collision_geometry, mov
 from .convex import Share
 from .describe import IN_DEPTH, ROLLING_SHARE
 from .grasps import grasp
-from .looks import Looks, looks_of
+from .looks import VisualMeshes, looks_of
 from .primitives import Body
 from .surfaces import plain_inertia, scaled, solid_or_sheet, whole
 
@@ -232,7 +232,6 @@ def _hollow(vertices: Array, faces: Faces) -> float:
 
 
 def _lowest(thing: ReadThing) -> float:
-    """The height of the lowest point with every joint at 0, in the base's frame, m."""
     looks = [surface.moved(T) for part, T in zip(thing.parts, thing.poses(), strict=True) for surface in part.looks]
     return min(float(surface.vertices[:, 2].min()) for surface in looks)
 
@@ -243,13 +242,19 @@ def _contact(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
     return {"friction": [friction, _TORSION, _ROLLING], "condim": 4}
 
 
-def _meshes(looks: Looks, origin: Array) -> dict[str, Any]:
+def _meshes(looks: VisualMeshes, origin: Array) -> dict[str, Any]:
     first, *others = [{**mesh, "origin": [float(x) for x in origin]} for mesh in looks.meshes]
     return {"mesh": first, **({"meshes": others} if others else {})}
 
 
 def _link(
-    part: Part, labels: list[str], number: int, weight: Weight, looks: Looks, geometry: CollisionGeometry, origin: Array
+    part: Part,
+    labels: list[str],
+    number: int,
+    weight: Weight,
+    looks: VisualMeshes,
+    geometry: CollisionGeometry,
+    origin: Array,
 ) -> dict[str, Any]:
     assert part.parent is not None and part.joint is not None  # only the base has none
     shift = origin if part.parent == 0 else np.zeros(3)
@@ -284,7 +289,7 @@ def _shifted(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
     return {**{key: _plain(value) for key, value in handle.items()}, "name": name, "position": position}
 
 
-def _files(looks: list[Looks], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
+def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
     """All files; the collision meshes of the base are shifted to its origin."""
     files: dict[str, bytes] = {}
     for look in looks:

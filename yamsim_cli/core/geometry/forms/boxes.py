@@ -9,7 +9,7 @@ import numpy as np
 
 from ..loft import Surface, loft, moved, outline, ring, tube
 from ..se3 import Array
-from .form import Form, Hold, Piece, Plain, box, capsules
+from .form import Form, FormPiece, Hold, Plain, box, capsules
 
 _UNDER_RIM = 0.008  # m, depth of the pads' middle under a rim
 _PALM = 0.040  # m, deepest grasp under the top: deeper, the palm would touch the top
@@ -40,14 +40,14 @@ def container(size: Container) -> Form:
     """An open box, or a tray of compartments."""
     x, y, height = size.size[0] / 2 - size.lip, size.size[1] / 2 - size.lip, size.size[2]
     wall, corner = size.wall, size.corner
-    pieces = [Piece("body", _open_box(size, x, y))]
+    pieces = [FormPiece("body", _open_box(size, x, y))]
     collision: list[Plain] = [box((0, 0, wall / 2), (2 * x - 2 * corner / 3, 2 * y - 2 * corner / 3, wall))]
     collision += walls((x - size.taper / 2, y - size.taper / 2), (0.0, height), wall, corner)
     inner = 2 * x - wall
     for k in range(1, size.cells):
         at = -x + wall / 2 + k * inner / size.cells
         between = block_surface((wall, 2 * y - wall, height - wall), 0.0, wall / 4)
-        pieces.append(Piece("body", moved(between, (at, 0, wall * 0.5))))
+        pieces.append(FormPiece("body", moved(between, (at, 0, wall * 0.5))))
         collision.append(box((at, 0, height / 2 - wall * 0.25), (wall, 2 * y - wall, height - wall * 0.5)))
     if size.lip:
         collision += _lip(size, x, y)
@@ -150,9 +150,9 @@ def lid(size: tuple[float, float, float], corner: float, plate: float, plug: flo
     z0, z1 = deep + plate, height
     bar = block_surface((width, length, z1 - z0 + plate / 2), width / 2.2, 0.002)
     pieces = (
-        Piece("body", moved(over, (0, 0, deep))),
-        Piece("body", rim),
-        Piece("handle", moved(bar, (0, 0, z0 - plate / 2))),
+        FormPiece("body", moved(over, (0, 0, deep))),
+        FormPiece("body", rim),
+        FormPiece("handle", moved(bar, (0, 0, z0 - plate / 2))),
     )
     collision = (
         box((0, 0, deep + plate / 2), (2 * x - 2 * corner / 3, 2 * y - 2 * corner / 3, plate)),
@@ -187,12 +187,12 @@ def block(size: tuple[float, float, float], corner: float, edge: float, band: tu
         corner, edge: radius of the vertical and of the horizontal edges, m.
         band: lower and upper end of a printed band, as shares of the height; None for no band.
     """
-    pieces = [Piece("body", block_surface(size, corner, edge))]
+    pieces = [FormPiece("body", block_surface(size, corner, edge))]
     if band:
         low, high = (share * size[2] for share in band)
         # The print is 0.2 mm outside the body, so that it is visible.
         shell = loft([outline(size[0] / 2 + 2e-4, size[1] / 2 + 2e-4, corner, z) for z in (low, high)])
-        pieces.append(Piece("print", shell))
+        pieces.append(FormPiece("print", shell))
     collision = [box((0, 0, size[2] / 2), size)]
     height = max(size[2] / 2, size[2] - _PALM)
     axes = sorted(((size[0], 0.0), (size[1], 90.0)))
@@ -213,10 +213,10 @@ def textile(size: tuple[float, float, float], folds: int) -> Form:
     for k in range(folds):
         shift = rng.uniform(-1, 1, 2) * 0.0012
         soft = block_surface((size[0] - 0.003, size[1] - 0.003, layer * 1.02), 0.004, layer * 0.48)
-        pieces.append(Piece("body", moved(soft, (*shift, k * layer))))
+        pieces.append(FormPiece("body", moved(soft, (*shift, k * layer))))
     for side in (-1, 1):
         stripe = block_surface((size[0] * 0.985, size[1] * 0.03, layer * 0.06), 0.001, layer * 0.02)
-        pieces.append(Piece("print", moved(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02))))
+        pieces.append(FormPiece("print", moved(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02))))
     return Form(tuple(pieces), (box((0, 0, size[2] / 2), size),), (), support=size[2])
 
 
@@ -253,7 +253,7 @@ def rack(size: Rack) -> Form:
 
     def wire(path: Array) -> None:
         flat = abs(path[-1, 2] - path[0, 2]) < 0.5 * np.ptp(path[:, :2], axis=0).max()
-        pieces.append(Piece("body", tube(path, r, r, (0.31, 0.17, 0.93) if flat else (1, 0.1, 0), 8)))
+        pieces.append(FormPiece("body", tube(path, r, r, (0.31, 0.17, 0.93) if flat else (1, 0.1, 0), 8)))
         collision.extend(capsules(path, r))
 
     for z in (_RACK_FLOOR, _RAIL * size.tine):

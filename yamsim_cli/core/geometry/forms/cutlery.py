@@ -10,7 +10,7 @@ import numpy as np
 
 from ..loft import Surface, joined, loft, moved, tube
 from ..se3 import Array
-from .form import Form, Hold, Piece, Plain, capsule, capsules, simplified
+from .form import Form, FormPiece, Hold, Plain, capsule, capsules, simplified
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
@@ -47,7 +47,7 @@ def cutlery(size: Cutlery) -> Form:
     for sign in (-1, 0, 1):
         rail = rails[:, :3] + np.outer(sign * np.maximum(rails[:, 3] - thick, 0), [1, 0, 0])
         collision += capsules(rail, thick)
-    pieces = (Piece("body", head), Piece("handle", surface))
+    pieces = (FormPiece("body", head), FormPiece("handle", surface))
     holds = []
     for share in (0.88, 0.78, 0.68, 0.58, 0.48):
         k = int(share * (len(path) - 1))
@@ -58,7 +58,6 @@ def cutlery(size: Cutlery) -> Form:
 
 
 def _head(size: Cutlery) -> float:
-    """The length of the head, m."""
     return {"spoon": 0.32, "fork": 0.33, "knife": 0.54, "turner": 0.32}[size.kind] * size.size[1]
 
 

@@ -20,7 +20,7 @@ _LEAST_WALL = 0.002  # m, things could pass through thinner walls
 
 
 @dataclass(frozen=True)
-class Piece:
+class FormPiece:
     """A closed surface of one material; `role`, such as "body" or "handle", selects the material."""
 
     role: str
@@ -63,7 +63,7 @@ class Form:
         turned: whether the thing is rotationally symmetric, so that all holds of one kind are equal.
     """
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[FormPiece, ...]
     collision: tuple[Plain, ...]
     holds: tuple[Hold, ...]
     carries: str = "on"

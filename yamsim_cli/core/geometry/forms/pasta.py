@@ -6,7 +6,7 @@ import numpy as np
 
 from ..loft import Surface, loft, ring
 from ..se3 import Array
-from .form import Form, Hold, Piece, capsule
+from .form import Form, FormPiece, Hold, capsule
 
 _AROUND = 48
 
@@ -25,7 +25,7 @@ def pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges:
     half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
     hull = capsule((0, -half, radius), (0, half, radius), radius)
     hold = Hold("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
-    return Form((Piece("body", surface),), (hull,), (hold,), rolls=radius)
+    return Form((FormPiece("body", surface),), (hull,), (hold,), rolls=radius)
 
 
 def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..loft import Surface, arc, thickened, tube, turned
 from ..se3 import Array
-from .form import Form, Hold, Piece, Plain, capsules, cylinder, rings, simplified, sphere
+from .form import Form, FormPiece, Hold, Plain, capsules, cylinder, rings, simplified, sphere
 
 Handles = Literal["none", "loop", "ears"]
 
@@ -76,13 +76,13 @@ class Vessel:
 def vessel(size: Vessel) -> Form:
     """An open vessel on its foot."""
     inside = size.inside()
-    pieces = [Piece("body", turned(thickened(inside, size.wall), _SEEN))]
+    pieces = [FormPiece("body", turned(thickened(inside, size.wall), _SEEN))]
     segments = _segments(size)
     wall = inside[int(np.flatnonzero(np.diff(inside[:, 1]) > 1e-9)[0]) :]
     collision: list[Plain] = [cylinder(0.0, size.wall, float(wall[0, 0]) + size.wall / 2)]
     collision += rings(simplified(wall, _TOLERANCE), size.wall, segments)
     for surface, path, radius in _handles(size):
-        pieces.append(Piece("handle", surface))
+        pieces.append(FormPiece("handle", surface))
         collision += capsules(simplified(path, _TOLERANCE), radius)
     deep = size.height > 0.03
     holds, carries = tuple(_holds(size, inside)), "in" if deep else "on"
@@ -90,12 +90,10 @@ def vessel(size: Vessel) -> Form:
 
 
 def _segments(size: Vessel) -> int:
-    """The number of collision boxes around the axis."""
     return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
 def _outer(size: Vessel, inside: Array, height: float) -> float:
-    """The outer radius at a height, m."""
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
     return float(np.interp(height, wall[:, 1], wall[:, 0])) + size.wall
 
@@ -181,7 +179,7 @@ def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
     z = round(height / 2, 4)
     axes = (90.0, 135.0, 0.0, 45.0) if width <= _WIDEST else ()
     holds = tuple(Hold("body", (0.0, 0.0, z), axis, width) for axis in axes)
-    return Form((Piece("body", body),), tuple(collision), holds, support=height, turned=True)
+    return Form((FormPiece("body", body),), tuple(collision), holds, support=height, turned=True)
 
 
 def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> Form:
@@ -196,11 +194,11 @@ def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float
     foot = float(z.min())
     profile = np.column_stack([radius, z - foot])
     top = float(profile[-1, 1])
-    pieces = [Piece("body", turned(profile, 72, lobes, depth))]
+    pieces = [FormPiece("body", turned(profile, 72, lobes, depth))]
     if stalk:
         bend = np.linspace(0, 1, 6)
         path = np.column_stack([0.004 * bend**2, 0 * bend, top - 0.004 + (stalk + 0.004) * bend])
-        pieces.append(Piece("stalk", tube(path, 0.0022, 0.0022, (0, 1, 0), 8)))
+        pieces.append(FormPiece("stalk", tube(path, 0.0022, 0.0022, (0, 1, 0), 8)))
         leaf = np.linspace(0, 1, 8)
         for k in range(5):
             angle = 2 * np.pi * k / 5
@@ -209,7 +207,7 @@ def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float
             line = np.column_stack([out * np.cos(angle), out * np.sin(angle), drop + 0.0012])
             side = (-np.sin(angle), np.cos(angle), 0)
             width = 0.0038 * np.sin(np.pi * np.clip(leaf * 0.9 + 0.08, 0, 1)) + 0.0004
-            pieces.append(Piece("stalk", tube(line, width, 0.0007, side, 8)))
+            pieces.append(FormPiece("stalk", tube(line, width, 0.0007, side, 8)))
     middle = float((profile[:, 1].max()) / 2)
     ball = min(diameter / 2, middle)
     waist = max(diameter / 2 - ball, 0.0)
