@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -36,6 +37,7 @@ from yamsim_cli.core.skills.grips import Grip
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
+from yamsim_cli.kitchenbench.catalog import thing_of
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.judges import KitchenWorld
 from yamsim_cli.kitchenbench.motion import Motion, commanded_opening, commanded_share, fingers_of
@@ -164,6 +166,29 @@ def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
     assert isinstance(give, Handover) and give.to == "left"
 
 
+@pytest.mark.parametrize(
+    ("scene", "conditions", "expected_mm"),
+    [
+        ("cup-narrow", {"slot_index": 1, "slot_width_cm": 6}, -120.0),
+        ("cup-narrow", {"slot_index": 5, "slot_width_cm": 6}, 120.0),
+        # Slots of 8 cm: three of them have room, and the last is the nearest to the fifth.
+        ("cup-narrow", {"slot_index": 5, "slot_width_cm": 8}, 80.0),
+        # A bowl over the outermost slot would stand in the bow.
+        ("bowl-tilt", {"slot_index": 3}, 35.0),
+        ("bowl-tilt", {"slot_index": 1}, -35.0),
+    ],
+)
+def test_a_dish_goes_into_the_slot_that_is_asked_for_or_the_nearest_that_fits(
+    scene: str, conditions: dict[str, int], expected_mm: float
+) -> None:
+    blueprint = replace(build_blueprint(SCENES[f"place-in-rack-{scene}"], 0), conditions=conditions)
+    where = open_base("64x48", images=False).locations
+    items = {item.name: thing_of(item, conditions, where) for item in blueprint.objects}
+    place = program_of(blueprint, items, BASES)[1]
+    assert isinstance(place, Place) and place.at is not None
+    assert [1000 * x for x in place.at] == pytest.approx([expected_mm, 0.0])
+
+
 def test_what_nobody_can_do_is_named() -> None:
     blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("pour")), 0)
     with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
@@ -244,11 +269,20 @@ class _Still:
 
 
 @pytest.mark.slow
-def test_two_cups_are_stacked(tmp_path: object) -> None:
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        ("stack", "stack-tight-spacing"),
+        ("fold_cloth", "fold-cloth-napkin-half"),
+        ("place_in_rack", "place-in-rack-bowl-tilt"),
+        ("place_in_rack", "place-in-rack-wet-slippery"),
+    ],
+)
+def test_the_expert_solves_scenes_of_the_benchmark(name: str, scene: str, tmp_path: object) -> None:
     """By the benchmark's own task, scored by its own scorer."""
-    task = tasks.TASK_FACTORIES["stack"]()
-    task.scenes = [scene for scene in task.scenes if scene.id == "stack-tight-spacing"]
+    task = tasks.TASK_FACTORIES[name]()
+    task.scenes = [one for one in task.scenes if one.id == scene]
     task.epochs = 1
     (log,) = evaluate(task, policy=YamsimExpert(), embodiment=YamsimEmbodiment(images=False), log_dir=str(tmp_path))
     assert log.status == "success"
-    assert [scene.reduced["task_success"] for scene in log.samples] == [1.0]
+    assert [one.reduced["task_success"] for one in log.samples] == [1.0]

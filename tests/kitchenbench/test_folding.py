@@ -11,18 +11,16 @@ import pytest
 pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
 pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 
-from inspect_robots import eval as evaluate
 from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import edges
-from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
 from yamsim_cli.kitchenbench.folding import block_area, possible_folds, required_area
 from yamsim_cli.kitchenbench.judges import KitchenWorld
 from yamsim_cli.kitchenbench.motion import Motion
-from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert
+from yamsim_cli.kitchenbench.policy import PlanningScene
 from yamsim_cli.kitchenbench.scene import Realization, open_base, realize
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
@@ -144,16 +142,6 @@ def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
 
 
 @pytest.mark.slow
-def test_a_napkin_is_folded(tmp_path: object) -> None:
-    """By the benchmark's own task, scored by its own scorer."""
-    task = tasks.TASK_FACTORIES["fold_cloth"]()
-    task.scenes = [scene for scene in task.scenes if scene.id == "fold-cloth-napkin-half"]
-    task.epochs = 1
-    (log,) = evaluate(task, policy=YamsimExpert(), embodiment=YamsimEmbodiment(images=False), log_dir=str(tmp_path))
-    assert log.status == "success"
-    assert [scene.reduced["task_success"] for scene in log.samples] == [1.0]
-
-
 @pytest.mark.client_heavy  # a minute or three
 def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
     """By the benchmark's checker, within its 120 actions."""

@@ -21,6 +21,7 @@ from ..session import Session
 from ..trials import FilmedTrial, TrialFilmer, TrialFilms, film_jobs, run_trials, tally, what_ran
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
+from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from .choice import PolicyChoice
 from .policy_trial import MEASURED, Ended, TrialResult, TrialRunner
@@ -41,8 +42,13 @@ class Evaluation:
     instances: tuple[str, ...]
 
 
-def evaluate(session: Session, choice: PolicyChoice, progress: Progress) -> Evaluation:
+def evaluate(
+    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
+) -> Evaluation:
     """Run trials of a policy, as many as the config's `episodes`, from the starts of `trials` with the same seed.
+
+    Args:
+        trial_seconds: real time after which a worker that does not finish its trial is ended, s.
 
     Raises:
         UsageError, ResourceError: the policy cannot be made.
@@ -52,7 +58,7 @@ def evaluate(session: Session, choice: PolicyChoice, progress: Progress) -> Eval
     config = session.config
     n = config.episodes
     factory = functools.partial(TrialRunner, session, choice)
-    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n)) as pool:
+    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
         results = run_trials(pool, config.seed, n, progress, _lost)
     results.sort(key=lambda result: result.attempt.job.attempt)
     instances = tuple(instance_of(session, result.attempt.job) for result in results)
