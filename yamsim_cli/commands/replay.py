@@ -64,9 +64,7 @@ def replay(
 
     stored, where = find_episode(episode, number), opener.locations()
     if render and not isinstance(stored, StoredEpisode):
-        raise UsageError(
-            "--render: a real recording cannot be rendered; leave --render out to show its recorded pictures"
-        )
+        raise UsageError("--render: a real recording was not simulated; leave --render out to show its pictures")
     if video is None:
         watch(stored, where, speed, choose_viewer(web, port, host), json)
         return
