@@ -239,7 +239,7 @@ def _failure(certified: Certified) -> str:
     code = certified.failed[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
     more = f" (and {len(certified.failed) - 1} more)" if len(certified.failed) > 1 else ""
-    return f"{certified.looked.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
+    return f"{certified.subject.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
 
 
 @app.command("import")
@@ -374,7 +374,7 @@ def _ycb_item(made: ImportedObject) -> dict[str, Any]:
 
 def _file_item(imported: ImportedFile) -> dict[str, Any]:
     config, made = imported.config, imported.made
-    fits = [touch.fit for touch in made.touches if touch.fit is not None]
+    fits = [part.fit for part in made.collision if part.fit is not None]
     return {
         "name": config.name,
         "path": str(imported.path),
@@ -383,8 +383,8 @@ def _file_item(imported: ImportedFile) -> dict[str, Any]:
         "mass_is_a_guess": made.guessed,
         "closed": made.closed,
         "collision": {
-            "kind": made.touches[0].kind,
-            "parts": sum(len(touch.parts) for touch in made.touches),
+            "kind": made.collision[0].kind,
+            "parts": sum(len(part.parts) for part in made.collision),
             "p99_mm": round(1000 * max(fit.most for fit in fits), 3) if fits else None,
         },
         "meshes": len(config.all_meshes),

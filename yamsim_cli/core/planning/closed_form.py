@@ -23,6 +23,7 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, inverse, pose
 
@@ -244,7 +245,7 @@ def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
     return (middle + half, middle - half) if half else (middle,)
 
 
-def _all_solved(a: Array, b: Array, c: Array) -> Iterator[tuple[Array, Array]]:
+def _all_solved(a: Array, b: Array, c: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
     """Yield both angles (n,) with `a cos q + b sin q = c`, and whether q is determined; NaN without a solution."""
     length = np.hypot(a, b)
     sure = length > _LOOSE

@@ -17,6 +17,7 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writing.opening import OpenMode
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import PartialJobError
+from ..record.destination import config_as_stated
 from ..scene.build import noting_meshes
 from ..session import Session
 from ..show.view import require_page, task_viewpoint
@@ -170,7 +171,7 @@ def open_teleop(
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
-        for number in sorted(writer.untold):
+        for number in sorted(writer.lost_lines):
             # A demonstration cannot be made again, which the ledger states from now on.
             writer.log(writer.attempts[number])
         for lost in writer.missing:

@@ -22,7 +22,7 @@ _Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
 _Grams = Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
 _Box = tuple[_Size, _Size, _Size]
 
-T = TypeVar("T", vessels.Vessel, boxes.Container, cutlery.Cutlery)
+T = TypeVar("T")
 
 Stuff = Literal[
     "steel", "aluminium", "stoneware", "porcelain", "glass", "polypropylene", "nylon", "wood", "cardboard", "cotton",
@@ -262,14 +262,16 @@ def _m(mm: float) -> float:
 
 def _in_metres(kind: type[T], shape: _Shape) -> T:
     """A dataclass of geometry whose fields are those of a shape: `wall` is `wall_mm` in m."""
+    dataclass: Any = kind
     values: dict[str, Any] = {}
-    for field in fields(kind):
+    for field in fields(dataclass):
         mm = getattr(shape, f"{field.name}_mm", None)
         if mm is None:
             values[field.name] = getattr(shape, field.name, None)
         else:
             values[field.name] = _size(mm) if isinstance(mm, tuple) else _m(mm)
-    return kind(**values)
+    made: T = dataclass(**values)
+    return made
 
 
 def _size(mm: tuple[float, float, float]) -> tuple[float, float, float]:
