@@ -11,8 +11,7 @@ import numpy as np
 
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.planning.arm_tools import start_stands

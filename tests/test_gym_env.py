@@ -15,9 +15,8 @@ import pytest
 from tests.core.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.payload import frames
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.session import Session
 

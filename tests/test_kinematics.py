@@ -14,7 +14,7 @@ import pytest
 
 from tests.core.attempts import planned
 from tests.pages import snippet
-from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError

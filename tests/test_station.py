@@ -10,7 +10,7 @@ import pytest
 
 from tests.core.attempts import planned
 from yamsim_cli.api import PROGRAM
-from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.session import Session

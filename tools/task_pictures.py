@@ -53,7 +53,7 @@ def first_success(session: Session) -> Iterator[tuple[Simulator, Simulated]]:
     """Give the first success of seed 0, with the simulator that it was made in."""
     from yamsim_cli.core.attempt.engine import demonstrate
     from yamsim_cli.core.attempt.sampling import sample
-    from yamsim_cli.core.attempt.simulators import Simulators
+    from yamsim_cli.core.attempt.simulator import Simulators
     from yamsim_cli.core.types import EpisodeJob
 
     with Simulators(session) as simulators:
@@ -74,7 +74,7 @@ def pictures(
     Args:
         moments: shares of the attempt's frames, 0 for the first and 1 for the last one.
     """
-    from yamsim_cli.core.attempt.pictures import render
+    from yamsim_cli.core.attempt.payload import render
 
     shown = [done.states[round(moment * (len(done.states) - 1))].qpos for moment in moments]
     return [render(simulator, done.attempt, qpos, cameras) for qpos in shown]

@@ -20,8 +20,7 @@ import numpy as np
 
 from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.episode.rules import REPEATED_RULES

@@ -10,7 +10,7 @@ import numpy as np
 from tests.bench.setting import Stopwatch
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.engine import Simulated, repeat
-from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.files import publish_directory

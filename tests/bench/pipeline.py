@@ -20,7 +20,7 @@ from tests.bench.plain import PlainPipeline, plain_setting
 from tests.bench.setting import Stopwatch, setting
 from tests.core.attempts import planned
 from yamsim_cli.core.attempt.engine import Simulated
-from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.payload import render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.record.collect import Notifier

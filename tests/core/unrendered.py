@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from tests.core.attempts import planned
-from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.payload import versions
+from yamsim_cli.core.attempt.payload import frames, versions
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG, EPISODE, episode_name, image_name, lowdim_name

@@ -22,7 +22,7 @@ from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import UsageError

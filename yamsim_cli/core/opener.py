@@ -98,7 +98,7 @@ class Opener:
             ConfigError, UsageError: a value is not valid.
             ResourceError: no OpenGL backend works.
         """
-        from .attempt.first_starts import check_starts
+        from .attempt.sampling import check_starts
 
         where = self.locations()
         for setting in ("object", "target"):

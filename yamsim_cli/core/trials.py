@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from .attempt.engine import Simulated, demonstrate
-from .attempt.pictures import render
+from .attempt.payload import render
 from .attempt.runner import EpisodeRunner
 from .attempt.sampling import sample
-from .attempt.simulator import Simulator
-from .attempt.simulators import Simulators
+from .attempt.simulator import Simulator, Simulators
 from .closing import Closing
 from .config.program_task import ProgramTask
 from .config.recording import SCENE_CAMERA, RecordConfig

@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 
 from .attempt.engine import demonstrate, repeat
-from .attempt.frames import frames as made_frames
-from .attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, versions
-from .attempt.pictures import image_files
+from .attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, image_files, versions
+from .attempt.payload import frames as made_frames
 from .attempt.sampling import sample
-from .attempt.simulator import Simulator
-from .attempt.simulators import Simulators
+from .attempt.simulator import Simulator, Simulators
 from .closing import Closing
 from .dataset.compare import Comparison, Difference, compare_frames, compare_values
 from .dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name

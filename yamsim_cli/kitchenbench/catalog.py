@@ -18,7 +18,7 @@ from ..core.config.things.thing import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.resources import Locations
 from ..core.scene.compiled import CompiledScene
-from ..core.sim.crumple import crumpled
+from ..core.sim.cloth import crumpled
 
 # Asset -> object config. Compartments are parts of the tray, and cloth is in `SHEETS`.
 _THINGS = {

@@ -22,7 +22,7 @@ from inspect_robots.spaces import StateField, StateSpec
 from kitchenbench.sim import build_blueprint
 
 from .. import __version__
-from ..core.attempt.pictures import render
+from ..core.attempt.payload import render
 from ..core.attempt.simulator import Simulator
 from ..core.config.recording import RecordConfig
 from ..core.errors import UsageError

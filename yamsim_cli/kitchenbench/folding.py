@@ -17,12 +17,11 @@ from ..core.geometry.se3 import Array
 from ..core.geometry.smoothing import Point
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
-from ..core.skills.bench import Bench, Segment
+from ..core.skills.bench import Bench, Segment, SkillFailedError
 from ..core.skills.cloth.flatten import spread
 from ..core.skills.cloth.hands import carry
 from ..core.skills.cloth.reach import Lay, Taken, at, reached
 from ..core.skills.cloth.slide import SPEED, slid
-from ..core.skills.errors import SkillFailedError
 from ..core.skills.moves import idle, recover
 from ..core.types import Cause
 from .places import T_in_world

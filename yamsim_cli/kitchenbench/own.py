@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.attempt.episodes import open_episode
+from ..core.attempt.engine import open_episode
 from ..core.attempt.sampling import no_start, sample
-from ..core.attempt.simulator import Simulator
-from ..core.attempt.simulators import simulator_for
+from ..core.attempt.simulator import Simulator, simulator_for
 from ..core.config.program_task import ProgramTask
 from ..core.episode.episode import Episode
 from ..core.episode.rules import EndRule, EpisodeRules

@@ -23,8 +23,7 @@ from ..core.geometry.se3 import Array
 from ..core.goals.cast import Cast
 from ..core.planning.arm_tools import start_stands
 from ..core.skills.base import Skill
-from ..core.skills.bench import Bench, Segment
-from ..core.skills.errors import SkillFailedError
+from ..core.skills.bench import Bench, Segment, SkillFailedError
 from ..core.skills.moves import park_free
 from ..core.skills.program import RecoveryLog, run_program
 from ..core.tasks.randomness import Stream, generator

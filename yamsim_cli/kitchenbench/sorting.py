@@ -16,8 +16,7 @@ from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..core.goals.cast import Cast
 from ..core.sim.world import SimWorld
 from ..core.skills.base import Side, Skill, holder_of
-from ..core.skills.bench import Bench, Fingers, Segment
-from ..core.skills.errors import SkillFailedError
+from ..core.skills.bench import Bench, Fingers, Segment, SkillFailedError
 from ..core.skills.hand import PASSING, Hand
 from ..core.skills.handover import Handover
 from ..core.skills.insert import Insert

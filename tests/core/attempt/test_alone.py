@@ -9,7 +9,7 @@ from yamsim_cli.core.attempt.alone import reachable_places, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import GraspPoint, ObjectConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.bench import SkillFailedError
 
 
 def load(name: str, locations: Locations) -> ObjectConfig:

@@ -12,8 +12,7 @@ import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate, repeat
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.episode import check_episode
 from yamsim_cli.core.dataset.checks.problem import Problems

@@ -15,7 +15,7 @@ from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import SIZE, change_frame, read_frame, write_dataset
 from yamsim_cli.core.attempt.engine import repeat
-from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults

@@ -12,8 +12,7 @@ import pytest
 
 from tests.core.attempts import all_actions, planned
 from yamsim_cli.core.attempt.engine import demonstrate, repeat, with_room
-from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.payload import frames, render
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator

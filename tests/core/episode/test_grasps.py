@@ -13,8 +13,7 @@ import pytest
 from tests.core.attempts import start_of
 from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.episode.episode import Episode
 from yamsim_cli.core.episode.grasps import ClothGrasp, FrictionGrasp, WeldGrasp, attach, grasp_of, weld_holds

@@ -15,8 +15,7 @@ import pytest
 
 from tests.core.attempts import planned
 from tests.core.policies import sample_policies
-from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.payload import frames, render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError

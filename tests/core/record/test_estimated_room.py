@@ -14,8 +14,7 @@ from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output, open_destination
-from yamsim_cli.core.skills.durations import SKILL_SECONDS, typical_ticks
-from yamsim_cli.core.skills.program import SKILLS
+from yamsim_cli.core.skills.program import SKILL_SECONDS, SKILLS, typical_ticks
 
 # Frames of one recorded episode: `yamsim record --task TASK --n 1 --seed 0 --size 64x48 --quality fast`.
 RECORDED_FRAMES = {

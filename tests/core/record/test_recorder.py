@@ -16,7 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.mounts import Mount
-from yamsim_cli.core.skills.durations import typical_ticks
+from yamsim_cli.core.skills.program import typical_ticks
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from yamsim_cli.core.workers.stop import Stop
 

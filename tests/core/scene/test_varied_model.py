@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.opener import Opener

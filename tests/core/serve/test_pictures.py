@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.payload import render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import SimulationError

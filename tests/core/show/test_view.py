@@ -20,8 +20,7 @@ from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
 from tests.programs import FOLD, ONTO_PLATE, first_attempt, session_of
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig

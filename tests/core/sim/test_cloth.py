@@ -13,17 +13,16 @@ import pytest
 from tests.programs import FOLD, changed, first_attempt, session_of, started
 from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.payload import frames
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.sheets import crossings
 from yamsim_cli.core.scene.cloth import edges, triangles
-from yamsim_cli.core.sim import crumple
-from yamsim_cli.core.sim.imagined import pulled
-from yamsim_cli.core.sim.led import led
+from yamsim_cli.core.sim import cloth as crumple
+from yamsim_cli.core.sim.cloth import led, pulled
 from yamsim_cli.core.sim.shapes import geom_bounds
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions, Cause

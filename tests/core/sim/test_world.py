@@ -11,8 +11,7 @@ import pytest
 
 from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.planning.arm_tools import start_stands

@@ -9,7 +9,7 @@ import pytest
 
 from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.skills.contradictions import program_contradiction
+from yamsim_cli.core.skills.checked import program_contradiction
 
 PICK = {"pick": {"thing": "cube"}}
 GIVE = {"handover": {"thing": "cube"}}

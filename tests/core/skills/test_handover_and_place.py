@@ -9,7 +9,7 @@ import pytest
 from tests.programs import STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob

@@ -11,8 +11,7 @@ from yamsim_cli.core.documents.base import ConflictError
 from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.skills import program
 from yamsim_cli.core.skills.base import Skill
-from yamsim_cli.core.skills.bench import Bench, Segment
-from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.bench import Bench, Segment, SkillFailedError
 from yamsim_cli.core.skills.hand import Hand
 from yamsim_cli.core.skills.operate import Operate
 from yamsim_cli.core.skills.pick import Pick

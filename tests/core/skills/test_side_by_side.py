@@ -13,7 +13,7 @@ from tests.programs import STATION
 from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.planning.arm_tools import start_stands

@@ -9,7 +9,7 @@ import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.skills.program import SKILLS
 
 CUBE = {"of": "cube_red"}

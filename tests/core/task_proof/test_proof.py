@@ -9,7 +9,7 @@ import pytest
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.task_proof.catalog import task_there, tasks_there

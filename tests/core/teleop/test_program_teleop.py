@@ -15,7 +15,7 @@ from tests.core.teleop.test_teleop import play
 from tests.core.teleop.tray import Tray
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.episode.rules import EndRule
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.core.session import Session

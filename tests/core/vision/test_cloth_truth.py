@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, first_attempt, session_of
-from yamsim_cli.core.attempt.ground_truth import EpisodeTruth
-from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.payload import EpisodeTruth
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, truth_name
 from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, Visibility, array_faults, load_truth

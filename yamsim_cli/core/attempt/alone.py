@@ -27,14 +27,13 @@ from ..resources import Locations
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..skills.base import Skill
-from ..skills.bench import Bench
-from ..skills.errors import SkillFailedError
+from ..skills.bench import Bench, SkillFailedError
 from ..skills.grips import grips
 from ..skills.pick import Pick, Reach
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
 from ..types import Cause, EpisodeJob
-from .episodes import open_episode
+from .engine import open_episode
 from .sampling import no_start, sample
 from .simulator import Simulator
 

@@ -13,7 +13,7 @@ from ..types import EpisodeJob, EpisodePayload
 from .engine import demonstrate
 from .payload import payload, result
 from .sampling import sample
-from .simulators import Simulators
+from .simulator import Simulators
 
 # Where meshes are shown, when a worker's are not the recorder's.
 _PLACES = ("for the recorder", "there")

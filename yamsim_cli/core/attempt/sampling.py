@@ -9,11 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from ..config.recording import RecordConfig
+from ..documents.base import ConflictError
 from ..episode.rules import EpisodeRules
 from ..geometry.se3 import Array, pose
+from ..goals.world import TABLE
 from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
-from ..sim.crumple import crumpled
+from ..session import Session
+from ..sim.cloth import crumpled
 from ..sim.settle import settle
 from ..sim.world import world_of
 from ..tasks.casting import BlockOf, Placed, draw_phrasing, draw_places
@@ -21,9 +24,9 @@ from ..tasks.randomness import Stream, generator
 from ..tasks.sampled_variation import sample_variation
 from ..types import Attempt, EpisodeJob, Layout
 from ..variation import Variation
-from .episodes import open_episode
+from .engine import open_episode
 from .expert import sides
-from .simulator import Simulator
+from .simulator import Simulator, Simulators
 
 MAX_DRAWS = 20  # draws of the start in which the goal holds already, after which an attempt has no start
 HOLDS_ALREADY = "the goal holds already at the start"
@@ -124,3 +127,30 @@ def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> A
                 share = float(rng.uniform(*how.crumpled))
                 start = crumpled(scene, start, name, rng, share, task.timing.timestep)
     return start
+
+
+# So many attempts without a start are taken for a task that has none; mostly, the first one has one.
+_FIRST = 3
+
+
+def check_starts(session: Session) -> None:
+    """Make sure that one of the first attempts of a task has a start.
+
+    Raises:
+        ConflictError: none has: its goal holds already, or its things have no room; the path is where, from the config.
+        SimulationError: its scene cannot be compiled.
+    """
+    task = session.config.task
+    with Simulators(session.without_meshes()) as simulators:
+        for number in range(_FIRST):
+            job = EpisodeJob(session.config.seed, number)
+            simulator = simulators.of(job)
+            attempt = sample(simulator, job)
+            if attempt.layout is not None:
+                return
+            why = no_start(simulator, attempt)
+    told = f"{why}; none of the first {_FIRST} attempts of seed {session.config.seed} has a start"
+    if why.startswith(HOLDS_ALREADY):
+        raise ConflictError(told, ("task", "goal"))
+    role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
+    raise ConflictError(told, ("task", "starts", role))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import OrderedDict
 
 from ..closing import Closing
 from ..errors import SimulationError
@@ -13,7 +14,8 @@ from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..sim.placement import DistractorPlacer
 from ..sim.replica import Replica
-from ..types import Attempt
+from ..tasks.casting import draw_cast
+from ..types import Attempt, EpisodeJob
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import SceneRenderer
 from .expert import ExpertTools
@@ -111,3 +113,53 @@ def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     things = (*config.task.objects, *config.randomization.extras)
     names = [item.name for item in things]
     return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
+
+
+# How many are kept: each holds a compiled scene, and a renderer once it has rendered.
+_KEPT = 4
+
+_Key = tuple[tuple[str, str, float], ...]
+
+
+def cast_for(session: Session, job: EpisodeJob) -> Cast:
+    """Return who plays which role in an attempt."""
+    return draw_cast(session.config.task, job)
+
+
+def simulator_for(session: Session, job: EpisodeJob) -> Simulator:
+    """Return a simulator of the things of an attempt.
+
+    Raises:
+        SimulationError: its scene cannot be compiled, or a thing not be made in its size.
+    """
+    cast = cast_for(session, job)
+    return Simulator(played_session(session, cast), cast)
+
+
+class Simulators(Closing):
+    """Makes simulators and keeps the latest few. Close it, or use it as a context manager."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._made: OrderedDict[_Key, Simulator] = OrderedDict()
+
+    def of(self, job: EpisodeJob) -> Simulator:
+        """The simulator in which an attempt takes place; use it before the next one is asked for.
+
+        Raises:
+            SimulationError: its scene cannot be compiled.
+        """
+        cast = cast_for(self.session, job)
+        key = tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
+        if key in self._made:
+            self._made.move_to_end(key)
+            return self._made[key]
+        while len(self._made) >= _KEPT:
+            self._made.popitem(last=False)[1].close()
+        made = self._made[key] = Simulator(played_session(self.session, cast), cast)
+        return made
+
+    def close(self) -> None:
+        """Free all renderers."""
+        while self._made:
+            self._made.popitem()[1].close()

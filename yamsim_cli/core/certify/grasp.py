@@ -27,7 +27,7 @@ from ..robots.robot import Robot
 from ..scene.compiling import breakdown
 from ..scene.compose import hold_by_friction
 from ..scene.robot import arm_spec, finger_places
-from ..skills.errors import SkillFailedError
+from ..skills.bench import SkillFailedError
 from .outcome import CheckOutcome, CheckView, short, unchecked
 from .subject import Subject, bare_spec, compiled, step, with_camera
 

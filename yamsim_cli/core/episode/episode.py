@@ -18,8 +18,7 @@ from ..sim.world import SimWorld, world_of
 from ..types import Actions, Cause, EpisodeJob, Holds, Margins, StepState
 from .grasps import grasp_of, weld_holds
 from .held import HeldThings
-from .limits import limits_fault
-from .monitor import Monitor
+from .monitor import Monitor, limits_fault
 from .rules import End, EndReason, EndRule, EpisodeRules
 
 #: Called with the start, and with the state after every physics step, which it must not change.

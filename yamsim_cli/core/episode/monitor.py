@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -80,3 +82,16 @@ class Monitor:
         if forbidden.any():
             names = " and ".join(self._model.geom(int(geom)).name for geom in geoms[forbidden][0])
             self.collision = f"{names} touch after {data.time:.2f} s"
+
+
+STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be; stops are soft in physics
+
+
+def limits_fault(margins: Margins) -> str | None:
+    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; None if none."""
+    if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
+        return None
+    return (
+        f"a joint at {margins.velocity:.0%} of its motor's speed, a drive at {margins.torque:.0%} of its torque, "
+        f"{math.degrees(margins.joint):.1f} deg from the nearest stop"
+    )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..attempt.engine import repeat
-from ..attempt.simulators import cast_for
+from ..attempt.simulator import cast_for
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
 from ..dataset.statistics import spread, wilson95

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..attempt.pictures import depth_mm, recorded_pictures
-from ..attempt.simulator import Simulator
-from ..attempt.simulators import Simulators
+from ..attempt.payload import depth_mm, recorded_pictures
+from ..attempt.simulator import Simulator, Simulators
 from ..closing import Closing
 from ..dataset.disk_faults import explain
 from ..dataset.layout import depth_name

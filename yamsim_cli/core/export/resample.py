@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..attempt.engine import repeat
-from ..attempt.frames import frames
-from ..attempt.payload import versions
+from ..attempt.payload import frames, versions
 from ..attempt.simulator import Simulator
 from ..dataset.lowdim import planned_joints, recorded_actions
 from ..dataset.reader import StoredEpisode

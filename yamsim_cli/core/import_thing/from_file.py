@@ -16,7 +16,7 @@ from ..documents.document import dump_yaml
 from ..errors import ResourceError, UsageError
 from ..files import sha256_bytes, sha256_file, write_file
 from ..resources import Locations
-from ..skills.errors import SkillFailedError
+from ..skills.bench import SkillFailedError
 from ..thing_files.read import UnitOptions, read_thing
 from ..things.convex import CACHE, Share
 from ..things.make import ImportOptions, Made, make

@@ -19,7 +19,7 @@ from ..dataset.writing.writer import DatasetWriter
 from ..errors import InterruptedJobError
 from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
-from ..skills.durations import typical_ticks
+from ..skills.program import typical_ticks
 from ..workers.stop import Stop
 from .collect import Notifier, Sink
 

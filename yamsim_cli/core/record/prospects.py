@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..attempt.sampling import sampled_places
-from ..attempt.simulators import Simulators
+from ..attempt.simulator import Simulators
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord
 from ..errors import PartialJobError, SimulationError, YamsimError

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator
-from ..attempt.simulators import simulator_for
+from ..attempt.simulator import Simulator, simulator_for
 from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..errors import SimulationError, UsageError
 from ..geometry.se3 import Array

@@ -11,8 +11,8 @@ from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
 
-from ..attempt.pictures import render
-from ..attempt.simulators import simulator_for
+from ..attempt.payload import render
+from ..attempt.simulator import simulator_for
 from ..errors import ResourceError, SimulationError, YamsimError
 from ..geometry.se3 import Array
 from ..images.image import Image

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..attempt.sampling import no_start, sample
-from ..attempt.simulators import Simulators
+from ..attempt.simulator import Simulators
 from ..config.recording import RecordConfig
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file, refusal, staged_directory, write_file

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ..attempt.pictures import render
-from ..attempt.simulator import Simulator
-from ..attempt.simulators import simulator_for
+from ..attempt.payload import render
+from ..attempt.simulator import Simulator, simulator_for
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
 from ..dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, recorded_images

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.se3 import Array, pose
-from ..geometry.sheets import between, nearest_of_layers
-from ..scene.cloth import triangles
+from ..geometry.se3 import Array, pose, rotation_z
+from ..geometry.sheets import between, crossings, nearest_of_layers
+from ..scene.cloth import edges, triangles
 from ..scene.compiled import CompiledScene, Kind, SceneCloth
+from .settle import settle
 
 # A hand takes cloth only with fingers that are closed so far, each, and that press at least so hard; it lets go once
 # they are told to open by so much more than they are. m, N, m.
@@ -156,3 +161,142 @@ def between_pads(cloth: SceneCloth, points: Array, T_pinch_in_world: Array) -> N
     if cloth.by_layers:
         found = np.union1d(found, nearest_of_layers(seen, triangles(*cloth.grid), _LINES, deep))
     return found
+
+
+# What is led weighs so much, kg. MuJoCo finds how all points move together: a point that weighs a tenth of a gramme
+# would come back to the rest of the cloth instead of taking that along, and cloth would stretch tenfold.
+_HEAVY = 1.0
+
+
+@contextmanager
+def led(
+    model: mujoco.MjModel, data: mujoco.MjData, cloth: SceneCloth, points: NDArray[np.int_]
+) -> Iterator[Callable[[Array], None]]:
+    """Lead points of a cloth, by their numbers (n,): each call of what is yielded makes a step of physics, after which
+    they are where it says (n, 3), in `world`, m.
+
+    Their masses in the model are others meanwhile.
+    """
+    dof = cloth.dof[points]
+    bodies = model.dof_bodyid[dof[:, 0]]
+    masses, inertias = model.body_mass[bodies].copy(), model.dof_M0[dof].copy()
+
+    def step(at: Array) -> None:
+        qpos = at - cloth.rest[points]
+        data.qvel[dof] = (qpos - data.qpos[cloth.qpos[points]]) / model.opt.timestep
+        mujoco.mj_step(model, data)
+        data.qpos[cloth.qpos[points]] = qpos
+
+    try:
+        model.body_mass[bodies], model.dof_M0[dof] = _HEAVY, _HEAVY
+        yield step
+    finally:
+        model.body_mass[bodies], model.dof_M0[dof] = masses, inertias
+
+
+# What lifts a point of cloth moves so fast, m/s, and so high at least: by the smaller one of so many m, and so much of
+# the cloth's half diagonal. It misses the way to the middle by so much at most, rad.
+_SPEED = 0.3
+_LOWEST, _OF_SMALL = 0.08, 0.3
+_ASIDE = 0.5
+
+# Fabric does not pass through itself, nor into what it lies on. Cloth that does after it was dropped, by this share of
+# its thickness, or that is not as high as so many layers, is taken anew, so often at most.
+_TRIES = 40
+_SUNK = 0.5
+_CRUMPLED = 4.0
+
+# Crumpled cloth goes on sinking for so many times as long as other things take to come to rest, at most.
+_SETTLINGS = 3
+
+
+def crumpled(
+    scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
+) -> Array:
+    """MuJoCo's positions (nq,) with a cloth at rest that was taken at a point of its outer half, lifted, brought about
+    towards its middle, let down half-way, and dropped; anew until it lies as crumpled fabric can.
+
+    Args:
+        start: MuJoCo's positions (nq,), in which the cloth lies flat.
+        rng: chooses the point, and the way.
+        share: how high it is lifted, of the cloth's half diagonal; it is brought by twice that share of the way.
+        timestep: of physics, s.
+    """
+    lying = scene.cloths[cloth]
+    ends, corners = edges(*lying.grid), triangles(*lying.grid)
+    lowest = float(lying.points(start)[:, 2].min()) - _SUNK * lying.thickness
+    faults: list[int] = []
+    tried: list[Array] = []
+    while len(tried) < _TRIES and 0 not in faults:
+        tried.append(_dropped(scene, start, lying, rng, share, timestep))
+        points = lying.points(tried[-1])
+        low = float(np.ptp(points[:, 2])) < (_CRUMPLED - 1) * lying.thickness
+        faults.append(crossings(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
+    return tried[int(np.argmin(faults))]
+
+
+def _dropped(
+    scene: CompiledScene, start: Array, lying: SceneCloth, rng: np.random.Generator, share: float, timestep: float
+) -> Array:
+    """The same, once, however it lies."""
+    points = lying.points(start)
+    middle = points.mean(axis=0)
+    away = np.linalg.norm(points - middle, axis=1)
+    k = int(rng.choice(np.flatnonzero(away > 0.5 * away.max())))
+    heading = rng.uniform(-_ASIDE, _ASIDE)
+    across = 2 * share * rotation_z(heading)[:2, :2] @ (middle - points[k])[:2]
+    up = max(min(_LOWEST, _OF_SMALL * float(away.max())), share * float(away.max()))
+    ways = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, start)
+    at = points[[k]]
+    with led(scene.model, data, lying, np.array([k])) as lead:
+        for way in ways:
+            steps = max(1, int(np.linalg.norm(way) / _SPEED / timestep))
+            for _ in range(steps):
+                at = at + way / steps
+                lead(at)
+    dropped = start.copy()
+    dropped[lying.qpos] = data.qpos[lying.qpos]
+    for _ in range(_SETTLINGS):
+        dropped = settle(scene, dropped, timestep)
+    return dropped
+
+
+# What is let go comes to rest for so long, s.
+_REST = 0.5
+
+
+def pulled(
+    data: mujoco.MjData,
+    model: mujoco.MjModel,
+    cloth: SceneCloth,
+    patches: Sequence[NDArray[np.int_]],
+    ways: Sequence[Array],
+    arch: float,
+    seconds: float,
+) -> Array:
+    """Where a cloth's points (along y, along x, 3) would be in `world` if patches of it were taken elsewhere, m.
+
+    Args:
+        data: as everything is now; it stays so.
+        patches: the numbers (n,) of the points that each hand holds.
+        ways: where to each patch is brought from where it is (3,), m.
+        arch: how high it is lifted between, as a share of the way.
+        seconds: how long that takes.
+    """
+    imagined = mujoco.MjData(model)
+    mujoco.mj_copyData(imagined, model, data)
+    points = np.concatenate(patches)
+    way = np.concatenate([np.tile(way, (len(patch), 1)) for patch, way in zip(patches, ways, strict=True)])
+    up = np.array([0.0, 0.0, arch * float(np.linalg.norm(way[:, :2], axis=1).max())])
+    start, timestep = cloth.points(imagined.qpos)[points], model.opt.timestep
+    steps = max(1, math.ceil(seconds / timestep))
+    with led(model, imagined, cloth, points) as lead:
+        for step in range(1, steps + 1):
+            share = (1 - math.cos(math.pi * step / steps)) / 2
+            lead(start + share * way + math.sin(math.pi * share) * up)
+    for _ in range(math.ceil(_REST / timestep)):
+        mujoco.mj_step(model, imagined)
+    columns, rows = cloth.grid
+    return cloth.points(imagined.qpos).reshape(rows, columns, 3)

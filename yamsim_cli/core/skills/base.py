@@ -10,8 +10,7 @@ from ..documents.base import Config
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..types import Cause
-from .bench import Bench, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Segment, SkillFailedError
 from .hand import Hand
 
 # Which arm a skill uses: by its side, or by its turn, see `RecordConfig.arm`.

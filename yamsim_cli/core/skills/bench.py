@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import mujoco
 import numpy as np
@@ -15,16 +15,15 @@ from ..config.things.thing import ObjectConfig
 from ..geometry.attitudes import steady_attitudes
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.world import TABLE
-from ..planning.joint_motion import LINE_SPEED, ease, straight, traced
+from ..planning.joint_motion import LINE_SPEED, clear, ease, straight, through, traced
 from ..planning.obstacles import Load, Obstacles
+from ..planning.tree_search import search
 from ..sim.antipodal import Span, spans
 from ..sim.shapes import geom_corners
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
-from .errors import SkillFailedError
 from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips, weld_grips
-from .hand import Hand, Held
-from .ways import free_way
+from .hand import PASSING, Hand, Held
 
 _GRAVITY = 9.81
 
@@ -362,3 +361,105 @@ class Bench:
 
 def _filled(joints: Array, ticks: int) -> Array:
     return np.concatenate([joints, np.tile(joints[-1], (ticks + 1 - len(joints), 1))])
+
+
+class SkillFailedError(Exception):
+    """A skill found no way, or its effect did not come about. It is data, and no error of the program.
+
+    Attributes:
+        cause: as an outcome tells it.
+    """
+
+    def __init__(self, cause: Cause, detail: str) -> None:
+        super().__init__(detail)
+        self.cause = cause
+
+
+T = TypeVar("T")
+
+
+class CachedIterable(Generic[T]):
+    """An iterable that takes elements from its source when they are first asked for, and keeps them.
+
+    Args:
+        source: is iterated once.
+    """
+
+    def __init__(self, source: Iterable[T]) -> None:
+        self._source, self._kept = iter(source), list[T]()
+
+    def __iter__(self) -> Iterator[T]:
+        k = 0
+        while True:
+            while k < len(self._kept):
+                yield self._kept[k]
+                k += 1
+            try:
+                self._kept.append(next(self._source))
+            except StopIteration:
+                return
+
+
+# Over the table, a hand that crosses it stays at least so high, m.
+_CROSSING = 0.22
+_RAISE = 0.05
+
+# A hand leaves what it touches in steps of so much, m, so many at most.
+_LEAVING, _LEAVING_STEPS = 0.02, 6
+
+# What an arm would touch with joints (dof,); None is nothing.
+Touched = Callable[[Array], str | None]
+
+
+def free_way(hand: Hand, goal: Array, touched: Touched, tick: float, rng: np.random.Generator) -> Array | None:
+    """The simplest motion (n + 1, dof) of a hand to joints `goal` (dof,) that touches nothing; None if none was found.
+
+    A hand that touches something where it begins, as one that has just let go may, leaves that straight up where
+    there is no other way.
+
+    Args:
+        tick: of control, s.
+        rng: of the search, where nothing simple is free.
+    """
+    path = _way(hand, hand.joints, goal, touched, tick, rng)
+    if path is None and touched(hand.joints) is not None and (leaving := _leaving(hand, touched, tick)) is not None:
+        onwards = _way(hand, leaving[-1], goal, touched, tick, rng)
+        path = None if onwards is None else np.concatenate([leaving[:-1], onwards])
+    return path
+
+
+def _way(
+    hand: Hand, start: Array, goal: Array, touched: Touched, tick: float, rng: np.random.Generator
+) -> Array | None:
+    for points in _simple_ways(hand, start, goal):
+        path = through(points, hand.arm.motor_speed, tick)
+        if clear(path, touched):
+            return path
+    found = search(start, goal, hand.arm.joint_range, touched, rng)
+    return None if found is None else through(found, hand.arm.motor_speed, tick)
+
+
+def _leaving(hand: Hand, touched: Touched, tick: float) -> Array | None:
+    """Straight up, as far as it takes until a hand touches nothing."""
+    T = hand.pinch_at(hand.joints)
+    for _ in range(_LEAVING_STEPS):
+        T[2, 3] += _LEAVING
+        path = straight(hand.ik, hand.joints, T, tick, LINE_SPEED)
+        if path is not None and touched(path[-1]) is None:
+            return path
+    return None
+
+
+def _simple_ways(hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
+    """Straight there; or up, across and down; or by way of the posture in which the arm is ready."""
+    raised = []
+    for joints in (start, goal):
+        T = hand.pinch_at(joints)
+        T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING)
+        raised.append(hand.reach(T, [joints], PASSING))
+    up, down = raised
+    ways = [[start, goal]]
+    if up is not None and down is not None:
+        ways.append([start, up, down, goal])
+    ways += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
+    return ways

@@ -18,9 +18,7 @@ from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Skill, hand_with, preferences
-from .bench import Bench, Fingers, Segment
-from .cached_iterable import CachedIterable
-from .errors import SkillFailedError
+from .bench import Bench, CachedIterable, Fingers, Segment, SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
 from .moves import let_go, rest, take_hold

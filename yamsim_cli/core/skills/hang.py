@@ -15,8 +15,7 @@ from ..planning.joint_motion import clear, straight
 from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Skill, hand_with
-from .bench import Bench, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Segment, SkillFailedError
 from .hand import PASSING, Hand
 from .moves import bring, let_go, park_free, rest
 

@@ -13,8 +13,7 @@ from ..geometry.se3 import Array, inverse, pose
 from ..goals.cast import Cast
 from ..types import Cause
 from .base import Skill
-from .bench import Bench, Fingers, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Fingers, Segment, SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
 from .moves import GRIP_TICKS, let_go, rest

@@ -7,8 +7,7 @@ from contextlib import suppress
 
 from ..geometry.se3 import Array, inverse, pose
 from ..planning.joint_motion import clear
-from .bench import Bench, Fingers, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Fingers, Segment, SkillFailedError
 from .grips import Grip
 from .hand import PASSING, Hand
 

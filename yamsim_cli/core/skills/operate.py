@@ -14,8 +14,7 @@ from ..geometry.se3 import Array, inverse, pose, rotation_from_vector
 from ..goals.cast import Cast
 from ..types import Cause
 from .base import Side, Skill
-from .bench import Bench, Fingers, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Fingers, Segment, SkillFailedError
 from .grips import CLEARANCE
 from .hand import PASSING, Hand
 from .moves import GRIP_TICKS, let_go, park_free, rest

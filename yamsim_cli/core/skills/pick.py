@@ -16,8 +16,7 @@ from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Side, Skill, holder_of, preferences
-from .bench import Bench, Fingers, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Fingers, Segment, SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, RESERVE, Hand, Held
 from .moves import let_go, park_free, take_hold

@@ -18,9 +18,7 @@ from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Skill, hand_with
-from .bench import Bench, Segment
-from .cached_iterable import CachedIterable
-from .errors import SkillFailedError
+from .bench import Bench, CachedIterable, Segment, SkillFailedError
 from .grips import points_well
 from .hand import PASSING, Hand
 from .moves import bring, let_go, rest

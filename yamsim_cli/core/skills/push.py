@@ -16,8 +16,7 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..types import Cause
 from .base import Side, Skill
-from .bench import Bench, Fingers, Segment
-from .errors import SkillFailedError
+from .bench import Bench, Fingers, Segment, SkillFailedError
 from .hand import PASSING, Hand
 from .moves import GRIP_TICKS, park_free, rest
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from ..geometry.se3 import Array, pose, rotation_z, yaw
 from ..goals.cast import Cast
 from ..goals.world import TABLE
-from .bench import Bench
+from .base import Side, Skill, hand_with
+from .bench import Bench, Segment, SkillFailedError
+from .hand import Hand
+from .moves import let_go
+from .pick import Pick
 from .place import Placing
 
 # Headings that are tried, as turns from the present one.
@@ -62,3 +67,47 @@ def _around(place: Array) -> list[Array]:
         for ring in _RINGS
         for angle in (angles if ring else angles[:1])
     ]
+
+
+def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
+    """Put a thing down where there is room, else straight below, and note that to hold it so is of no use.
+
+    Raises:
+        SkillFailedError: no hand holds it any more, or there is no way down.
+    """
+    hand = hand_with(bench, cast.one(role), "taken another way")
+    hand.in_vain.append(bench.look_at(hand))
+    try:
+        yield from PutAside(thing=role).run(bench, cast, ())
+    except SkillFailedError:
+        if hand.held is None:
+            raise
+        yield from _straight_down(bench, hand, hand.held.thing)
+
+
+def _straight_down(bench: Bench, hand: Hand, thing: str) -> Iterator[Segment]:
+    T, T_pinch = bench.world.pose(thing), hand.pinch_at(hand.joints)
+    table = float(bench.world.bounds(TABLE)[0][2])
+    T_pinch[2, 3] -= T[2, 3] - bench.obstacles.rest_height(bench.qpos, thing, T, table)
+    yield bench.segment({hand: bench.line(hand, T_pinch)})
+    yield from let_go(bench, hand, bench.clearance(thing))
+
+
+class Regrasp(Skill):
+    """Put a thing down and take it again, with the arm and the grip that suit what follows.
+
+    Attributes:
+        thing: a role; it is in a hand.
+        arm: which arm takes it.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = True
+    LEAVES: ClassVar[bool | None] = True
+    thing: str
+    arm: Side = "any"
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        yield from PutAside(thing=self.thing).run(bench, cast, ())
+        yield from Pick(thing=self.thing, arm=self.arm).run(bench, cast, ahead)

@@ -11,11 +11,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..attempt.engine import Simulated, demonstrate
-from ..attempt.episodes import open_episode
+from ..attempt.engine import Simulated, demonstrate, open_episode
 from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator
-from ..attempt.simulators import Simulators
+from ..attempt.simulator import Simulator, Simulators
 from ..config.program_task import NearMiss, ProgramTask, Start
 from ..episode.rules import REPEATED_RULES
 from ..errors import SimulationError
@@ -26,7 +24,7 @@ from ..goals.world import TABLE
 from ..progress import Progress
 from ..scene.compiled import CompiledScene, Ids
 from ..session import Session
-from ..skills.contradictions import program_contradiction
+from ..skills.checked import program_contradiction
 from ..skills.program import read_program
 from ..trials import run_batch
 from ..types import Actions, Attempt, EpisodeJob

@@ -13,7 +13,7 @@ from typing import Protocol
 from ..attempt.engine import Simulated, with_distractors
 from ..attempt.payload import payload, result
 from ..attempt.runner import require_meshes
-from ..attempt.simulators import Simulators
+from ..attempt.simulator import Simulators
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record

@@ -11,7 +11,7 @@ from ..planning.ik import IkSolver
 from ..planning.pursuit import Pursuit
 from ..scene.compiled import CompiledScene
 from ..scene.robot import bare_arm
-from ..sim.obstruction import Obstruction
+from ..sim.placement import Obstruction
 from ..types import Stand
 
 _IK_ITERATIONS = 12

@@ -8,7 +8,7 @@ import pytest
 
 from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.skills.cloth import hands, reach
 
 

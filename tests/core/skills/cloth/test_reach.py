@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.programs import FOLD, bench_at_start, session_of
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.skills.cloth.reach import Lay, at, reached
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, bench_at_start, session_of
-from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.smoothing import height
 from yamsim_cli.core.skills.cloth.hands import outcome

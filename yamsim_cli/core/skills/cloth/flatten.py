@@ -13,8 +13,7 @@ from ...geometry.smoothing import Point, Pull, furthest, height, pulls, side_of,
 from ...goals.cast import Cast
 from ...types import Cause
 from ..base import Skill
-from ..bench import Bench, Segment
-from ..errors import SkillFailedError
+from ..bench import Bench, Segment, SkillFailedError
 from ..moves import recover
 from .hands import carry, outcome
 from .reach import Lay, Taken, at, reached

@@ -13,8 +13,7 @@ from ...geometry.se3 import Array
 from ...goals.cast import Cast
 from ...types import Cause
 from ..base import Skill
-from ..bench import Bench, Segment
-from ..errors import SkillFailedError
+from ..bench import Bench, Segment, SkillFailedError
 from .hands import SPEED, carry
 from .reach import Lay, Taken, onto, reached
 

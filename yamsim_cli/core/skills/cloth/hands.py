@@ -10,11 +10,9 @@ from functools import partial
 import numpy as np
 
 from ...geometry.se3 import Array, interpolate_rotation, pose
-from ...sim.cloth import between_pads
-from ...sim.imagined import pulled
+from ...sim.cloth import between_pads, pulled
 from ...types import Cause
-from ..bench import Bench, Fingers, Segment
-from ..errors import SkillFailedError
+from ..bench import Bench, Fingers, Segment, SkillFailedError
 from ..hand import Hand
 from ..moves import GRIP_TICKS, idle, rest
 from .reach import APPROACH, TIPS, WIDE, Taken, clear_of
