@@ -18,9 +18,9 @@ import pytest
 
 from tests.core.attempts import all_actions
 from tests.core.teleop.tray import Tray
-from yamsim_cli.core.attempt.engine import demonstrate, open_episode, repeat
+from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
+from yamsim_cli.core.attempt.simulator import Simulator, Simulators, open_episode
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.documents.document import dump_yaml, load_yaml

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.attempt.engine import open_episode
 from ..core.attempt.sampling import no_start, sample
-from ..core.attempt.simulator import Simulator, simulator_for
+from ..core.attempt.simulator import Simulator, open_episode, simulator_for
 from ..core.config.program_task import ProgramTask
 from ..core.episode.episode import Episode
 from ..core.episode.rules import EndRule, EpisodeRules

@@ -13,9 +13,8 @@ import pytest
 
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import write_dataset
-from yamsim_cli.core.attempt.engine import open_episode
 from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.attempt.simulator import Simulator, open_episode
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.episode.rules import EndRule, EpisodeRules

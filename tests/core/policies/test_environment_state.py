@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yamsim_cli.core.attempt.engine import demonstrate, open_episode
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulators
+from yamsim_cli.core.attempt.simulator import Simulators, open_episode
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig

@@ -33,9 +33,8 @@ from ..skills.pick import Pick, Reach
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
 from ..types import Cause, EpisodeJob
-from .engine import open_episode
 from .sampling import no_start, sample
-from .simulator import Simulator
+from .simulator import Simulator, open_episode
 
 #: The rig whose hand takes things.
 RIG = "single_linear"

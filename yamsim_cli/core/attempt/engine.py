@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..episode.commands import path_actions
-from ..episode.episode import Episode, EpisodeGoal, OnStep, Played
+from ..episode.episode import Episode, OnStep, Played
 from ..episode.rules import EXPERT_RULES, EndReason, EpisodeRules
 from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
@@ -18,9 +18,8 @@ from ..skills.moves import park_free
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Attempt, Cause, Outcome, Recovery, StepState
-from .expert import sides
 from .sampling import no_start
-from .simulator import Simulator
+from .simulator import Simulator, open_episode
 
 
 @dataclass(frozen=True)
@@ -177,16 +176,3 @@ def _fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
         if arm.fingers is not None:
             ctrl[:, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
     return replace(actions, ctrl=ctrl, magnet=np.zeros_like(actions.magnet))
-
-
-def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
-    """Return the episode of an attempt at its start, in the attempt's varied scene.
-
-    Args:
-        on_step: see `Episode`.
-    """
-    assert attempt.start is not None, "an attempt without a layout has no episode"
-    task = simulator.config.task
-    goal = EpisodeGoal(task.goal, simulator.cast, task.hold_ticks)
-    scene = simulator.varied(attempt)
-    return Episode(scene, attempt.start, task.timing, sides(simulator.config), goal, rules, on_step=on_step)

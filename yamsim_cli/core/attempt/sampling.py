@@ -24,9 +24,8 @@ from ..tasks.randomness import Stream, generator
 from ..tasks.sampled_variation import sample_variation
 from ..types import Attempt, EpisodeJob, Layout
 from ..variation import Variation
-from .engine import open_episode
 from .expert import sides
-from .simulator import Simulator, Simulators
+from .simulator import Simulator, Simulators, open_episode
 
 MAX_DRAWS = 20  # draws of the start in which the goal holds already, after which an attempt has no start
 HOLDS_ALREADY = "the goal holds already at the start"

@@ -6,6 +6,8 @@ import functools
 from collections import OrderedDict
 
 from ..closing import Closing
+from ..episode.episode import Episode, EpisodeGoal, OnStep
+from ..episode.rules import EpisodeRules
 from ..errors import SimulationError
 from ..goals.cast import Cast
 from ..planning.arm_tools import arm_tools
@@ -18,7 +20,7 @@ from ..tasks.casting import draw_cast
 from ..types import Attempt, EpisodeJob
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import SceneRenderer
-from .expert import ExpertTools
+from .expert import ExpertTools, sides
 from .varied_scene import VariedScene
 
 
@@ -163,3 +165,16 @@ class Simulators(Closing):
         """Free all renderers."""
         while self._made:
             self._made.popitem()[1].close()
+
+
+def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
+    """Return the episode of an attempt at its start, in the attempt's varied scene.
+
+    Args:
+        on_step: see `Episode`.
+    """
+    assert attempt.start is not None, "an attempt without a layout has no episode"
+    task = simulator.config.task
+    goal = EpisodeGoal(task.goal, simulator.cast, task.hold_ticks)
+    scene = simulator.varied(attempt)
+    return Episode(scene, attempt.start, task.timing, sides(simulator.config), goal, rules, on_step=on_step)

@@ -6,10 +6,10 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from ..attempt.engine import open_episode, outcome_of
+from ..attempt.engine import outcome_of
 from ..attempt.payload import render
 from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator, Simulators
+from ..attempt.simulator import Simulator, Simulators, open_episode
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord

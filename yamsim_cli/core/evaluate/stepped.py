@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..attempt.engine import demonstrate, open_episode, with_room
+from ..attempt.engine import demonstrate, with_room
 from ..attempt.payload import render
 from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator, Simulators
+from ..attempt.simulator import Simulator, Simulators, open_episode
 from ..closing import Closing
 from ..episode.episode import Episode
 from ..episode.rules import EndReason, EndRule, EpisodeRules

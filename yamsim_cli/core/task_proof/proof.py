@@ -11,9 +11,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..attempt.engine import Simulated, demonstrate, open_episode
+from ..attempt.engine import Simulated, demonstrate
 from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator, Simulators
+from ..attempt.simulator import Simulator, Simulators, open_episode
 from ..config.program_task import NearMiss, ProgramTask, Start
 from ..episode.rules import REPEATED_RULES
 from ..errors import SimulationError

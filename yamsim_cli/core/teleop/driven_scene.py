@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..attempt.engine import Simulated, open_episode, outcome_of
+from ..attempt.engine import Simulated, outcome_of
 from ..attempt.expert import sides
 from ..attempt.sampling import no_start, sample
-from ..attempt.simulator import Simulator, Simulators
+from ..attempt.simulator import Simulator, Simulators, open_episode
 from ..episode.episode import Episode
 from ..episode.rules import EndRule, EpisodeRules
 from ..errors import SimulationError
