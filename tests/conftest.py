@@ -12,19 +12,12 @@ import pytest
 from tests.known_gl import remember_backend, settle_backend
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.machine import usable_cores
 from yamsim_cli.core.resources import Locations
 
 settle_backend()
 remember_backend()
 # Tests that fetch at first use unset it, and have a package index of their own.
 os.environ["YAMSIM_OFFLINE"] = "1"
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Workers of `pytest -n auto`: one more than there are cores, since many tests wait for processes of their own."""
-    return usable_cores() + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
