@@ -162,8 +162,13 @@ def _unit(module: str) -> str | None:
 
 @functools.cache
 def _tree(module: str) -> ast.Module:
+    return ast.parse(_file(module).read_text())
+
+
+def _file(module: str) -> Path:
     path = PACKAGE / Path(*module.split("."))
-    return ast.parse((path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text())
+    package = path / "__init__.py"
+    return package if package.exists() else path.with_suffix(".py")
 
 
 @functools.cache
@@ -173,7 +178,7 @@ def _imports(module: str) -> tuple[str, ...]:
 
 
 def _find_imports(module: str) -> Iterator[str]:
-    is_package = PACKAGE.joinpath(*module.split(".")).is_dir()
+    is_package = _file(module).name == "__init__.py"
     package = module.split(".") if is_package else module.split(".")[:-1]
     for node in ast.walk(_tree(module)):
         if isinstance(node, ast.Import):

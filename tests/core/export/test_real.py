@@ -172,7 +172,7 @@ def test_a_slower_rate_leaves_out_pictures(filmed: Real, locations: Locations, t
 
 
 def test_real_and_simulated_are_not_mistaken(filmed: Real, locations: Locations) -> None:
-    with pytest.raises(DatasetError, match="real recording"):
+    with pytest.raises(DatasetError, match="imported recording"):
         open_source(filmed.dataset, None, locations)
     with pytest.raises(UsageError, match="no episode 4"):
         open_real_source(filmed.dataset, "4", locations)

@@ -54,7 +54,7 @@ def test_a_csv_becomes_an_episode_and_comes_back(single: RigConfig, locations: L
 def test_imported_recordings_cannot_be_simulated_again(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     source = write_csv(tmp_path / "log.csv", swinging(single, 0.3), single)
     bring_in(ImportRequest([source], single, out=tmp_path / "real"), locations)
-    with pytest.raises(DatasetError, match="not simulated"):
+    with pytest.raises(DatasetError, match="imported recording"):
         open_episode(tmp_path / "real/ep_000000")
     with pytest.raises(DatasetError, match="not simulated"):
         dataset_config(tmp_path / "real", locations)

@@ -129,7 +129,7 @@ def test_handles_are_sites_with_z_into_them() -> None:
 @pytest.mark.parametrize(
     ("joint", "said"),
     [
-        ({**SLIDE, "range": [0.1, 0.1]}, "a way to go"),
+        ({**SLIDE, "range": [0.1, 0.1]}, "must differ"),
         ({**SLIDE, "range": [0, 100]}, "is it in mm"),
         ({**SLIDE, "start": 0.2}, "lies outside its range"),
         ({**SLIDE, "pitch": 0.01}, "a screw needs a pitch"),

@@ -152,7 +152,7 @@ class DatasetWriter(AttemptLog, Closing):
         if self.lost_lines:
             self._ledger = ledger
             numbers = ranges(sorted(self.lost_lines))
-            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost; the attempt is made again")
+            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost, and made again")
         for number in range(max(ledger.known, default=-1) + 1):
             self._count(ledger.known.get(number) or lost_line(number, self._seed))
 
