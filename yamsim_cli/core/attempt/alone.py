@@ -28,7 +28,7 @@ from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..skills.base import Skill
 from ..skills.bench import Bench, SkillFailedError
-from ..skills.grips import grips
+from ..skills.grips import friction_grips
 from ..skills.pick import Pick, Reach
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
@@ -46,7 +46,7 @@ _JOB = EpisodeJob(0, 0)
 
 
 @dataclass(frozen=True)
-class Taken:
+class PickedGrasp:
     """How `pick` holds a thing that it has lifted.
 
     Attributes:
@@ -60,7 +60,7 @@ class Taken:
     force: float
 
 
-def take(item: ObjectConfig, locations: Locations) -> Taken:
+def take(item: ObjectConfig, locations: Locations) -> PickedGrasp:
     """Let `pick` lift a thing from the table in physics, and return how the hand holds it then.
 
     Args:
@@ -73,8 +73,8 @@ def take(item: ObjectConfig, locations: Locations) -> Taken:
     *first, last = _HEADINGS
     for heading in first:
         with suppress(SkillFailedError):
-            return _take(item, locations, heading)
-    return _take(item, locations, last)
+            return _pick_at_heading(item, locations, heading)
+    return _pick_at_heading(item, locations, last)
 
 
 def reachable_places(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
@@ -95,8 +95,8 @@ def reachable_places(item: ObjectConfig, locations: Locations) -> tuple[GraspPoi
     points = item.grasp.friction.points
     leans = np.full(len(points), np.inf)
     for heading in _HEADINGS:
-        with _before_arm(item, locations, heading) as stage:
-            leans = np.minimum(leans, [_least_lean(stage.bench, item.with_places((point,))) for point in points])
+        with _set_up(item, locations, heading) as setup:
+            leans = np.minimum(leans, [_least_lean(setup.bench, item.with_places((point,))) for point in points])
     return tuple(points[k] for k in np.argsort(leans, kind="stable") if np.isfinite(leans[k]))
 
 
@@ -107,14 +107,14 @@ def _least_lean(bench: Bench, item: ObjectConfig) -> float:
         Infinity where it cannot take the thing by any of them.
     """
     pick, hand = Pick(thing=_THING), bench.hands[0]
-    for grip in grips(item):
+    for grip in friction_grips(item):
         if isinstance(pick.reach(bench, hand, _THING, grip), Reach):
             return round(math.degrees(math.acos(np.clip(-grip.T_pinch_in_thing[2, 2], -1, 1))))
     return math.inf
 
 
 @dataclass(frozen=True)
-class _Stage:
+class _Setup:
     """A thing at rest on the table: what acts, what skills plan with, and who is who."""
 
     scene: CompiledScene
@@ -125,7 +125,7 @@ class _Stage:
 
 
 @contextmanager
-def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Stage]:
+def _set_up(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Setup]:
     session = Session(_config(item, locations, heading), locations)
     task = session.config.task
     with Simulator(session) as simulator:
@@ -136,15 +136,15 @@ def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Ite
         episode = open_episode(simulator, attempt, EpisodeRules())
         stands, rng = list(start_stands(session.config)), generator(_JOB, Stream.SEARCH)
         bench = simulator.expert_tools.bench(episode.world, stands, rng)
-        yield _Stage(simulator.scene, episode, bench, program_of(task, cast), cast)
+        yield _Setup(simulator.scene, episode, bench, program_of(task, cast), cast)
 
 
-def _take(item: ObjectConfig, locations: Locations, heading: float) -> Taken:
-    with _before_arm(item, locations, heading) as stage:
-        for segment in run_program(stage.program, stage.bench, stage.cast, RecoveryLog()):
-            stage.episode.act(path_actions(stage.scene, segment.paths))
-        hand = stage.bench.hands[0]
-        return Taken(stage.bench.look_at(hand).T_thing_in_pinch, hand.opening, hand.grip)
+def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -> PickedGrasp:
+    with _set_up(item, locations, heading) as setup:
+        for segment in run_program(setup.program, setup.bench, setup.cast, RecoveryLog()):
+            setup.episode.act(path_actions(setup.scene, segment.paths))
+        hand = setup.bench.hands[0]
+        return PickedGrasp(setup.bench.update_held(hand).T_thing_in_pinch, hand.opening, hand.grip)
 
 
 def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:

@@ -54,34 +54,38 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     rng = generator(attempt.job, Stream.SEARCH)
     bench = simulator.expert_tools.bench(episode.world, list(start_stands(simulator.config)), rng)
-    log, noted = RecoveryLog(), list[Recovery]()
+    log, recoveries = RecoveryLog(), list[Recovery]()
 
-    def note() -> None:
-        new = log.recoveries[len(noted) :]
-        noted.extend(Recovery(one.step, one.skill, one.detail, episode.frames) for one in new)
+    def note_recoveries() -> None:
+        new = log.recoveries[len(recoveries) :]
+        recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frames) for entry in new)
 
     failure: tuple[Cause, str] | None = None
     # After the program, the arms wait until the goal has held.
-    most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
+    max_ticks = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
         for segment in _motions(simulator, episode, bench, log):
-            note()
-            if episode.ticks + segment.ticks > most:
+            note_recoveries()
+            if episode.ticks + segment.ticks > max_ticks:
                 failure = Cause.TIME, f"not done after {episode.seconds:.0f} s"
                 break
-            episode.act(_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            episode.act(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
             if episode.end is not None:
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
-    note()
+    note_recoveries()
     last = path_actions(episode.scene, bench.wait(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
-    episode.act(_fingers(episode.scene, last, grips), until_success=True)
-    bench.forget()
+    episode.act(_with_fingers(episode.scene, last, grips), until_success=True)
+    bench.clear_cache()
     played = episode.finish()
-    outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(noted))
-    done = Simulated(attempt, outcome, played)
-    return replace(done, attempt=with_distractors(simulator, attempt, done.states)) if outcome.success else done
+    outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(recoveries))
+    simulated = Simulated(attempt, outcome, played)
+    return (
+        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.states))
+        if outcome.success
+        else simulated
+    )
 
 
 def _motions(simulator: Simulator, episode: Episode, bench: Bench, log: RecoveryLog) -> Iterator[Segment]:
@@ -167,7 +171,7 @@ def _distances(simulator: Simulator, played: Played) -> tuple[float | None, floa
     return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
 
 
-def _fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
+def _with_fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
     """Return the same actions; without grips, with fingers that stay open and magnets that stay off."""
     if grips:
         return actions

@@ -21,11 +21,11 @@ from ..types import Stand
 # Poses of a hand that are tried at a place: leaning by these angles from straight down, towards these sides, and turned
 # about its own axis by these angles, rad.
 LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
-TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
+LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))
 TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
 
 # m and rad; whether a place can be reached at all, its margin to a stop does not matter.
-_ANYHOW = Tolerance(3e-3, math.radians(4.0), margin=0.0)
+_REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertTools:
@@ -45,7 +45,7 @@ class ExpertTools:
         stands = start_stands(self._config)
         for k in self._config.acting_scene_arms:
             ik = self._tools[k].ik
-            if any(ik.reach(T, [stands[k].joints], _ANYHOW) is not None for T in _hand_poses(place)):
+            if any(ik.reach(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
                 return True
         return False
 
@@ -76,7 +76,7 @@ def _hand_poses(place: Array) -> Iterator[Array]:
     """Yield poses (4, 4) of a hand at a place (3,), from above first."""
     down = rotation_from_vector([math.pi, 0.0, 0.0])
     for lean in LEANS:
-        for towards in TOWARDS if lean else TOWARDS[:1]:
+        for towards in LEAN_DIRECTIONS if lean else LEAN_DIRECTIONS[:1]:
             tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
             for turn in TURNS:
                 yield pose(place, tilted @ rotation_z(turn) @ down)

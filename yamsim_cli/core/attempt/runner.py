@@ -54,8 +54,8 @@ def require_meshes(session: Session) -> None:
     Raises:
         ResourceError: the session shows other meshes.
     """
-    said = session.config.meshes
-    if said is not None and (others := differences(said, shown_meshes(session), _PLACES)):
+    expected = session.config.meshes
+    if expected is not None and (others := differences(expected, shown_meshes(session), _PLACES)):
         raise ResourceError(
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
             "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"

@@ -85,14 +85,14 @@ def _block_of(simulator: Simulator) -> BlockOf:
     @functools.cache
     def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
         qpos = scene.model.qpos0.copy()
-        _open(scene, qpos, name, dict(opened))
+        _set_openings(scene, qpos, name, dict(opened))
         replica.show(qpos)
         return world.block(name)
 
     return lambda name, opened: block(name, tuple(opened.items()))
 
 
-def _open(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
+def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
     """Write how far a thing's parts are open into MuJoCo's positions (nq,)."""
     for part, share in opened.items():
         joint = scene.model.joint(f"{name}_{part}")
@@ -106,7 +106,7 @@ def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
     for name, placed in places.items():
-        _open(scene, qpos, name, placed.open)
+        _set_openings(scene, qpos, name, placed.open)
         T = placed.T.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
@@ -129,7 +129,7 @@ def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> A
 
 
 # So many attempts without a start are taken for a task that has none; mostly, the first one has one.
-_FIRST = 3
+_CHECKED_ATTEMPTS = 3
 
 
 def check_starts(session: Session) -> None:
@@ -141,15 +141,15 @@ def check_starts(session: Session) -> None:
     """
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
-        for number in range(_FIRST):
+        for number in range(_CHECKED_ATTEMPTS):
             job = EpisodeJob(session.config.seed, number)
             simulator = simulators.of(job)
             attempt = sample(simulator, job)
             if attempt.layout is not None:
                 return
             why = no_start(simulator, attempt)
-    told = f"{why}; none of the first {_FIRST} attempts of seed {session.config.seed} has a start"
+    message = f"{why}; none of the first {_CHECKED_ATTEMPTS} attempts of seed {session.config.seed} has a start"
     if why.startswith(HOLDS_ALREADY):
-        raise ConflictError(told, ("task", "goal"))
+        raise ConflictError(message, ("task", "goal"))
     role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
-    raise ConflictError(told, ("task", "starts", role))
+    raise ConflictError(message, ("task", "starts", role))

@@ -118,7 +118,7 @@ def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
 
 
 # How many are kept: each holds a compiled scene, and a renderer once it has rendered.
-_KEPT = 4
+_MAX_SIMULATORS = 4
 
 _Key = tuple[tuple[str, str, float], ...]
 
@@ -143,7 +143,7 @@ class Simulators(Closing):
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._made: OrderedDict[_Key, Simulator] = OrderedDict()
+        self._simulators: OrderedDict[_Key, Simulator] = OrderedDict()
 
     def of(self, job: EpisodeJob) -> Simulator:
         """The simulator in which an attempt takes place; use it before the next one is asked for.
@@ -153,18 +153,18 @@ class Simulators(Closing):
         """
         cast = cast_for(self.session, job)
         key = tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
-        if key in self._made:
-            self._made.move_to_end(key)
-            return self._made[key]
-        while len(self._made) >= _KEPT:
-            self._made.popitem(last=False)[1].close()
-        made = self._made[key] = Simulator(played_session(self.session, cast), cast)
+        if key in self._simulators:
+            self._simulators.move_to_end(key)
+            return self._simulators[key]
+        while len(self._simulators) >= _MAX_SIMULATORS:
+            self._simulators.popitem(last=False)[1].close()
+        made = self._simulators[key] = Simulator(played_session(self.session, cast), cast)
         return made
 
     def close(self) -> None:
         """Free all renderers."""
-        while self._made:
-            self._made.popitem()[1].close()
+        while self._simulators:
+            self._simulators.popitem()[1].close()
 
 
 def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from ..attempt.alone import RIG, Taken, take
+from ..attempt.alone import RIG, PickedGrasp, take
 from ..config.loader import load_config
 from ..config.rig import ArmConfig, RigConfig
 from ..geometry.se3 import (
@@ -63,7 +63,7 @@ def grasp(subject: Subject) -> CheckOutcome:
     return _held(_Hand.of(subject), taken, item.grasp.clearance)
 
 
-def _held(hand: _Hand, taken: Taken, clearance: float) -> CheckOutcome:
+def _held(hand: _Hand, taken: PickedGrasp, clearance: float) -> CheckOutcome:
     """Whether a thing stays between the pads while the hand lifts, turns and shakes it."""
     T = inverse(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()

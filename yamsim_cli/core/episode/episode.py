@@ -133,7 +133,7 @@ class Episode:
         self.world.begin()
         self._grasp = grasp_of(scene, self._rules.magnet_reach)
         self._monitor = Monitor(scene, timing.physics_steps_per_tick)
-        self._held = HeldThings(scene, self.world)
+        self._held_things = HeldThings(scene, self.world)
         self._T_at_start = self._poses()
         self._ctrl: list[Array] = []
         self._magnet: list[Sequence[bool]] = []
@@ -144,7 +144,7 @@ class Episode:
         self.end: End | None = None
         self.held_ticks = 0
         self.verdict: Verdict | None = None
-        self._failed: Verdict | None = None
+        self._last_unmet: Verdict | None = None
         self._judge()
         if on_step:
             on_step(self.data)
@@ -163,7 +163,7 @@ class Episode:
     def succeeds(self) -> bool:
         """Whether the goal has held for its hold time, now."""
         goal = self._goal
-        return goal is not None and self._holds and self.held_ticks >= goal.hold_ticks
+        return goal is not None and self._goal_holds and self.held_ticks >= goal.hold_ticks
 
     @property
     def held(self) -> tuple[bool, ...]:
@@ -225,13 +225,17 @@ class Episode:
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None
-        verdict = self._failed if self._holds and not self.succeeds and self._failed is not None else self.verdict
+        verdict = (
+            self._last_unmet
+            if self._goal_holds and not self.succeeds and self._last_unmet is not None
+            else self.verdict
+        )
         return Played(
             states=self._states(),
             end=self.end,
             verdict=verdict,
             held_ticks=self.held_ticks,
-            margins=self._monitor.margins(self._held.slip, self._held.tilt) if self.ticks else None,
+            margins=self._monitor.margins(self._held_things.slip, self._held_things.tilt) if self.ticks else None,
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
             T_at_end=self._poses(),
@@ -239,7 +243,7 @@ class Episode:
         )
 
     @property
-    def _holds(self) -> bool:
+    def _goal_holds(self) -> bool:
         return self.verdict is not None and self.verdict.reached
 
     def _tick(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None) -> None:
@@ -262,9 +266,9 @@ class Episode:
         self._monitor.end_tick(data)
         self.ticks += 1
         self.world.watch()
-        self._held.watch()
+        self._held_things.watch()
         self._judge()
-        self._look_for_end()
+        self._check_end()
 
     def _refresh(self) -> None:
         """Bring poses and contacts up to date: after `mj_step`, they are those of the step before."""
@@ -278,13 +282,13 @@ class Episode:
     def _judge(self) -> None:
         if self._goal is None:
             return
-        held = self._holds
+        held_before = self._goal_holds
         self.verdict = judge(self._goal.goal, self.world, self._goal.cast)
-        self.held_ticks = self.held_ticks + 1 if held and self._holds else 0
-        if not self._holds:
-            self._failed = self.verdict
+        self.held_ticks = self.held_ticks + 1 if held_before and self._goal_holds else 0
+        if not self._goal_holds:
+            self._last_unmet = self.verdict
 
-    def _look_for_end(self) -> None:
+    def _check_end(self) -> None:
         monitor, rules = self._monitor, self._rules
         if monitor.breakdown:
             self._end(EndReason.UNSTABLE, Cause.UNSTABLE, monitor.breakdown)
@@ -299,13 +303,13 @@ class Episode:
 
     def _end(self, reason: EndReason, cause: Cause | None = None, detail: str = "") -> None:
         if cause is None and self._goal is not None and not self.succeeds:
-            cause, detail = self._why_not()
+            cause, detail = self._goal_failure()
         self.end = End(reason, self.ticks, cause, detail)
 
-    def _why_not(self) -> tuple[Cause, str]:
+    def _goal_failure(self) -> tuple[Cause, str]:
         """Return why the goal is not reached now."""
         assert self.verdict is not None and self._goal is not None
-        if not self._holds:
+        if not self._goal_holds:
             worst = self.verdict.worst
             return Cause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
         tick = self._timing.tick

@@ -40,7 +40,7 @@ class Monitor:
         self._step, self._steps = 0, 0
         self._contacts = -1
         self._velocity = self._torque = 0.0
-        self._joint = np.inf
+        self._stop_distance = np.inf
         self.collision: str | None = None
         self.breakdown: str | None = None
 
@@ -51,17 +51,17 @@ class Monitor:
         self._step, self._steps = k + 1, self._steps + 1
         if self.collision is None and (data.ncon != self._contacts or self._steps % CONTACT_STEPS == 0):
             self._contacts = data.ncon
-            self._look_at_contacts(data)
+            self._check_contacts(data)
 
     def end_tick(self, data: mujoco.MjData) -> None:
         """Observe the state after a control tick's last physics step."""
         velocities = np.abs(self._velocities[: self._step, self._dof]).max(axis=0)
         forces = np.abs(self._forces[: self._step, self._ctrl]).max(axis=0)
         positions = self._positions[: self._step, self._qpos]
-        room = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
+        distances = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
         self._velocity = max(self._velocity, float((velocities / self._motor_speed).max()))
         self._torque = max(self._torque, float((forces / self._most_torque).max()))
-        self._joint = min(self._joint, float(room.min()))
+        self._stop_distance = min(self._stop_distance, float(distances.min()))
         self._step = 0
         if self.breakdown is None and (text := breakdown(data)):
             # The time is counted in steps, since MuJoCo has reset its own clock.
@@ -74,9 +74,9 @@ class Monitor:
         Args:
             slip, tilt: see `Margins`.
         """
-        return Margins(self._velocity, self._torque, float(self._joint), slip, tilt)
+        return Margins(self._velocity, self._torque, float(self._stop_distance), slip, tilt)
 
-    def _look_at_contacts(self, data: mujoco.MjData) -> None:
+    def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
         forbidden = self._scene.forbidden(geoms)
         if forbidden.any():

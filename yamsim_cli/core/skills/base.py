@@ -26,11 +26,11 @@ class Skill(Config):
 
     ROLES: ClassVar[tuple[str, ...]]
     # Whether its thing has to be in a hand before, and whether it is in one afterwards; None leaves that as it is.
-    NEEDS: ClassVar[bool | None] = None
-    LEAVES: ClassVar[bool | None] = None
+    NEEDS_HELD: ClassVar[bool | None] = None
+    LEAVES_HELD: ClassVar[bool | None] = None
     # Whether it is done with cloth alone; others are with stiff things alone, but for the roles that may be either.
     OF_CLOTH: ClassVar[bool] = False
-    EITHER: ClassVar[tuple[str, ...]] = ()
+    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
@@ -83,7 +83,7 @@ def preferences(ahead: Sequence[Skill], bench: Bench, cast: Cast) -> Iterator[Se
         yield relaxed
 
 
-def hand_with(bench: Bench, thing: str, done: str) -> Hand:
+def require_holder(bench: Bench, thing: str, done: str) -> Hand:
     """The hand that holds a thing which is to be `done`, such as "put down".
 
     Raises:

@@ -22,18 +22,18 @@ from ..sim.antipodal import Span, spans
 from ..sim.shapes import geom_corners
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
-from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips, weld_grips
+from .grips import CLEARANCE, Grip, antipodal_grips, fingertip_grips, friction_grips, sideways_grips, weld_grips
 from .hand import PASSING, Hand, Held
 
 _GRAVITY = 9.81
 
 # Room around a thing that is put down, and where in front of the arms there may be some, m.
-_ROOM = 0.02
-_AHEAD = (0.34, 0.42, 0.28)
-_ASIDE = (0.0, 0.10, -0.10, 0.20, -0.20)
+_FREE_MARGIN = 0.02
+_MIDDLE_X = (0.34, 0.42, 0.28)
+_MIDDLE_Y = (0.0, 0.10, -0.10, 0.20, -0.20)
 
 # A thing that leans less than this stands upright, rad.
-_SAME = math.radians(10.0)
+_UPRIGHT_TILT = math.radians(10.0)
 
 V = TypeVar("V")
 
@@ -90,11 +90,11 @@ class Bench:
     ) -> None:
         self.model, self.world, self.hands, self.items = model, world, tuple(hands), items
         self.acting = tuple(hands[k] for k in sorted(acting))
-        self._turns = {"first": hands[first].side, "second": hands[len(hands) - 1 - first].side}
+        self._side_of_turn = {"first": hands[first].side, "second": hands[len(hands) - 1 - first].side}
         self.obstacles, self._rng, self.tick = obstacles, rng, tick
         self._spans: dict[str, list[Span]] = {}
-        self._steady: dict[str, list[Array]] = {}
-        self._known: tuple[bytes, dict[Hashable, Any]] = (b"", {})
+        self._steady_rotations: dict[str, list[Array]] = {}
+        self._cache: tuple[bytes, dict[Hashable, Any]] = (b"", {})
 
     # -- the state
 
@@ -117,13 +117,13 @@ class Bench:
 
     def side_of(self, arm: str) -> str:
         """The side that an argument names, "first" and "second" by their turn; others, such as "any", as they are."""
-        return self._turns.get(arm, arm)
+        return self._side_of_turn.get(arm, arm)
 
     def free_hands(self, arm: str) -> list[Hand]:
         """The hands that may be used, hold nothing, and that an argument names: "any" names all."""
         return [hand for hand in self.acting if self.side_of(arm) in ("any", hand.side) and hand.held is None]
 
-    def look_at(self, hand: Hand) -> Held:
+    def update_held(self, hand: Hand) -> Held:
         """What a hand holds, and how, now.
 
         Raises:
@@ -138,44 +138,44 @@ class Bench:
         return hand.held
 
     @contextmanager
-    def reserve(self, least: float) -> Iterator[None]:
+    def reserve(self, margin: float) -> Iterator[None]:
         """Let hands reach only with every joint at least this far from its stops, rad."""
         for hand in self.hands:
-            hand.reserve = least
+            hand.reserve = margin
         try:
             yield
         finally:
             for hand in self.hands:
                 hand.reserve = 0.0
 
-    def once(self, key: Hashable, make: Callable[[], V]) -> V:
+    def cached(self, key: Hashable, make: Callable[[], V]) -> V:
         """Return what `make` returns, computed once for a key while nothing moves and the reserve stays the same."""
         key, state = (self.hands[0].reserve, key), self.qpos.tobytes()
-        if self._known[0] != state:
-            self._known = (state, {})
-        if key not in self._known[1]:
-            self._known[1][key] = make()
-        found: V = self._known[1][key]
+        if self._cache[0] != state:
+            self._cache = (state, {})
+        if key not in self._cache[1]:
+            self._cache[1][key] = make()
+        found: V = self._cache[1][key]
         return found
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Drop what `once` has kept. It refers to the bench, which would otherwise stay in memory until Python looks
         for cycles.
         """
-        self._known = (b"", {})
+        self._cache = (b"", {})
 
-    def grips(self, thing: str, widest: float) -> Iterator[Grip]:
-        """The ways in which a hand, whose fingers open so far each (m), can hold a thing: the best known ones first."""
+    def grips(self, thing: str, max_opening: float) -> Iterator[Grip]:
+        """The paths in which a hand, whose fingers open so far each (m), can hold a thing: the best known ones first."""
         if self.hands[0].welds:
             yield from weld_grips(self.items[thing])
             return
-        yield from grips(self.items[thing])
+        yield from friction_grips(self.items[thing])
         if thing not in self._spans:
             body = self.model.body(thing).id
-            self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
-        yield from found_grips(self.items[thing], self._spans[thing])
+            self._spans[thing] = spans(self.model, self.world.data, body, 2 * (max_opening - CLEARANCE / 2))
+        yield from antipodal_grips(self.items[thing], self._spans[thing])
         yield from sideways_grips(self.items[thing])
-        yield from close_grips(self.items[thing])
+        yield from fingertip_grips(self.items[thing])
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
@@ -190,7 +190,7 @@ class Bench:
 
     def height_of(self, thing: str, T: Array, onto: str) -> float:
         """Height in `world` at which the origin of a thing, turned as in a pose (4, 4), comes to rest below it, m."""
-        top = float(self.once(("bounds", onto), lambda: self.world.bounds(onto))[1][2])
+        top = float(self.cached(("bounds", onto), lambda: self.world.bounds(onto))[1][2])
         low, high = self._block(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
@@ -202,22 +202,22 @@ class Bench:
 
     def steady_rotations(self, thing: str) -> list[Array]:
         """How a thing may be turned (3, 3) to lie steadily, without its headings: upright first."""
-        if thing not in self._steady:
+        if thing not in self._steady_rotations:
             body, rotations = self.model.body(thing).id, [np.eye(3)]
             geoms = [g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] == body]
             points = [geom_corners(self.model, geom) for geom in geoms if self.model.geom_contype[geom]]
-            for one in steady_attitudes(np.concatenate(points), self.model.body_ipos[body]):
-                if one.down[2] > -math.cos(_SAME):
-                    rotations.append(one.turn)
-            self._steady[thing] = rotations
-        return self._steady[thing]
+            for attitude in steady_attitudes(np.concatenate(points), self.model.body_ipos[body]):
+                if attitude.down[2] > -math.cos(_UPRIGHT_TILT):
+                    rotations.append(attitude.turn)
+            self._steady_rotations[thing] = rotations
+        return self._steady_rotations[thing]
 
     def _block(self, thing: str) -> Array:
-        return self.once(("block", thing), lambda: self.world.block(thing))
+        return self.cached(("block", thing), lambda: self.world.block(thing))
 
     def is_free(self, thing: str, place: Array) -> bool:
         """Whether a thing that stands upright would have room at a place (2,) on the table, m."""
-        room = float(np.hypot(*self.half_outline(thing, 0.0))) + _ROOM
+        room = float(np.hypot(*self.half_outline(thing, 0.0))) + _FREE_MARGIN
         low, high = self.world.bounds(TABLE)
         if (place - room < low[:2]).any() or (place + room > high[:2]).any():
             return False
@@ -237,7 +237,7 @@ class Bench:
 
     def middle_places(self) -> list[Array]:
         """Places (2,) on the table that are about as near to all arms, in `world`, m."""
-        return [self.middle + np.array((ahead, aside)) for ahead in _AHEAD for aside in _ASIDE]
+        return [self.middle + np.array((x, y)) for x in _MIDDLE_X for y in _MIDDLE_Y]
 
     def clearance(self, thing: str) -> float:
         """How much wider than around a thing each finger opens to let it go, m."""
@@ -256,14 +256,14 @@ class Bench:
         """What a hand would touch at given joints, see `Obstacles.touched`."""
         return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between, beside)
 
-    def imagined(self, hand: Hand, joints: Array, opening: float, held: Held | None) -> Array:
+    def posed_qpos(self, hand: Hand, joints: Array, opening: float, held: Held | None) -> Array:
         """MuJoCo's positions (nq,) with a hand, and what it holds, elsewhere, and all else as it is."""
         load = None if held is None else Load(held.thing, held.T_thing_in_pinch)
         return self.obstacles.posed(self.qpos, hand.number, joints, opening, load)
 
     # -- motions
 
-    def way(self, hand: Hand, goal: Array, opening: float | None = None, load: Load | None = None) -> Array:
+    def free_path(self, hand: Hand, goal: Array, opening: float | None = None, load: Load | None = None) -> Array:
         """A motion (n + 1, dof) of a hand to joints `goal` that touches nothing: the simplest that is free.
 
         A hand that touches something where it begins may leave that first, straight up.
@@ -271,12 +271,12 @@ class Bench:
         Raises:
             SkillFailedError: none was found.
         """
-        wide = max(hand.opening, opening if opening is not None else 0.0)
+        opening_on_way = max(hand.opening, opening if opening is not None else 0.0)
 
         def touched(joints: Array) -> str | None:
-            return self.touched(hand, joints, wide, load)
+            return self.touched(hand, joints, opening_on_way, load)
 
-        path = free_way(hand, goal, touched, self.tick, self._rng)
+        path = find_free_path(hand, goal, touched, self.tick, self._rng)
         if path is None:
             blocked = touched(goal) or touched(hand.joints) or "everything between"
             raise SkillFailedError(Cause.UNREACHABLE, f"no free way for the {hand.side} arm: {blocked} is in the way")
@@ -322,11 +322,11 @@ class Bench:
         paths = []
         for hand in self.hands:
             joints = motions.get(hand)
-            joints = self.still(hand, ticks) if joints is None else _filled(joints, ticks)
-            to = (fingers or {}).get(hand, Fingers(hand.opening, hand.grip))
-            moved = np.array([ease((k + 1) / ticks) for k in range(ticks)])
-            opening = hand.opening + moved * (to.opening - hand.opening)
-            grip = hand.grip + moved * (to.grip - hand.grip)
+            joints = self.still(hand, ticks) if joints is None else _padded(joints, ticks)
+            target = (fingers or {}).get(hand, Fingers(hand.opening, hand.grip))
+            progress = np.array([ease((k + 1) / ticks) for k in range(ticks)])
+            opening = hand.opening + progress * (target.opening - hand.opening)
+            grip = hand.grip + progress * (target.grip - hand.grip)
             paths.append(
                 JointPath(
                     joints=joints,
@@ -337,14 +337,14 @@ class Bench:
                     tick=self.tick,
                 )
             )
-            hand.joints, hand.opening, hand.grip = joints[-1].copy(), to.opening, to.grip
+            hand.joints, hand.opening, hand.grip = joints[-1].copy(), target.opening, target.grip
         return Segment(tuple(paths), arrives)
 
     def wait(self, ticks: int) -> Segment:
         """All hands hold their places."""
         return self.segment({self.hands[0]: self.still(self.hands[0], ticks)})
 
-    def bearing(self, hand: Hand, joints: Array, opening: float) -> Array:
+    def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
         """Torques (dof,) in N m that hold a hand, and what it holds, still at given joints (dof,), rad."""
         still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
         return still
@@ -359,7 +359,7 @@ class Bench:
         return torques + hand.dynamics.weight_torques((joints[1:] + joints[:-1]) / 2, centre[:3], weight)
 
 
-def _filled(joints: Array, ticks: int) -> Array:
+def _padded(joints: Array, ticks: int) -> Array:
     return np.concatenate([joints, np.tile(joints[-1], (ticks + 1 - len(joints), 1))])
 
 
@@ -401,17 +401,17 @@ class CachedIterable(Generic[T]):
 
 
 # Over the table, a hand that crosses it stays at least so high, m.
-_CROSSING = 0.22
+_CROSSING_HEIGHT = 0.22
 _RAISE = 0.05
 
 # A hand leaves what it touches in steps of so much, m, so many at most.
-_LEAVING, _LEAVING_STEPS = 0.02, 6
+_RETREAT_STEP, _MAX_RETREAT_STEPS = 0.02, 6
 
 # What an arm would touch with joints (dof,); None is nothing.
 Touched = Callable[[Array], str | None]
 
 
-def free_way(hand: Hand, goal: Array, touched: Touched, tick: float, rng: np.random.Generator) -> Array | None:
+def find_free_path(hand: Hand, goal: Array, touched: Touched, tick: float, rng: np.random.Generator) -> Array | None:
     """The simplest motion (n + 1, dof) of a hand to joints `goal` (dof,) that touches nothing; None if none was found.
 
     A hand that touches something where it begins, as one that has just let go may, leaves that straight up where
@@ -421,17 +421,17 @@ def free_way(hand: Hand, goal: Array, touched: Touched, tick: float, rng: np.ran
         tick: of control, s.
         rng: of the search, where nothing simple is free.
     """
-    path = _way(hand, hand.joints, goal, touched, tick, rng)
-    if path is None and touched(hand.joints) is not None and (leaving := _leaving(hand, touched, tick)) is not None:
-        onwards = _way(hand, leaving[-1], goal, touched, tick, rng)
-        path = None if onwards is None else np.concatenate([leaving[:-1], onwards])
+    path = _path_from(hand, hand.joints, goal, touched, tick, rng)
+    if path is None and touched(hand.joints) is not None and (retreat := _retreat_up(hand, touched, tick)) is not None:
+        onwards = _path_from(hand, retreat[-1], goal, touched, tick, rng)
+        path = None if onwards is None else np.concatenate([retreat[:-1], onwards])
     return path
 
 
-def _way(
+def _path_from(
     hand: Hand, start: Array, goal: Array, touched: Touched, tick: float, rng: np.random.Generator
 ) -> Array | None:
-    for points in _simple_ways(hand, start, goal):
+    for points in _simple_paths(hand, start, goal):
         path = through(points, hand.arm.motor_speed, tick)
         if clear(path, touched):
             return path
@@ -439,27 +439,27 @@ def _way(
     return None if found is None else through(found, hand.arm.motor_speed, tick)
 
 
-def _leaving(hand: Hand, touched: Touched, tick: float) -> Array | None:
+def _retreat_up(hand: Hand, touched: Touched, tick: float) -> Array | None:
     """Straight up, as far as it takes until a hand touches nothing."""
     T = hand.pinch_at(hand.joints)
-    for _ in range(_LEAVING_STEPS):
-        T[2, 3] += _LEAVING
+    for _ in range(_MAX_RETREAT_STEPS):
+        T[2, 3] += _RETREAT_STEP
         path = straight(hand.ik, hand.joints, T, tick, LINE_SPEED)
         if path is not None and touched(path[-1]) is None:
             return path
     return None
 
 
-def _simple_ways(hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
+def _simple_paths(hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
     """Straight there; or up, across and down; or by way of the posture in which the arm is ready."""
     raised = []
     for joints in (start, goal):
         T = hand.pinch_at(joints)
-        T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING)
+        T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING_HEIGHT)
         raised.append(hand.reach(T, [joints], PASSING))
     up, down = raised
-    ways = [[start, goal]]
+    paths = [[start, goal]]
     if up is not None and down is not None:
-        ways.append([start, up, down, goal])
-    ways += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
-    return ways
+        paths.append([start, up, down, goal])
+    paths += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
+    return paths

@@ -44,13 +44,13 @@ def check_config(config: Config) -> None:
     elif isinstance(config, RecordConfig):
         sides = [config.rig.arms[k].side for k in config.acting]
         # What is wrong with the rig's own arms alone may be the fault of the rig.
-        for known, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
+        for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
             try:
-                check_program(config.task, known)
+                check_program(config.task, known_sides)
             except ConflictError as error:
                 raise ConflictError(str(error), *(("task", *path) for path in error.paths), *blamed) from error
         if config.grasp == "weld":
-            _check_widths(config, config.task)
+            _check_openings(config, config.task)
         _check_reach(config)
         _check_places(config, config.task)
 
@@ -70,27 +70,27 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     for path, skill in read_steps(task.expert, cast, ("expert",)):
         thing = cast.one(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
-        if skill.NEEDS and thing not in held:
+        if skill.NEEDS_HELD and thing not in held:
             raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
-        if skill.NEEDS is False and thing not in held and len(held) >= arms:
+        if skill.NEEDS_HELD is False and thing not in held and len(held) >= arms:
             others = " and the ".join(sorted(held))
             raise ConflictError(f"no hand is free for the {thing}: the {others} is held; put it down first", path)
-        if skill.LEAVES is not None:
-            held = held | {thing} if skill.LEAVES else held - {thing}
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Operate):
             _check_part(task, cast, skill, path)
         if isinstance(skill, Hang):
             _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.EITHER:
-                said = (
+            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
+                problem = (
                     "is no cloth; give a role that cloth plays"
                     if skill.OF_CLOTH
                     else "is cloth; it can only be folded, or have things placed onto it"
                 )
-                raise ConflictError(f"the {role} {said}", (*path, argument))
+                raise ConflictError(f"the {role} {problem}", (*path, argument))
         if isinstance(skill, Place) and skill.on != TABLE:
-            _check_carries(task, cast, skill, path)
+            _check_support(task, cast, skill, path)
         if isinstance(skill, Fold):
             _check_fold(task, cast, skill, arms, path)
     if (found := contradiction(task.goal)) is not None:
@@ -106,8 +106,8 @@ def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tupl
         raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
-        absent = sides is not None and named in ("left", "right") and named not in sides
-        if absent or (named == "second" and arms < 2):
+        missing = sides is not None and named in ("left", "right") and named not in sides
+        if missing or (named == "second" and arms < 2):
             only = sides[0] if sides else "first"
             raise ConflictError(
                 f"no {named} arm does this task, only the {only} one; give 'first', or 'any'", (*path, argument)
@@ -138,7 +138,7 @@ def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str |
         )
 
 
-def _check_carries(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
+def _check_support(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
     """Make sure that something can be put onto whatever plays the role that a step puts a thing onto."""
     role = next(name for name in task.things if skill.on in (name, *cast.of(name)))
     for k, item in enumerate(task.things[role].of):
@@ -164,7 +164,7 @@ def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig,
     return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
 
 
-def _check_widths(config: RecordConfig, task: ProgramTask) -> None:
+def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
     """Make sure that whatever the expert picks up fits between the fingers of the arms that act."""
     cast = task.typical_cast
     picked = {skill.thing for _, skill in read_steps(task.expert, cast) if isinstance(skill, Pick)}
@@ -220,10 +220,10 @@ def _named_place(skill: Skill) -> tuple[str, Array | None]:
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
     """Where the base (2,) of each arm that acts is in `world`, and how long the arm is at most, m."""
-    return [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(config.rig.arms[k]))) for k in config.acting]
+    return [(config.rig.T_base_in_world(k)[:2, 3], _arm_length(bare_arm(config.rig.arms[k]))) for k in config.acting]
 
 
-def _length(model: mujoco.MjModel) -> float:
+def _arm_length(model: mujoco.MjModel) -> float:
     """At least how far from its base an arm's pinch point never gets, m: all that is between them in one line."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
@@ -237,20 +237,20 @@ def program_contradiction(task: ProgramTask) -> str | None:
     """How a task's program contradicts its goal; None if it does not, as far as its steps tell."""
     cast = task.typical_cast
     program = read_program(task.expert, cast)
-    held, moved, passed = set[str](), set[str](), set[str]()
+    held, moved, handed_over = set[str](), set[str](), set[str]()
     for skill in program:
         things = {thing for _, role in skill.roles() for thing in cast.of(role)}
         thing = cast.one(skill.roles()[0][1])
         moved |= things
-        if skill.LEAVES is not None:
-            held = held | {thing} if skill.LEAVES else held - {thing}
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Handover):
-            passed.add(thing)
+            handed_over.add(thing)
 
     def impossible(predicate: Predicate) -> str | None:
         things = set(cast.of(predicate.roles()[0][1]))
         named = " and the ".join(sorted(things))
-        if isinstance(predicate, HandedOver | WasHandedOver) and not things <= passed:
+        if isinstance(predicate, HandedOver | WasHandedOver) and not things <= handed_over:
             return f"no step of the expert hands over the {named}; add `handover`"
         if predicate.IN_HAND is True and not things <= held:
             instead = ", or ask for `was_handed_over`" if isinstance(predicate, HandedOver) else ""

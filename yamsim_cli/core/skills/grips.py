@@ -24,29 +24,29 @@ WELD_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
 # How far a hand may lean to the side, along the axis on which its fingers close, about something as narrow as this, as
 # half its width, m: it turns in the pads until it lies flat in them. So a wall beside it leaves room for the hand. Its
-# fingers come but so far from the thing, m, and hold it so much higher.
-_SIDEWAYS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
-_NARROW, _CLOSE, _HIGHER = 0.010, 0.004, 0.004
+# fingers come but so far from the thing, m, and hold it so much raised.
+_SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
+_MAX_NARROW, _SIDE_CLEARANCE, _SIDE_RAISE = 0.010, 0.004, 0.004
 
 # Where even that finds no room: so far off the thing's middle a hand may be before it closes, so near its fingers may
-# come to what stands beside, and so much higher they hold, m.
-_OFF, _BESIDE = 0.0025, 0.0015
-_HIGHER_STILL = (_HIGHER, 2 * _HIGHER)
+# come to what stands beside, and so much raised they hold, m.
+_FINGERTIP_OFFSET, _FINGERTIP_DISTANCE = 0.0025, 0.0015
+_FINGERTIP_RAISES = (_SIDE_RAISE, 2 * _SIDE_RAISE)
 
 # No arm that stands on the table points its fingers farther up than this, as the sine of the angle; nor farther back
 # towards its base, as the cosine of the angle to what leads away from it.
-_UP = 0.3
-_BACK = -0.5
+_MAX_UPWARD = 0.3
+_MAX_BACKWARD = -0.5
 
 # Of things that do not say, m and N.
 CLEARANCE = 0.010
-_FORCE = 15.0
+_DEFAULT_FORCE = 15.0
 
 # Of the places that a thing's own shape offers: how many are tried, how far apart they are, m, and from where around
 # the line on which the fingers close.
-_MOST_SPANS = 12
-_SPAN_APART = 0.015
-_AROUND = tuple(math.radians(angle) for angle in range(0, 360, 45))
+_MAX_SPANS = 12
+_SPAN_DISTANCE = 0.015
+_APPROACH_ANGLES = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +58,21 @@ class Grip:
         opening: of one finger around the thing, m.
         clearance: how much wider each finger is before it closes and after it opened, m.
         force: with which each finger presses, N.
-        beside: how near its fingers may come to other things, m; without, no nearer than the rest of the arm.
+        finger_distance: how near its fingers may come to other things, m; without, no nearer than the rest of the arm.
     """
 
     T_pinch_in_thing: Array
     opening: float
     clearance: float
     force: float
-    beside: float | None = None
+    finger_distance: float | None = None
 
 
-def grips(item: ObjectConfig) -> Iterator[Grip]:
+def friction_grips(item: ObjectConfig) -> Iterator[Grip]:
     """The ways to hold a thing by friction, the hand leaning less before it leans more."""
-    places = list(_places(item))
+    points = list(_grasp_points(item))
     for lean in _LEANS:
-        for T, opening, clearance, force in places:
+        for T, opening, clearance, force in points:
             for turn in (0.0, math.pi):
                 leaning = pose(rotation=rotation_z(turn) @ rotation_from_vector([0.0, lean, 0.0]))
                 yield Grip(T @ leaning, opening, clearance, force)
@@ -101,60 +101,60 @@ def weld_grips(item: ObjectConfig) -> Iterator[Grip]:
 
 def sideways_grips(item: ObjectConfig) -> Iterator[Grip]:
     """The ways to hold something narrow with a hand that leans to the side: for places beside a wall."""
-    places = [place for place in _places(item) if place[1] <= _NARROW]
-    for tilt in _SIDEWAYS:
-        for T, opening, clearance, force in places:
+    points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW]
+    for tilt in _SIDE_TILTS:
+        for T, opening, clearance, force in points:
             for lean in _LEANS[:5]:
                 for turn in (0.0, math.pi):
                     turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
-                    leaning = pose((0.0, 0.0, -_HIGHER), turned @ rotation_from_vector([0.0, lean, 0.0]))
-                    yield Grip(T @ leaning, opening, min(clearance, _CLOSE), force)
+                    leaning = pose((0.0, 0.0, -_SIDE_RAISE), turned @ rotation_from_vector([0.0, lean, 0.0]))
+                    yield Grip(T @ leaning, opening, min(clearance, _SIDE_CLEARANCE), force)
 
 
-def found_grips(item: ObjectConfig, spans: Sequence[Span]) -> Iterator[Grip]:
+def antipodal_grips(item: ObjectConfig, spans: Sequence[Span]) -> Iterator[Grip]:
     """The ways to hold a thing at the ends of lines through it, the hand coming from all around each line."""
     grasp = item.grasp
-    force = grasp.friction.force if grasp is not None and grasp.friction is not None else _FORCE
+    force = grasp.friction.force if grasp is not None and grasp.friction is not None else _DEFAULT_FORCE
     clearance = grasp.clearance if grasp is not None else CLEARANCE
-    for span in _apart(spans):
+    for span in _distinct_spans(spans):
         x = np.cross(span.direction, (0.0, 0.0, 1.0) if abs(span.direction[2]) < 0.9 else (1.0, 0.0, 0.0))
         x /= np.linalg.norm(x)
         frame = np.column_stack([x, span.direction, np.cross(x, span.direction)])
-        for angle in _AROUND:
+        for angle in _APPROACH_ANGLES:
             T = pose(span.middle, frame @ rotation_from_vector([0.0, angle, 0.0]))
             for turn in (0.0, math.pi):
                 yield Grip(T @ pose(rotation=rotation_z(turn)), span.width / 2, clearance, force)
 
 
-def close_grips(item: ObjectConfig) -> Iterator[Grip]:
+def fingertip_grips(item: ObjectConfig) -> Iterator[Grip]:
     """The ways to hold something narrow with the ends of the fingers, one of them close to it: for places beside a wall
     where nothing else goes.
     """
-    places = [place for place in _places(item) if place[1] <= _NARROW]
-    for higher, tilt in itertools.product(_HIGHER_STILL, _SIDEWAYS):
-        for T, opening, clearance, force in places:
+    points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW]
+    for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
+        for T, opening, clearance, force in points:
             for lean, turn, side in itertools.product(_LEANS[:3], (0.0, math.pi), (-1.0, 1.0)):
                 turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
                 leaning = pose(rotation=turned @ rotation_from_vector([0.0, lean, 0.0]))
-                off = pose((0.0, side * _OFF, -higher))
-                yield Grip(T @ leaning @ off, opening, min(clearance, _CLOSE), force, _BESIDE)
+                off = pose((0.0, side * _FINGERTIP_OFFSET, -raised))
+                yield Grip(T @ leaning @ off, opening, min(clearance, _SIDE_CLEARANCE), force, _FINGERTIP_DISTANCE)
 
 
-def _apart(spans: Sequence[Span]) -> list[Span]:
+def _distinct_spans(spans: Sequence[Span]) -> list[Span]:
     """The best spans that differ from each other in where they are, or along which direction they go."""
     kept: list[Span] = []
     for span in spans:
-        if len(kept) == _MOST_SPANS:
+        if len(kept) == _MAX_SPANS:
             break
         if all(
-            np.linalg.norm(span.middle - other.middle) > _SPAN_APART or abs(span.direction @ other.direction) < 0.9
+            np.linalg.norm(span.middle - other.middle) > _SPAN_DISTANCE or abs(span.direction @ other.direction) < 0.9
             for other in kept
         ):
             kept.append(span)
     return kept
 
 
-def _places(item: ObjectConfig) -> Iterator[tuple[Array, float, float, float]]:
+def _grasp_points(item: ObjectConfig) -> Iterator[tuple[Array, float, float, float]]:
     """Pinch frame (4, 4), opening, clearance and force of each place where a thing can be held."""
     if item.grasp is not None and item.grasp.friction is not None:
         for point in item.grasp.friction.points:
@@ -162,11 +162,11 @@ def _places(item: ObjectConfig) -> Iterator[tuple[Array, float, float, float]]:
             yield T, point.opening, item.grasp.clearance, item.grasp.friction.force
 
 
-def points_well(T_pinch_in_world: Array, T_base_in_world: Array) -> bool:
+def can_point(T_pinch_in_world: Array, T_base_in_world: Array) -> bool:
     """Whether a hand at a pose (4, 4) would point where an arm's hand can point: a look before kinematics."""
-    ahead, away = T_pinch_in_world[:3, 2], (T_pinch_in_world - T_base_in_world)[:2, 3]
-    if ahead[2] > _UP:
+    forward, away = T_pinch_in_world[:3, 2], (T_pinch_in_world - T_base_in_world)[:2, 3]
+    if forward[2] > _MAX_UPWARD:
         return False
-    level = math.hypot(ahead[0], ahead[1])
+    horizontal = math.hypot(forward[0], forward[1])
     distance = math.hypot(away[0], away[1])
-    return level < 0.5 or distance < 1e-6 or float(ahead[:2] @ away) / (level * distance) > _BACK
+    return horizontal < 0.5 or distance < 1e-6 or float(forward[:2] @ away) / (horizontal * distance) > _MAX_BACKWARD

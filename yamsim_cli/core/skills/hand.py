@@ -22,7 +22,7 @@ PASSING = Tolerance(4e-3, math.radians(6.0))
 RESERVE = 0.15
 
 # Ways to hold a thing that differ by less, in where the hand is and from where it comes, reach the same, m and rad.
-_SAME_PLACE, _SAME_SIDE = 0.01, math.radians(20.0)
+_SAME_POSITION, _SAME_DIRECTION = 0.01, math.radians(20.0)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Hand:
         grip: how hard each finger is to press, N.
         magnet: whether its magnet is commanded on; without effect on a hand that has none.
         held: what it holds.
-        in_vain: how it held things that it then could not put where they were to go.
+        failed_grasps: how it held things that it then could not put where they were to go.
         reserve: least distance of every joint from its stops at what `reach` finds, rad; see `Bench.reserve`.
     """
 
@@ -66,22 +66,22 @@ class Hand:
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
         self.magnet = False
         self.held: Held | None = None
-        self.in_vain: list[Held] = []
+        self.failed_grasps: list[Held] = []
         self.reserve = 0.0
 
-    def held_in_vain(self, thing: str, T_pinch_in_thing: Array) -> bool:
-        """Whether it held a thing about so before, its pinch frame (4, 4) in the thing's, and could not put it where it
+    def failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
+        """Whether it held a thing about so earlier, its pinch frame (4, 4) in the thing's, and could not put it where it
         was to go.
         """
-        before = [inverse(one.T_thing_in_pinch) for one in self.in_vain if one.thing == thing]
+        earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
-            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_PLACE
-            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_SIDE)
-            for T in before
+            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_POSITION
+            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_DIRECTION)
+            for T in earlier
         )
 
     @property
-    def widest(self) -> float:
+    def max_opening(self) -> float:
         """How far one finger can be told to open, m."""
         assert self.arm.fingers is not None, "skills are for hands with fingers"
         return float(self.arm.fingers.ctrl_range[1])

@@ -17,13 +17,13 @@ _OPEN_TICKS = 8
 _REST_TICKS = 4
 
 # m, how far a hand draws back from what it let go; and where joints come too near to their stops on that
-_BACK, _LEAST_BACK = 0.07, 0.04
+_RETREAT, _SHORT_RETREAT = 0.07, 0.04
 
 
 def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
     """Close the fingers on a thing between them, and let everything come to rest.
 
-    Fingers close to a force; a hand with a weld closes them only as far as the thing is wide, and switches its magnet
+    Fingers close to a force; a hand with a weld closes them only as far as the thing is opening, and switches its magnet
     on.
     """
     closing = Fingers(grip.opening, 0.0 if hand.welds else grip.force)
@@ -34,14 +34,14 @@ def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
 
 def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
-    wide = min(hand.opening + clearance, hand.widest)
+    opening = min(hand.opening + clearance, hand.max_opening)
     hand.magnet = False
-    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)}, arrives=False)
+    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(opening)}, arrives=False)
     thing, hand.held = None if hand.held is None else hand.held.thing, None
     # Fingers that were around something start near to it. Where no path is free, the first one has to do.
     retreat: Array | None = None
     for path in _retreats(bench, hand):
-        if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)):
+        if clear(path, lambda joints: bench.touched(hand, joints, opening, between=thing)):
             retreat = path
             break
         retreat = path if retreat is None else retreat
@@ -53,7 +53,7 @@ def _retreats(bench: Bench, hand: Hand) -> Iterator[Array]:
     """Yield straight paths (n + 1, dof) by which a hand leaves what it let go: those that end away from stops first."""
     T = hand.pinch_at(hand.joints)
     paths = []
-    for distance in (_BACK, _LEAST_BACK):
+    for distance in (_RETREAT, _SHORT_RETREAT):
         back, up = T @ pose((0.0, 0.0, -distance)), T.copy()
         up[2, 3] += distance
         for T_clear in (back, up):
@@ -72,16 +72,16 @@ def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
     Raises:
         SkillFailedError: the hand holds nothing any more, or the line leaves the arm's reach.
     """
-    held = bench.look_at(hand)
+    held = bench.update_held(hand)
     # The arm sags a little under its load: what it was told lies so far off what it does.
-    T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
-    return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch, speed)
+    T_commanded_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
+    return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
 
 
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
     """Bring a hand that holds nothing out of the way."""
     if not _parked(hand):
-        yield bench.segment({hand: bench.way(hand, hand.ready)}, arrives=False)
+        yield bench.segment({hand: bench.free_path(hand, hand.ready)}, arrives=False)
 
 
 def idle(bench: Bench) -> list[Hand]:
@@ -112,16 +112,16 @@ def recover(bench: Bench) -> Iterator[Segment]:
     Raises:
         SkillFailedError: there is no free way for any of those that are left.
     """
-    left = bench.free_hands("any")
-    while left:
-        before, faults = len(left), list[SkillFailedError]()
-        for hand in tuple(left):
+    waiting = bench.free_hands("any")
+    while waiting:
+        before, faults = len(waiting), list[SkillFailedError]()
+        for hand in tuple(waiting):
             try:
-                if hand.opening < hand.widest / 4:
-                    yield from let_go(bench, hand, hand.widest / 2)
+                if hand.opening < hand.max_opening / 4:
+                    yield from let_go(bench, hand, hand.max_opening / 2)
                 yield from park(bench, hand)
-                left.remove(hand)
+                waiting.remove(hand)
             except SkillFailedError as fault:
                 faults.append(fault)
-        if len(left) == before:
+        if len(waiting) == before:
             raise faults[0]

@@ -17,7 +17,7 @@ from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Side, Skill, holder_of, preferences
 from .bench import Bench, Fingers, Segment, SkillFailedError
-from .grips import Grip, points_well
+from .grips import Grip, can_point
 from .hand import PASSING, RESERVE, Hand, Held
 from .moves import let_go, park_free, take_hold
 
@@ -27,12 +27,12 @@ _APPROACHES = (0.09, 0.05)
 
 @dataclass(frozen=True)
 class Reach:
-    """A grip that a hand can take: its joints (dof,) before it and at it, and how wide its fingers are then, m."""
+    """A grip that a hand can take: its joints (dof,) before it and at it, and how opening its fingers are then, m."""
 
     grip: Grip
     before: Array
     at: Array
-    wide: float
+    opening: float
 
 
 class Pick(Skill):
@@ -45,8 +45,8 @@ class Pick(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
-    LEAVES: ClassVar[bool | None] = True
+    NEEDS_HELD: ClassVar[bool | None] = False
+    LEAVES_HELD: ClassVar[bool | None] = True
     # Whether each motion waits for the arm at the end of the one before.
     WAITS: ClassVar[bool] = True
     thing: str
@@ -71,13 +71,15 @@ class Pick(Skill):
                     return
         if not reasons:
             low, high = bench.world.block(thing)
-            opens = f"{2000 * max(hand.widest for hand in bench.acting):.0f} mm"
+            stroke = f"{2000 * max(hand.max_opening for hand in bench.acting):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
-                f"it is {size} mm and has no two opposite faces less than {opens} apart, as wide as a hand opens"
+                f"it is {size} mm and has no two opposite faces less than {stroke} apart, as wide as a hand opens"
             ] = 1
-        said = "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {said}")
+        summary = "; ".join(
+            f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
+        )
+        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """The hands that may do it, the nearest to where the thing lies and is to lie first."""
@@ -92,8 +94,8 @@ class Pick(Skill):
 
     def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
         grip = found.grip
-        path = bench.way(hand, found.before, found.wide)
-        yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
+        path = bench.free_path(hand, found.before, found.opening)
+        yield bench.segment({hand: path}, {hand: Fingers(found.opening)}, arrives=self.WAITS)
         path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
         yield bench.segment({hand: path}, arrives=self.WAITS)
         yield from take_hold(bench, hand, grip)
@@ -105,7 +107,7 @@ class Pick(Skill):
         T_up[2, 3] += self.lift
         yield bench.segment({hand: bench.line(hand, T_up)}, arrives=self.WAITS)
         try:
-            bench.look_at(hand)
+            bench.update_held(hand)
         except SkillFailedError:
             yield from let_go(bench, hand, grip.clearance)
             raise
@@ -114,7 +116,7 @@ class Pick(Skill):
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
     ) -> Reach | None:
         """Return the first grip that a hand can take now, and with which what follows can go on; None without one."""
-        for grip in bench.grips(thing, hand.widest):
+        for grip in bench.grips(thing, hand.max_opening):
             found = self.reach(bench, hand, thing, grip)
             if isinstance(found, Reach):
                 T = inverse(grip.T_pinch_in_thing)
@@ -132,22 +134,22 @@ class Pick(Skill):
         Returns:
             None where no look at the arm is needed: the hand held the thing so in vain, or no hand points there.
         """
-        if grip.opening > hand.widest:
+        if grip.opening > hand.max_opening:
             return (
                 f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
-                f"{2000 * hand.widest:.1f} mm"
+                f"{2000 * hand.max_opening:.1f} mm"
             )
         T_at = bench.world.pose(thing) @ grip.T_pinch_in_thing
-        if hand.held_in_vain(thing, grip.T_pinch_in_thing) or not points_well(T_at, hand.arm.T_base_in_world):
+        if hand.failed_with(thing, grip.T_pinch_in_thing) or not can_point(T_at, hand.arm.T_base_in_world):
             return None
         at = hand.reach(T_at, (hand.joints, hand.ready))
         if at is None:
             return f"the {hand.side} arm does not reach it so"
-        wide = min(grip.opening + grip.clearance, hand.widest)
-        before, why = _before(bench, hand, thing, T_at, at, wide, grip.beside)
+        opening = min(grip.opening + grip.clearance, hand.max_opening)
+        before, why = _before(bench, hand, thing, T_at, at, opening, grip.finger_distance)
         if before is None:
             return why
-        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, wide)
+        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, opening)
 
     def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
         """What a hand would touch once it has lifted a thing that it takes at joints `at` (dof,)."""
@@ -161,17 +163,17 @@ class Pick(Skill):
 
 
 def _before(
-    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, wide: float, beside: float | None
+    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, beside: float | None
 ) -> tuple[Array | None, str]:
     """Joints (dof,) from which a hand comes straight to a thing; else None, and why there are none."""
-    why = bench.touched(hand, at, wide, between=thing, beside=beside)
+    why = bench.touched(hand, at, opening, between=thing, beside=beside)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"
-    for far in _APPROACHES:
-        before = hand.reach(T_at @ pose((0.0, 0.0, -far)), (at,), PASSING)
+    for distance in _APPROACHES:
+        before = hand.reach(T_at @ pose((0.0, 0.0, -distance)), (at,), PASSING)
         if before is not None:
-            blocked = bench.touched(hand, before, wide)
+            blocked = bench.touched(hand, before, opening)
             if blocked is None:
                 return before, ""
             why = blocked

@@ -17,21 +17,21 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, hand_with
+from .base import Skill, require_holder
 from .bench import Bench, CachedIterable, Segment, SkillFailedError
-from .grips import points_well
+from .grips import can_point
 from .hand import PASSING, Hand
 from .moves import bring, let_go, rest
 
 # From so high a thing comes straight down, and is let go so much above where it will lie, m.
-OVER = 0.07
-_GAP = 0.002
+HOVER_HEIGHT = 0.07
+_RELEASE_GAP = 0.002
 
 # A thing farther than this from where it was to lie has not been placed, m.
-_NEAR = 0.03
+_MAX_OFFSET = 0.03
 
 # A hand that puts a thing down on a face beside points no farther up than this, as the sine of the angle.
-_LEVEL = 0.1
+_MAX_UPWARD = 0.1
 
 # Headings that are tried, as turns from the present one: small ones first.
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
@@ -46,8 +46,8 @@ class Placing(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = True
-    LEAVES: ClassVar[bool | None] = False
+    NEEDS_HELD: ClassVar[bool | None] = True
+    LEAVES_HELD: ClassVar[bool | None] = False
     # How fast a thing comes down, m/s.
     LOWERING: ClassVar[float] = 0.15
     thing: str
@@ -61,21 +61,21 @@ class Placing(Skill):
     def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
         """Where the thing may come to lie: poses (4, 4) in `world`, the best first."""
 
-    def _best(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
+    def _goals_once(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
         """The same, each looked for but once while nothing moves: every grip that is tried asks for them."""
-        return bench.once((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
+        return bench.cached((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
 
     def relaxed(self, bench: Bench, cast: Cast) -> Placing:
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
+    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
         """The same for a hand that holds the thing so, in the order in which they are tried."""
-        return self._best(bench, cast, thing)
+        return self._goals_once(bench, cast, thing)
 
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [T[:2, 3] for T in itertools.islice(self._best(bench, cast, thing), 1)]
+        return [T[:2, 3] for T in itertools.islice(self._goals_once(bench, cast, thing), 1)]
 
     def fault(
         self,
@@ -90,15 +90,15 @@ class Placing(Skill):
         """See `Skill`."""
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_lying in self._tried(bench, cast, thing, T_thing_in_pinch):
+        for T_lying in self._ordered_goals(bench, cast, thing, T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
-            well = points_well(T_pinch, hand.arm.T_base_in_world)
-            there = hand.reach(T_pinch, (joints, hand.ready)) if well else None
+            can_point_there = can_point(T_pinch, hand.arm.T_base_in_world)
+            there = hand.reach(T_pinch, (joints, hand.ready)) if can_point_there else None
             if there is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
-            over = hand.reach(raised(T_goal, OVER) @ inverse(T_thing_in_pinch), (there,), PASSING)
+            over = hand.reach(raised(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (there,), PASSING)
             if over is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
             elif blocked := bench.touched(hand, there, hand.opening, load):
@@ -112,16 +112,16 @@ class Placing(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        hand = hand_with(bench, thing, "put down")
-        held = bench.look_at(hand)
+        hand = require_holder(bench, thing, "put down")
+        held = bench.update_held(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-        for T_lying in self.relaxed(bench, cast)._tried(bench, cast, thing, held.T_thing_in_pinch):
+        for T_lying in self.relaxed(bench, cast)._ordered_goals(bench, cast, thing, held.T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             joints = self._over(hand, T_goal @ inverse(held.T_thing_in_pinch))
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
                 continue
             try:
-                path = bench.way(hand, joints, load=Load(thing, held.T_thing_in_pinch))
+                path = bench.free_path(hand, joints, load=Load(thing, held.T_thing_in_pinch))
             except SkillFailedError as error:
                 fault = str(error)
                 continue
@@ -133,20 +133,20 @@ class Placing(Skill):
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
         """Joints (dof,) of a hand over where its pinch frame is to go (4, 4)."""
-        return hand.reach(raised(T_pinch, OVER), (hand.joints, hand.ready), PASSING)
+        return hand.reach(raised(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready), PASSING)
 
     def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
-        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _GAP), self.LOWERING)})
+        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _RELEASE_GAP), self.LOWERING)})
         yield rest(bench)
         yield from let_go(bench, hand, bench.clearance(thing))
         yield rest(bench)
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
         T = bench.world.pose(thing)
-        off = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
-        if off > _NEAR or T[2, 3] < T_goal[2, 3] - _NEAR:
+        offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
+        if offset > _MAX_OFFSET or T[2, 3] < T_goal[2, 3] - _MAX_OFFSET:
             raise SkillFailedError(
-                Cause.OFF_TARGET, f"the {thing} lies {off * 1000:.0f} mm beside its place on the {onto}"
+                Cause.OFF_TARGET, f"the {thing} lies {offset * 1000:.0f} mm beside its place on the {onto}"
             )
 
 
@@ -165,7 +165,7 @@ class Place(Placing):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
-    EITHER: ClassVar[tuple[str, ...]] = ("on",)
+    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
     on: str
     at: tuple[Reach, Reach] | None = None
     start_of: str | None = None
@@ -197,10 +197,10 @@ class Place(Placing):
 
     def relaxed(self, bench: Bench, cast: Cast) -> Place:
         """See `Skill`: it may lie otherwise than upright."""
-        asked = self.upright or self.heading_deg is not None
-        if asked or not bench.items[cast.one(self.thing)].rests_any_way:
+        fixed = self.upright or self.heading_deg is not None
+        if fixed or not bench.items[cast.one(self.thing)].rests_any_way:
             return self
-        return _PlaceAnyWay.model_construct(**dict(self))
+        return _PlaceInAnyAttitude.model_construct(**dict(self))
 
     def _place(self, bench: Bench, cast: Cast) -> tuple[Array, Array]:
         """Where the thing is to lie (2,), and the pose (4, 4) of what it is to lie on, in `world`."""
@@ -212,27 +212,27 @@ class Place(Placing):
         return (T_onto @ (x, y, 0.0, 1.0))[:2], T_onto
 
 
-class _PlaceAnyWay(Place):
+class _PlaceInAnyAttitude(Place):
     """Put a thing down in any way in which it lies steadily: upright if the hand reaches that."""
 
     def relaxed(self, bench: Bench, cast: Cast) -> Place:
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
+    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
         """See `Placing`. Of the other ways to lie, those where the hand comes from above come first."""
-        yield from self._best(bench, cast, thing)
-        others = bench.once((self, "others", thing), lambda: self._others(bench, cast, thing))
+        yield from self._goals_once(bench, cast, thing)
+        lying = bench.cached((self, "others", thing), lambda: self._lying_goals(bench, cast, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
 
-        def ahead(T: Array) -> Array:
+        def forward(T: Array) -> Array:
             direction: Array = (T @ T_pinch_in_thing)[:3, 2]
             return direction
 
-        reachable = [T for T in others if ahead(T)[2] < _LEVEL]
-        yield from sorted(reachable, key=lambda T: float(ahead(T)[2]))
+        reachable = [T for T in lying if forward(T)[2] < _MAX_UPWARD]
+        yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
-    def _others(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+    def _lying_goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """Where the thing may lie otherwise than upright, its centre of mass over the place."""
         place, _ = self._place(bench, cast)
         centre = np.array(bench.items[thing].inertia.centre)

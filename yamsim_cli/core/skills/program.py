@@ -54,7 +54,7 @@ _EACH = "each"
 
 # How often a skill is tried before the program gives up; and after how many tries what cannot be put where it is to go,
 # as it is held, is put aside first, and taken anew.
-_TRIES, _HELD_TRIES = 3, 2
+_MAX_TRIES, _TRIES_WITH_SAME_GRASP = 3, 2
 
 
 @dataclass(frozen=True)
@@ -193,16 +193,20 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: Recover
             yield from skill.run(bench, cast, program[number + 1 :])
         except SkillFailedError as error:
             tries[number] = tries.get(number, 0) + 1
-            if tries[number] >= _TRIES:
+            if tries[number] >= _MAX_TRIES:
                 raise
             log.recoveries.append(Recovery(number, _name(skill), str(error)))
             # Arms that find no way out of the way stay where they are.
             with suppress(SkillFailedError):
                 yield from recover(bench)
-            if tries[number] == _HELD_TRIES and isinstance(skill, Placing) and _taken(program[:number]) == skill.thing:
+            if (
+                tries[number] == _TRIES_WITH_SAME_GRASP
+                and isinstance(skill, Placing)
+                and _last_picked(program[:number]) == skill.thing
+            ):
                 with suppress(SkillFailedError):
                     yield from put_back(bench, cast, skill.thing)
-            number = _again_from(program, number, bench, cast)
+            number = _retry_from(program, number, bench, cast)
         else:
             number += 1
 
@@ -211,28 +215,28 @@ def _name(skill: Skill) -> str:
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
-def _taken(program: Sequence[Skill]) -> str | None:
+def _last_picked(program: Sequence[Skill]) -> str | None:
     """What the last `pick` of some steps takes."""
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
-def _again_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
+def _retry_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
     """The number of the step to go on with after step `number` failed.
 
     A step that needs its thing in a hand, where no hand holds it any more, needs the nearest step before it that takes
     that thing. Any other step is tried again by itself.
     """
-    if not program[number].NEEDS:
+    if not program[number].NEEDS_HELD:
         return number
     thing = _thing(program[number], cast)
     if holder_of(bench, thing) is not None:
         return number
-    takes = (k for k in reversed(range(number)) if program[k].LEAVES and not program[k].NEEDS)
+    takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
     return next((k for k in takes if _thing(program[k], cast) == thing), number)
 
 
 def _thing(skill: Skill, cast: Cast) -> str:
-    """The thing of a skill's first role: the one that `NEEDS` and `LEAVES` are about."""
+    """The thing of a skill's first role: the one that `NEEDS_HELD` and `LEAVES_HELD` are about."""
     return cast.one(skill.roles()[0][1])
 
 
@@ -254,7 +258,7 @@ SKILL_SECONDS: Mapping[str, float] = {
     "fold": 6.8,
     "flatten": 7.0,
 }
-_THIRDS = 1.6  # of "fold": what folding in thirds takes, which is two folds of one reach; measured
+_THIRDS_FACTOR = 1.6  # of "fold": what folding in thirds takes, which is two folds of one reach; measured
 
 
 def typical_ticks(task: ProgramTask) -> int:
@@ -271,4 +275,4 @@ def typical_ticks(task: ProgramTask) -> int:
 
 def _seconds(skill: Skill) -> float:
     (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
-    return SKILL_SECONDS[name] * (_THIRDS if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    return SKILL_SECONDS[name] * (_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.se3 import Array, pose, rotation_z, yaw
 from ..goals.cast import Cast
 from ..goals.world import TABLE
-from .base import Side, Skill, hand_with
+from .base import Side, Skill, require_holder
 from .bench import Bench, Segment, SkillFailedError
 from .hand import Hand
 from .moves import let_go
@@ -35,9 +35,9 @@ class PutAside(Placing):
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
-        places = self._roomy(bench, thing, bench.middle_places())
+        places = self._free_places(bench, thing, bench.middle_places())
         if not places:
-            places = self._roomy(bench, thing, _around(bench.world.pose(thing)[:2, 3]))
+            places = self._free_places(bench, thing, _ring_places(bench.world.pose(thing)[:2, 3]))
         heading = yaw(bench.world.pose(thing))
         return [
             pose((*place, bench.height_on(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
@@ -45,21 +45,23 @@ class PutAside(Placing):
             for turn in _TURNS
         ]
 
-    def _roomy(self, bench: Bench, thing: str, places: Sequence[Array]) -> list[Array]:
-        return [place for place in places if bench.is_free(thing, place) and not self._is_wanted(bench, thing, place)]
+    def _free_places(self, bench: Bench, thing: str, places: Sequence[Array]) -> list[Array]:
+        return [
+            place for place in places if bench.is_free(thing, place) and not self._blocks_a_start(bench, thing, place)
+        ]
 
     @staticmethod
-    def _is_wanted(bench: Bench, thing: str, place: Array) -> bool:
+    def _blocks_a_start(bench: Bench, thing: str, place: Array) -> bool:
         """Whether a thing there would be in the way where things started: one may have to come there."""
-        wide = float(np.hypot(*bench.half_outline(thing, 0.0)))
+        radius = float(np.hypot(*bench.half_outline(thing, 0.0)))
         return any(
             float(np.linalg.norm(bench.world.start(other)[:2, 3] - place))
-            < wide + float(np.hypot(*bench.half_outline(other, 0.0)))
+            < radius + float(np.hypot(*bench.half_outline(other, 0.0)))
             for other in bench.world.things
         )
 
 
-def _around(place: Array) -> list[Array]:
+def _ring_places(place: Array) -> list[Array]:
     """Places (2,) in rings around one, the nearest first, m."""
     angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     return [
@@ -75,17 +77,17 @@ def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
     Raises:
         SkillFailedError: no hand holds it any more, or there is no way down.
     """
-    hand = hand_with(bench, cast.one(role), "taken another way")
-    hand.in_vain.append(bench.look_at(hand))
+    hand = require_holder(bench, cast.one(role), "taken another way")
+    hand.failed_grasps.append(bench.update_held(hand))
     try:
         yield from PutAside(thing=role).run(bench, cast, ())
     except SkillFailedError:
         if hand.held is None:
             raise
-        yield from _straight_down(bench, hand, hand.held.thing)
+        yield from _lower_straight(bench, hand, hand.held.thing)
 
 
-def _straight_down(bench: Bench, hand: Hand, thing: str) -> Iterator[Segment]:
+def _lower_straight(bench: Bench, hand: Hand, thing: str) -> Iterator[Segment]:
     T, T_pinch = bench.world.pose(thing), hand.pinch_at(hand.joints)
     table = float(bench.world.bounds(TABLE)[0][2])
     T_pinch[2, 3] -= T[2, 3] - bench.obstacles.rest_height(bench.qpos, thing, T, table)
@@ -102,8 +104,8 @@ class Regrasp(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = True
-    LEAVES: ClassVar[bool | None] = True
+    NEEDS_HELD: ClassVar[bool | None] = True
+    LEAVES_HELD: ClassVar[bool | None] = True
     thing: str
     arm: Side = "any"
 

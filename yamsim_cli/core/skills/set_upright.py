@@ -19,12 +19,12 @@ from .place import Placing
 
 # How far from where it lies a thing may come to stand, in rings of so many places, m.
 _RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)
-_PLACES = 8
+_PLACES_PER_RING = 8
 
 _HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
 # What leans more than this has fallen over again, rad.
-_STANDS = math.radians(10)
+_MAX_TILT = math.radians(10)
 
 
 class SetUpright(Placing):
@@ -35,21 +35,21 @@ class SetUpright(Placing):
         thing: a role.
     """
 
-    NEEDS: ClassVar[bool | None] = None
+    NEEDS_HELD: ClassVar[bool | None] = None
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
-        thing, taking = cast.one(self.thing), Pick(thing=self.thing)
+        thing, pick = cast.one(self.thing), Pick(thing=self.thing)
         if holder_of(bench, thing) is None:
             try:
-                yield from taking.run(bench, cast, (self,))
+                yield from pick.run(bench, cast, (self,))
             except SkillFailedError as error:
                 if error.cause is not Cause.UNREACHABLE or holder_of(bench, thing) is not None:
                     raise
-                turning = Turn(thing=self.thing)
-                yield from taking.run(bench, cast, (turning,))
-                yield from turning.run(bench, cast, (taking,))
-                yield from taking.run(bench, cast, (self,))
+                turn_skill = Turn(thing=self.thing)
+                yield from pick.run(bench, cast, (turn_skill,))
+                yield from turn_skill.run(bench, cast, (pick,))
+                yield from pick.run(bench, cast, (self,))
         yield from super().run(bench, cast, ahead)
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
@@ -58,8 +58,8 @@ class SetUpright(Placing):
         middle = (low[:2] + high[:2]) / 2
         found = []
         for ring in _RINGS:
-            for k in range(_PLACES if ring else 1):
-                angle = 2 * math.pi * k / _PLACES
+            for k in range(_PLACES_PER_RING if ring else 1):
+                angle = 2 * math.pi * k / _PLACES_PER_RING
                 place = middle + ring * np.array((math.cos(angle), math.sin(angle)))
                 if bench.is_free(thing, place):
                     height = bench.height_on(thing, place, TABLE, 0.0)
@@ -68,17 +68,17 @@ class SetUpright(Placing):
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
         super()._check(bench, thing, onto, T_goal)
-        if (leans := tilt(bench.world.pose(thing)[:3, :3])) > _STANDS:
+        if (leans := tilt(bench.world.pose(thing)[:3, :3])) > _MAX_TILT:
             raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
-# How far the upper end may come to point off the way towards the arms, rad, and how far from where the thing lies it
-# may be put, m. The arms reach best what is nearer.
-_OFF = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
-_NEARER = (0.0, 0.06, 0.12)
+# How far the upper end may come to point deviation the way towards the arms, rad, and how far from where the thing lies it
+# may be put, m. The arms reach best what is shift.
+_DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
+_SHIFTS = (0.0, 0.06, 0.12)
 
 # It comes down from so high, m.
-_OVER = 0.2
+_DROP_FROM = 0.2
 
 
 class Turn(Placing):
@@ -96,13 +96,13 @@ class Turn(Placing):
         towards = bench.middle - middle[:2]
         towards /= np.linalg.norm(towards)
         found = []
-        for nearer in _NEARER:
-            for off in _OFF:
-                turn = math.atan2(towards[1], towards[0]) + off - math.atan2(T[1, 2], T[0, 2])
+        for shift in _SHIFTS:
+            for deviation in _DEVIATIONS:
+                turn = math.atan2(towards[1], towards[0]) + deviation - math.atan2(T[1, 2], T[0, 2])
                 R = rotation_z(turn)
-                at = middle + R @ (T[:3, 3] - middle)
-                at[:2] += nearer * towards
-                T_goal = pose((*at[:2], table + _OVER), R @ T[:3, :3])
-                T_goal[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_goal, table - _OVER)
+                origin = middle + R @ (T[:3, 3] - middle)
+                origin[:2] += shift * towards
+                T_goal = pose((*origin[:2], table + _DROP_FROM), R @ T[:3, :3])
+                T_goal[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_goal, table - _DROP_FROM)
                 found.append(T_goal)
         return found
