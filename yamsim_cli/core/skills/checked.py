@@ -1,4 +1,4 @@
-"""Whether a task can be: its program, and where its things start."""
+"""Checks of a config's task: its program, and whether the places in it can be reached."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from .place import Place
 from .program import read_program, read_steps
 from .push import Push
 
-# What grids of points a fold takes, where it does not take all.
+# How a cloth's grid has to be divided for each fold that needs more than a grid.
 _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
 
 
 def check_config(config: Config) -> None:
-    """Make sure that a config's task can be, if it is a task or a recording of one.
+    """Check that a config's task can be performed, if the config is a task or a recording.
 
     Raises:
-        ConflictError: it cannot; its path is where, from the config.
+        ConflictError: it cannot; the path leads from the config's root.
     """
     if isinstance(config, ProgramTask):
         check_program(config)
     elif isinstance(config, RecordConfig):
         sides = [config.rig.arms[k].side for k in config.acting]
-        # What is wrong with the rig's own arms alone may be the fault of the rig.
+        # A fault that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
         for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
             try:
                 check_program(config.task, known_sides)
@@ -56,13 +56,13 @@ def check_config(config: Config) -> None:
 
 
 def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
-    """Make sure that a task's program has known skills, roles and parts, and that hands are free when it needs them.
+    """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
     Args:
-        sides: of the arms that do it, where that is known.
+        sides: of the arms that act; None if unknown.
 
     Raises:
-        ConflictError: it cannot be; its path is where, from the task.
+        ConflictError: the program is impossible; the path leads from the task's root.
     """
     cast = task.typical_cast
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
@@ -101,7 +101,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    """Make sure that there are the arms that a step names, or takes."""
+    """Check that the arms exist that a step names or needs."""
     if isinstance(skill, Handover | Lift) and arms < 2:
         raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):
@@ -139,7 +139,7 @@ def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str |
 
 
 def _check_support(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
-    """Make sure that something can be put onto whatever plays the role that a step puts a thing onto."""
+    """Check that each object that may play the supporting role has a floor or a flat top."""
     role = next(name for name in task.things if skill.on in (name, *cast.of(name)))
     for k, item in enumerate(task.things[role].of):
         if item.cloth is None and not item.carries:
@@ -151,7 +151,7 @@ def _check_support(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str 
 
 
 def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int, ...]) -> None:
-    """Make sure that what is to hang has an eye, and what it is to hang on a peg, whichever objects play them."""
+    """Check that each object that is to hang has an eye, and that each object that it hangs on has a peg."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _objects_of(task, cast, role):
             if handle not in (names := [one.name for one in item.handles]):
@@ -160,12 +160,12 @@ def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int
 
 
 def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig, ...]:
-    """What may play a role, or the thing of that name."""
+    """Return the objects that may play a role; `role` may also be the name of a thing."""
     return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
 
 
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
-    """Make sure that whatever the expert picks up fits between the fingers of the arms that act."""
+    """Check that every picked object fits between the fingers of the acting arms."""
     cast = task.typical_cast
     picked = {skill.thing for _, skill in read_steps(task.expert, cast) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
@@ -178,7 +178,7 @@ def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
 
 
 def _check_reach(config: RecordConfig) -> None:
-    """Make sure that of every region on the table some place is nearer to an arm's base than the arm is long."""
+    """Check that each start region on the table has a point nearer to an arm's base than the arm's length."""
     arms = _arms(config)
     for role, start in config.starts.items():
         if start.on != TABLE:
@@ -196,7 +196,7 @@ def _check_reach(config: RecordConfig) -> None:
 
 
 def _check_places(config: RecordConfig, task: ProgramTask) -> None:
-    """Make sure that each place on the table that a step names is within the length of some arm."""
+    """Check that each point on the table that a step names lies within the length of some arm."""
     arms = _arms(config)
     longest = max(length for _, length in arms)
     for path, skill in read_steps(task.expert, task.typical_cast, ("expert",)):
@@ -212,19 +212,19 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
 
 
 def _named_place(skill: Skill) -> tuple[str, Array | None]:
-    """The argument by which a skill names a place on the table, and the place (2,); None if it names none."""
+    """Return the argument by which a skill names a point on the table, and the point (2,); None if it names none."""
     if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
         return "at", np.array(skill.at) + skill.number * np.array(skill.step)
     return "to", np.array(skill.to) if isinstance(skill, Push) else None
 
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
-    """Where the base (2,) of each arm that acts is in `world`, and how long the arm is at most, m."""
+    """Return the base (2,) in `world` and the length of each acting arm, m."""
     return [(config.rig.T_base_in_world(k)[:2, 3], _arm_length(bare_arm(config.rig.arms[k]))) for k in config.acting]
 
 
 def _arm_length(model: mujoco.MjModel) -> float:
-    """At least how far from its base an arm's pinch point never gets, m: all that is between them in one line."""
+    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of the offsets between."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
     while model.body_parentid[body]:
@@ -234,7 +234,7 @@ def _arm_length(model: mujoco.MjModel) -> float:
 
 
 def program_contradiction(task: ProgramTask) -> str | None:
-    """How a task's program contradicts its goal; None if it does not, as far as its steps tell."""
+    """Return how a task's program contradicts its goal; None if no step is known to."""
     cast = task.typical_cast
     program = read_program(task.expert, cast)
     held, moved, handed_over = set[str](), set[str](), set[str]()
@@ -266,6 +266,6 @@ def program_contradiction(task: ProgramTask) -> str | None:
 
 
 def _starts_on(task: ProgramTask, name: str) -> str | None:
-    """What a role starts on, or the thing of a role."""
+    """Return what a role, or the thing of a role, starts on."""
     cast = task.typical_cast
     return next((start.on for role, start in task.starts.items() if name in (role, *cast.of(role))), None)

@@ -1,4 +1,4 @@
-"""Give a thing from one hand to the other, in the air."""
+"""Hand a thing over in the air, from one hand to the other."""
 
 from __future__ import annotations
 
@@ -23,40 +23,39 @@ from .grips import Grip, can_point
 from .hand import PASSING, Hand, Held
 from .moves import let_go, rest, take_hold
 
-# From so far the taking hand comes straight, m.
-_APPROACH = 0.08
+_APPROACH = 0.08  # m, length of the straight approach of the taking hand
 
-# Where hands meet: how far ahead of the middle between their bases, m.
+# m, candidate distances of the meeting in front of the midpoint between the bases, in the order tried
 _MEETING_X = (0.32, 0.26, 0.38, 0.44)
 
-# Two hands whose fingers point less far apart than this are in each other's way; and from here on they point at each
-# other, and may be turned about that line, rad.
-_MIN_ANGLE = math.radians(50)
+_MIN_ANGLE = math.radians(50)  # rad, hands that point less far apart are in each other's way unless side by side
+# rad, from here on hands face each other, and the thing may roll about the line between them
 _FACING_ANGLE = math.radians(165)
-# How hands meet: at least how far apart they hold a long thing if they come from the same side, m; how much lower than
-# usual, m; and by how much the line from the giving to the taking hand is turned from the line between the bases, rad.
-# Fingers with room between them come first, then fingers that only just pass each other, then lower places, which hands
-# reach from above.
+# Meetings in the order tried: least distance between hands that come from the same side, m; how much lower than
+# `height`, m; and angle between the line from hand to hand and the line between the bases, rad. Fingers with room
+# between them come first, then fingers that just pass each other, then lower places, which hands reach from above.
 _MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
 _MIN_APART = min(apart for apart, _, _ in _MEETINGS)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
 _TURNED_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
 
-# How many grips are looked at together: one look at their poses costs as much as 20 poses one by one.
+# count, grips whose poses are tested in one call; a call costs as much as 20 separate poses
 _BATCH_SIZE = 64
 
+# rad, of the thing about the line between hands that face each other
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
 class _Meeting:
-    """How hands meet.
+    """Grip and joints of both hands at a handover.
 
     Attributes:
-        grip: the taking hand's.
-        wide: opening of one of its fingers before it closes, m.
-        giving: joints (dof,) of the giving arm, rad.
-        before, taking: joints (dof,) of the taking arm before it comes to the thing, and at it, rad.
+        grip: of the taking hand.
+        opening: of each of its fingers before it closes, m.
+        giver_joints: of the giving arm (dof,), rad.
+        approach_joints: of the taking arm before the straight approach (dof,), rad.
+        taker_joints: of the taking arm at the thing (dof,), rad.
     """
 
     grip: Grip
@@ -67,12 +66,12 @@ class _Meeting:
 
 
 class Handover(Skill):
-    """Bring a thing to where both hands reach it, let the other hand take it, and let go.
+    """Move a thing to where both hands reach it, grasp it with the other hand, and release it.
 
     Attributes:
         thing: a role; it is in a hand.
-        to: which hand is to have it then.
-        height: of its origin over the table, m.
+        to: the hand that holds the thing afterwards.
+        height: of the thing's origin over the table, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -127,11 +126,11 @@ class Handover(Skill):
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
-        """See `Skill`: the line from hand to hand may be turned from the line between the bases."""
+        """See `Skill`: the line from hand to hand may be turned relative to the line between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
-        """The first meeting after which the next skill can go on; without one, the first at all."""
+        """Return the first meeting that leaves the next skills possible; if there is none, the first reachable meeting."""
         held = bench.update_held(giver)
         for following in (*preferences(ahead, bench, cast), ()):
             for skill in (self, self.relaxed(bench, cast)):
@@ -142,9 +141,9 @@ class Handover(Skill):
     def _meeting_before(
         self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
     ) -> _Meeting | None:
-        """The first meeting at which both hands reach the thing and touch nothing, and after which skills can go on."""
+        """Return the first meeting that both hands reach without contacts and that leaves skills possible; None without one."""
         grips = _taking_grips(bench, cast, taker, held.thing, ahead)
-        # The first search asks about a grip only where hands would meet by it. Later ones have use for every answer.
+        # The first search tests a grip only if hands can meet with it. Later searches profit from every tested grip.
         check_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
@@ -170,7 +169,7 @@ class Handover(Skill):
 
 
 class _TurnedHandover(Handover):
-    """A hand-over in which the line from hand to hand may be turned."""
+    """A handover in which the line from hand to hand may be turned."""
 
     MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _TURNED_MEETINGS
 
@@ -180,10 +179,10 @@ class _TurnedHandover(Handover):
 
 
 class _TakingGrips:
-    """The ways in which a hand may take a thing, the best ones first.
+    """Grips by which a hand may take a thing, the most reliable first.
 
     Attributes:
-        faults: number of a way -> why the skills ahead could not go on with it, or None; as far as anybody asked.
+        faults: number of each tested grip -> why the skills ahead would fail with it; None if they would not.
     """
 
     def __init__(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> None:
@@ -192,11 +191,11 @@ class _TakingGrips:
         self.faults: dict[int, str | None] = {}
 
     def open(self) -> Iterator[tuple[int, Grip]]:
-        """Yield the ways with which skills ahead can go on, as far as anybody asked, each with its number."""
+        """Yield the number and the grip of all that are untested or suitable."""
         return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
     def suits(self, number: int, grip: Grip) -> bool:
-        """Whether the skills ahead can go on with the grip that has a number."""
+        """Return whether the skills ahead can continue with a grip; each grip is tested once."""
         if number not in self.faults:
             fault = None
             if self._ahead:
@@ -207,7 +206,7 @@ class _TakingGrips:
 
 
 def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
-    """The same grips for every search while nothing moves: whether one suits does not depend on where hands meet."""
+    """Return the taking grips, shared by all searches while nothing moves: suitability does not depend on the meeting."""
     key = ("taking grips", taker.side, thing, tuple(ahead))
     return bench.cached(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
@@ -215,7 +214,7 @@ def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequ
 def _within_reach(
     giver: Hand, taker: Hand, T_giving: Array, grips: Iterator[tuple[int, Grip]], poses: _Poses
 ) -> Iterator[tuple[int, Grip, Array]]:
-    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach it."""
+    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T_things = [poses.of(grip) for _, grip in batch]
         T = np.concatenate(T_things)
@@ -229,7 +228,7 @@ def _within_reach(
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
-    """The meeting with the hands' pinch frames at poses (4, 4) in `world`; None where an arm does not reach its own."""
+    """Return the meeting with the hands' pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
     if not can_point(T_giving, giver.arm.T_base_in_world) or not can_point(T_taking, taker.arm.T_base_in_world):
         return None
     taking = taker.reach(T_taking, (taker.ready,))
@@ -245,7 +244,7 @@ def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: G
 
 
 def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeting) -> bool:
-    """Whether neither hand touches anything at a meeting but the thing between its fingers."""
+    """Return whether the hands touch nothing at a meeting but the thing between their fingers."""
     if bench.touched(giver, meeting.giver_joints, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
         return False
     there = bench.posed_qpos(giver, meeting.giver_joints, giver.opening, held)
@@ -256,13 +255,13 @@ def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeti
 
 @dataclass(frozen=True)
 class _Attitude:
-    """How a thing has to be turned for second hands to take it from their own sides.
+    """Orientation of a thing in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation (3, 3) from the thing's frame to one whose first axis leads from the giving hand to the
-            taking one, and whose second axis points along both hands.
-        apart: distance between hands that point about the same way, m; None if they do not.
-        facing: whether hands point at each other, so that the thing may be turned about the line between them.
+        R_thing: rotation (3, 3) from the thing's frame to a frame whose first axis leads from the giving hand to the
+            taking hand, and whose second axis points along both hands.
+        apart: distance between hands that point in similar directions, m; None for other hands.
+        facing: whether the hands face each other, so that the thing may roll about the line between them.
     """
 
     R_thing: Array
@@ -272,13 +271,13 @@ class _Attitude:
 
 @dataclass(frozen=True)
 class _Poses:
-    """Poses of a thing at which both hands come from their own side, and as much from above.
+    """Poses of a thing at which each hand comes from its own side, and both as steeply from above as possible.
 
     Attributes:
-        across: direction (3,) of the line from the giving to the taking hand, in `world`.
-        side_by_side: how far apart hands that point the same way have to be, m.
-        places: of the thing (n, 3), in `world`, m.
-        attitude: of the thing by a taking grip.
+        across: direction (3,) from the giving to the taking hand, in `world`.
+        side_by_side: least distance between hands that point in similar directions, m.
+        places: of the thing's origin (n, 3), in `world`, m.
+        attitude: returns the thing's attitude for a taking grip.
     """
 
     across: Array
@@ -304,7 +303,7 @@ class _Poses:
 
 
 def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
-    """The attitude for second hands' pinch frames (4, 4) in the thing's; None where hands are in each other's way."""
+    """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands are in each other's way."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     apart = T_taking[:3, 3] - T_giving[:3, 3]
     distance = float(np.linalg.norm(apart))
@@ -316,7 +315,8 @@ def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
     first = first / np.linalg.norm(first)
     second = giving + taking
     if angle > _FACING_ANGLE:
-        # Any direction beside that line may be the one from above; the thing's own is tried first.
+        # The hands face each other, so any direction across the line may point down; the thing's own z axis is tried
+        # first.
         second = np.array((0.0, 0.0, -1.0)) if abs(first[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
     second = second - (second @ first) * first
     if np.linalg.norm(second) < 0.1:

@@ -1,4 +1,4 @@
-"""Hang what a hand holds on a peg."""
+"""Hang a held thing on a peg."""
 
 from __future__ import annotations
 
@@ -19,22 +19,20 @@ from .bench import Bench, Segment, SkillFailedError
 from .hand import PASSING, Hand
 from .moves import bring, let_go, park_free, rest
 
-# How far behind the peg's tip the eye may come, in the order in which that is tried, and how far before it the thing
-# waits, m.
-_DEPTHS = (0.045, 0.055, 0.035)
-_APPROACH = 0.04
+_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
+_APPROACH = 0.04  # m, of the thing before the peg's tip when the straight approach starts
 
-# How far the thing may lean about the peg, as it may turn when it is let go: little first, rad.
+# rad, of the thing about the peg, since it may turn when released; the smallest first
 _LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
 
-# Onto the peg and down on it, m/s; from so much over it the thing is let go, m; and it swings for so many ticks.
-_SPEED = 0.10
-_RELEASE_GAP = 0.001
-_SWING_TICKS = 40
+# Motion onto the peg and down.
+_SPEED = 0.10  # m/s
+_RELEASE_GAP = 0.001  # m, of the eye over the peg at the release
+_SWING_TICKS = 40  # control ticks in which the thing swings to rest
 
 
 class Hang(Skill):
-    """Move the eye of a thing over a peg, and let it hang there.
+    """Move the eye of a thing over a peg, and release the thing.
 
     Attributes:
         thing: a role; it is in a hand, and has a handle called `eye`, which points through an opening.
@@ -109,7 +107,7 @@ class Hang(Skill):
     def _candidates(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, seeds: Sequence[Array]
     ) -> Iterator[tuple[Array, Array]]:
-        """Joints (dof,) of a hand that holds a thing before the peg, and the thing's pose (4, 4) on it."""
+        """Yield joints (dof,) of a hand that holds a thing before the peg, with the thing's pose (4, 4) on the peg."""
         T_peg = bench.world.mark(cast.one(self.onto), "peg")
         T_eye_in_thing = inverse(bench.world.pose(thing)) @ bench.world.mark(thing, "eye")
         for T_eye in _eyes(T_peg):
@@ -127,7 +125,7 @@ class Hang(Skill):
 
 
 def _eyes(T_peg: Array) -> Iterator[Array]:
-    """Where an eye may come to be on a peg: poses (4, 4) in `world`, its y up, those that lean less first."""
+    """Yield candidate poses (4, 4) of an eye on a peg, in `world`, y up; those that lean least first."""
     along = T_peg[:3, 2]
     level = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
     for lean in _LEANS:

@@ -18,21 +18,19 @@ from .grips import Grip, can_point
 from .hand import PASSING, Hand, Held
 from .moves import GRIP_TICKS, let_go, rest
 
-# From so far hands come straight, m; how far apart they take hold at least, m; and how many grips a hand is tried with.
-_APPROACH = 0.08
-_MIN_APART = 0.12
-_MAX_GRIPS = 24
+_APPROACH = 0.08  # m, length of the straight approach of each hand
+_MIN_APART = 0.12  # m, least distance between the two grasps
+_MAX_GRIPS = 24  # count, reachable grips of each hand that are compared
 
-# Both hands move at this speed, m/s.
-_SPEED = 0.10
+_SPEED = 0.10  # m/s, of both hands while they lift
 
 
 class Lift(Skill):
-    """Take a thing at two places, one with each hand, and lift it level.
+    """Grasp a thing at two places, one with each hand, and lift it level.
 
     Attributes:
         thing: a role.
-        by: how high, m.
+        by: height of the lift, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -72,7 +70,7 @@ class Lift(Skill):
             bench.update_held(hand)
 
     def _pair(self, bench: Bench, one: Hand, other: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
-        """Each hand with its grip, and its joints (dof,) before it and at it; those that are far apart first."""
+        """Return for each hand its grip, and its joints (dof,) before and at the grip; the most distant pair that is free."""
         reached = {hand: list(self._reached(bench, hand, thing)) for hand in (one, other)}
         pairs = sorted(
             itertools.product(*reached.values()),

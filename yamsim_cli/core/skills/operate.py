@@ -19,22 +19,20 @@ from .grips import CLEARANCE
 from .hand import PASSING, Hand
 from .moves import GRIP_TICKS, let_go, park_free, rest
 
-# From so far the hand comes to a handle straight, m; how hard it holds it, N; and how fast it moves it, m/s.
-_APPROACH = 0.08
-_FORCE = 25.0
-_SPEED = 0.12
+_APPROACH = 0.08  # m, length of the straight approach to a handle
+_FORCE = 25.0  # N, of each finger on a handle
+_SPEED = 0.12  # m/s, of the hand while it moves a part
 
-# A joint that is as near as this to where it was to go, as a share of its range, is there.
-_TOLERANCE = 0.1
+_TOLERANCE = 0.1  # share of the joint's range; a joint this near to its goal is there
 
 
 class Operate(Skill):
-    """Take a handle, move it the pose_at its joint goes, and let go.
+    """Grasp a handle, move it along the path of its joint, and release it.
 
     Attributes:
         thing: a role.
         joint: the name of the part that moves, such as `drawer`.
-        to: how far open, as a share of its range: 1 opens it, 0 closes it.
+        to: goal as a share of the joint's range: 1 is open, 0 is closed.
         arm: which arm.
     """
 
@@ -87,6 +85,7 @@ class Operate(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _before(self, bench: Bench, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
+        """Return joints (dof,) before the straight approach to a handle; None if the handle is out of reach or blocked."""
         at = hand.reach(T_at, (hand.joints, hand.ready))
         if at is None or bench.touched(hand, at, opening, between=thing):
             return None
@@ -96,7 +95,7 @@ class Operate(Skill):
     def _pinch_path(
         self, bench: Bench, thing: str, link: Link, T_part: Array, T_in_part: Array
     ) -> Callable[[float], Array]:
-        """Where the hand is when the joint has gone a share of its pose_at."""
+        """Return a function from a share of the joint's motion to the pose (4, 4) of the pinch frame in `world`."""
         joint = link.joint
         low, high = (joint.si(end) for end in joint.range)
         now = low + bench.world.opening(thing, link.name) * (high - low)
@@ -114,7 +113,7 @@ class Operate(Skill):
 
 
 def _reaches(hand: Hand, start: Array, pose_at: Callable[[float], Array]) -> bool:
-    """Whether a hand can follow all of a pose_at, looked at in a few places."""
+    """Return whether a hand can follow a path of its pinch frame, tested at five poses."""
     joints: Array | None = start
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         joints = None if joints is None else hand.reach(pose_at(share), (joints,), PASSING)

@@ -1,4 +1,4 @@
-"""Take a thing from where it lies."""
+"""Pick up a thing."""
 
 from __future__ import annotations
 
@@ -21,13 +21,20 @@ from .grips import Grip, can_point
 from .hand import PASSING, RESERVE, Hand, Held
 from .moves import let_go, park_free, take_hold
 
-# From so far the hand comes straight: from less where there is no room for more, m.
+# m, lengths of the straight approach; the shorter one is for tight places
 _APPROACHES = (0.09, 0.05)
 
 
 @dataclass(frozen=True)
 class Reach:
-    """A grip that a hand can take: its joints (dof,) before it and at it, and how opening its fingers are then, m."""
+    """A grip that a hand can take now.
+
+    Attributes:
+        grip: the grip.
+        before: joints (dof,) before the straight approach, rad.
+        at: joints (dof,) at the grip, rad.
+        opening: of each finger during the approach, m.
+    """
 
     grip: Grip
     before: Array
@@ -36,7 +43,7 @@ class Reach:
 
 
 class Pick(Skill):
-    """Take a thing and lift it, by the arm and the grip with which what follows can be done too.
+    """Grasp a thing and lift it, with an arm and a grip that leave the skills ahead possible.
 
     Attributes:
         thing: a role.
@@ -47,7 +54,7 @@ class Pick(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
     LEAVES_HELD: ClassVar[bool | None] = True
-    # Whether each motion waits for the arm at the end of the one before.
+    # Whether each motion waits until the arm has reached the end of the previous motion.
     WAITS: ClassVar[bool] = True
     thing: str
     arm: Side = "any"
@@ -82,7 +89,7 @@ class Pick(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
-        """The hands that may do it, the nearest to where the thing lies and is to lie first."""
+        """Return the hands that may pick, those nearest to the thing and to its goals first."""
         places = [bench.world.pose(thing)[:2, 3], *goals]
         hands = bench.free_hands(self.arm)
 
@@ -115,7 +122,7 @@ class Pick(Skill):
     def _reached(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
     ) -> Reach | None:
-        """Return the first grip that a hand can take now, and with which what follows can go on; None without one."""
+        """Return the first grip that a hand can take now and that leaves the skills ahead possible; None without one."""
         for grip in bench.grips(thing, hand.max_opening):
             found = self.reach(bench, hand, thing, grip)
             if isinstance(found, Reach):
@@ -129,10 +136,10 @@ class Pick(Skill):
         return None
 
     def reach(self, bench: Bench, hand: Hand, thing: str, grip: Grip) -> Reach | str | None:
-        """How a hand can take a thing by a grip now; else why it cannot.
+        """Return how a hand can take a thing by a grip now; else why not, for a person.
 
         Returns:
-            None where no look at the arm is needed: the hand held the thing so in vain, or no hand points there.
+            None if the grip is no candidate: a similar grasp failed before, or no hand can point there.
         """
         if grip.opening > hand.max_opening:
             return (
@@ -152,7 +159,7 @@ class Pick(Skill):
         return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, opening)
 
     def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
-        """What a hand would touch once it has lifted a thing that it takes at joints `at` (dof,)."""
+        """Return what prevents a hand from lifting a thing grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
         up = hand.reach(T_up, (at,), PASSING)
@@ -165,7 +172,7 @@ class Pick(Skill):
 def _before(
     bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, beside: float | None
 ) -> tuple[Array | None, str]:
-    """Joints (dof,) from which a hand comes straight to a thing; else None, and why there are none."""
+    """Return joints (dof,) before the straight approach to a thing; else None, and why there are none."""
     why = bench.touched(hand, at, opening, between=thing, beside=beside)
     if why is not None:
         return None, why

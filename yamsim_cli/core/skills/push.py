@@ -20,29 +20,27 @@ from .bench import Bench, Fingers, Segment, SkillFailedError
 from .hand import PASSING, Hand
 from .moves import GRIP_TICKS, park_free, rest
 
-# The fingers come down so far behind the thing, from so high, and push at this height over the table, m.
-_START_GAP = 0.03
-_APPROACH_HEIGHT = 0.10
-_PUSH_HEIGHT = 0.02
+_START_GAP = 0.03  # m, between the thing and the fingers where they come down behind it
+_APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
+_PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
-# A push goes no faster than this, m/s.
-_PUSH_SPEED = 0.10
+_PUSH_SPEED = 0.10  # m/s
 
-# How often a thing is pushed on, if it did not get there at once.
-_MAX_PUSHES = 3
+_MAX_PUSHES = 3  # count, pushes before the skill fails
 
-# How the hand may be turned about straight down from the fingers side by side, and how far it may lean, rad.
+# rad, of the hand about the vertical, relative to fingers side by side
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
+# rad, of the hand from straight down, in the order tried
 _LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
-    """Push a low thing to a place, in a straight line: the hand has to have room behind it, over the fingers.
+    """Push a low thing in a straight line to a point; the hand needs room behind the thing.
 
     Attributes:
         thing: a role.
         to: x and y in `world`, m.
-        radius: how near to it the thing has to come, m.
+        radius: largest distance from the point at which the push succeeds, m.
         arm: which arm.
     """
 
@@ -99,9 +97,9 @@ class Push(Skill):
     def _reach(
         self, bench: Bench, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
-        """Joints (dof,) over where the push begins, and the pinch frame (4, 4) where it begins and where it ends."""
+        """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at its start and end; None if impossible."""
         height = float(bench.world.bounds(TABLE)[1][2]) + _PUSH_HEIGHT
-        # Fingers down, the closing axis across the displacement.
+        # Fingers down, the closing axis across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         c, s = math.cos(lean), math.sin(lean)
         R = rotation_z(heading) @ down @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -1,4 +1,4 @@
-"""Put what a hand holds down where there is room."""
+"""Put a held thing down where there is room."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .moves import let_go
 from .pick import Pick
 from .place import Placing
 
-# Headings that are tried, as turns from the present one.
+# rad, headings relative to the present heading, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
-# Where there is no room between the arms: how far from where it is held it may be put, m, in so many directions.
+# m and count; if there is no room between the arms: radii of rings around the present position, and places on each
 _RINGS, _DIRECTIONS = (0.0, 0.06, 0.12, 0.18), 8
 
 
 class PutAside(Placing):
-    """Put a thing down on the table where there is room and where nothing started: near both arms, and where they have
-    no such place, near where it is held.
+    """Put a thing down on a free place of the table where no thing started: about as near to all acting arms, or if all
+    such places are taken, near to where the hand holds the thing.
 
     Attributes:
         thing: a role; it is in a hand.
@@ -52,7 +52,7 @@ class PutAside(Placing):
 
     @staticmethod
     def _blocks_a_start(bench: Bench, thing: str, place: Array) -> bool:
-        """Whether a thing there would be in the way where things started: one may have to come there."""
+        """Return whether a thing at a point (2,) would overlap a thing's start, to which some thing may have to return."""
         radius = float(np.hypot(*bench.half_outline(thing, 0.0)))
         return any(
             float(np.linalg.norm(bench.world.start(other)[:2, 3] - place))
@@ -62,7 +62,7 @@ class PutAside(Placing):
 
 
 def _ring_places(place: Array) -> list[Array]:
-    """Places (2,) in rings around one, the nearest first, m."""
+    """Return points (2,) in rings around a point, the nearest first, m."""
     angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     return [
         place + ring * np.array((math.cos(angle), math.sin(angle)))
@@ -72,10 +72,10 @@ def _ring_places(place: Array) -> list[Array]:
 
 
 def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
-    """Put a thing down where there is room, else straight below, and note that to hold it so is of no use.
+    """Put a thing down where there is room, else straight below, and add its grasp to the hand's `failed_grasps`.
 
     Raises:
-        SkillFailedError: no hand holds it any more, or there is no way down.
+        SkillFailedError: no hand holds the thing any more, or it cannot be lowered.
     """
     hand = require_holder(bench, cast.one(role), "taken another way")
     hand.failed_grasps.append(bench.update_held(hand))
@@ -96,11 +96,11 @@ def _lower_straight(bench: Bench, hand: Hand, thing: str) -> Iterator[Segment]:
 
 
 class Regrasp(Skill):
-    """Put a thing down and take it again, with the arm and the grip that suit what follows.
+    """Put a thing down and pick it up again, with an arm and a grip that leave the skills ahead possible.
 
     Attributes:
         thing: a role; it is in a hand.
-        arm: which arm takes it.
+        arm: the arm that picks the thing up.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)

@@ -1,4 +1,4 @@
-"""Stand a thing up that lies on its side, or on its head."""
+"""Set a lying or inverted thing upright."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ from .bench import Bench, Segment, SkillFailedError
 from .pick import Pick
 from .place import Placing
 
-# How far from where it lies a thing may come to stand, in rings of so many places, m.
-_RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)
-_PLACES_PER_RING = 8
+_RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around where the thing lies
+_PLACES_PER_RING = 8  # count
 
 _HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
-# What leans more than this has fallen over again, rad.
-_MAX_TILT = math.radians(10)
+_MAX_TILT = math.radians(10)  # rad, a thing that leans more has fallen over again
 
 
 class SetUpright(Placing):
-    """Put a thing down upright, near where it was taken from. What is in no hand yet is taken first; where it lies so
-    that no hand can take it and set it upright, it is turned before.
+    """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp allows
+    both that and setting it upright, the thing is turned before.
 
     Attributes:
         thing: a role.
@@ -72,17 +70,15 @@ class SetUpright(Placing):
             raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
-# How far the upper end may come to point deviation the way towards the arms, rad, and how far from where the thing lies it
-# may be put, m. The arms reach best what is shift.
+# rad, deviations of the upper end from the direction towards the arms, in the order tried
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
-_SHIFTS = (0.0, 0.06, 0.12)
+_SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
 
-# It comes down from so high, m.
-_DROP_FROM = 0.2
+_DROP_FROM = 0.2  # m over the table, from which the resting height is searched
 
 
 class Turn(Placing):
-    """Turn a thing that lies: put it down as it lay, its z axis towards the arms.
+    """Put a lying thing down in the same attitude, with its z axis towards the arms.
 
     Attributes:
         thing: a role; it is in a hand.
