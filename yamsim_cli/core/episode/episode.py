@@ -21,7 +21,7 @@ from .held import HeldThings
 from .monitor import Monitor, limits_fault
 from .rules import End, EndReason, EndRule, EpisodeRules
 
-#: Called with the start, and with the state after every physics step, which it must not change.
+# : Called at the start and after every physics step with the state, which it must not change.
 OnStep = Callable[[mujoco.MjData], None]
 
 
@@ -43,12 +43,12 @@ class Timing(Protocol):
 
 @dataclass(frozen=True)
 class EpisodeGoal:
-    """What an episode is about.
+    """The goal of an episode.
 
     Attributes:
-        goal: what has to hold.
-        cast: which thing plays which role in it.
-        hold_ticks: control ticks for which it has to hold.
+        goal: the predicates that have to hold.
+        cast: which thing plays which role.
+        hold_ticks: control ticks for which the goal has to hold.
     """
 
     goal: Goal
@@ -58,16 +58,15 @@ class EpisodeGoal:
 
 @dataclass(frozen=True)
 class Played:
-    """All that happened in an episode.
+    """Everything that happened in an episode.
 
     Attributes:
-        states: one for each recorded frame, taken before the frame's first command acts.
-        end: how it ended.
-        verdict: of the goal at the end; if the goal held then, but not for its hold time, of the last tick at which it
-            did not hold. None without a goal.
-        held_ticks: control ticks for which the goal had held without a break at the end.
-        margins: how near the arms came to their limits, and how still the things lay in the hands; None if no tick
-            passed.
+        states: one for each recorded frame, from before the frame's first command acts.
+        end: how the episode ended.
+        verdict: of the goal at the end. If the goal held then but not for its hold time, the verdict of the last tick at
+            which it did not hold. None without a goal.
+        held_ticks: control ticks for which the goal held without a break until the end.
+        margins: how near the arms came to their limits, and how far things moved in the hands; None if no tick passed.
         collision: the first forbidden contact, and when; None without one.
         T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
         speeds: thing -> speed at the end, m/s.
@@ -90,14 +89,14 @@ class Played:
 
 
 class Episode:
-    """One attempt in motion. The same commands from the same start give the same bits, in however many calls.
+    """One attempt in motion. The same commands from the same start give the same bits, in any division into calls.
 
     The goal is evaluated after every control tick, whoever acts. `end` says when and how the episode ended.
 
     Attributes:
-        scene: in which it takes place.
+        scene: the compiled scene.
         data: MuJoCo's present state, with poses and contacts up to date.
-        world: the same state by the names of things.
+        world: the present state by the names of things.
         ticks: control ticks that have passed.
         verdict: of the goal now, with all its margins; None without a goal.
         held_ticks: control ticks for which the goal has held without a break.
@@ -107,9 +106,9 @@ class Episode:
         start: MuJoCo's positions (nq,), from which everything starts at rest.
         timing: of the task.
         sides: "left" or "right" of each of the scene's arms.
-        goal: what is judged; None where somebody else judges.
-        rules: what ends it.
-        world: the state by the names of things; by default of all things in the scene.
+        goal: what is judged; None if the caller judges.
+        rules: what ends the episode; by default those of `EpisodeRules()`.
+        world: returns the state by the names of things; by default of all things in the scene.
         on_step: see `OnStep`.
     """
 
@@ -167,7 +166,7 @@ class Episode:
 
     @property
     def held(self) -> tuple[bool, ...]:
-        """Whether each arm's weld holds a thing."""
+        """Whether each arm's weld holds a thing (arms,)."""
         return tuple(weld_holds(self.data, arm) for arm in self.scene.arms)
 
     @property
@@ -182,7 +181,7 @@ class Episode:
 
     @property
     def status(self) -> str:
-        """How the goal stands, for a person; empty without a goal."""
+        """The state of the goal as text for a person; empty without a goal."""
         if self.verdict is None or self._goal is None:
             return ""
         worst = self.verdict.worst
@@ -198,7 +197,7 @@ class Episode:
         return readings(self.scene, now if seen is None else seen, job, self.ticks)
 
     def step(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None = None) -> None:
-        """Let a command act for one control tick; nothing happens once the episode has ended.
+        """Execute a command for one control tick; nothing happens once the episode has ended.
 
         Args:
             ctrl: commands of each arm's drives (arms, drives), rad and m.
@@ -210,10 +209,10 @@ class Episode:
         self._tick(command, magnet, joints)
 
     def act(self, actions: Actions, *, until_success: bool = False) -> None:
-        """Let several control ticks of actions act, until the episode ends.
+        """Execute the actions of several control ticks, until the episode ends.
 
         Args:
-            until_success: whether to leave out the rest once the goal has held for its hold time.
+            until_success: whether to stop once the goal has held for its hold time.
         """
         for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
             if self.end is not None or (until_success and self.succeeds):
@@ -221,7 +220,7 @@ class Episode:
             self._tick(ctrl, magnet, joints)
 
     def finish(self) -> Played:
-        """End the episode on behalf of its actor, if it has not ended, and return all that happened."""
+        """End the episode on behalf of its actor if it has not ended, and return all that happened."""
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None
@@ -271,7 +270,7 @@ class Episode:
         self._check_end()
 
     def _refresh(self) -> None:
-        """Bring poses and contacts up to date: after `mj_step`, they are those of the step before."""
+        """Update poses and contacts: after `mj_step`, they are those of the step before."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -307,7 +306,7 @@ class Episode:
         self.end = End(reason, self.ticks, cause, detail)
 
     def _goal_failure(self) -> tuple[Cause, str]:
-        """Return why the goal is not reached now."""
+        """Return the cause and details of a goal that is not reached now."""
         assert self.verdict is not None and self._goal is not None
         if not self._goal_holds:
             worst = self.verdict.worst

@@ -1,4 +1,4 @@
-"""How still things lie in the hands that hold them."""
+"""How far things slip and tilt in the hands that hold them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ SETTLED_TICKS = 8  # control ticks of holding after which a thing counts as sett
 
 
 class HeldThings:
-    """Measures how far things move in hands, and turn, while they are held.
+    """Measures how far things slip and tilt while they are held.
 
     Attributes:
         slip: largest distance that a settled thing moved in a hand, m.
-        tilt: largest angle between a held thing's vertical axis when it was taken and later, rad.
+        tilt: largest angle between a held thing's vertical axis at its grasp and later, rad.
 
     Args:
-        world: whose `watch` is called before this one's.
+        world: its `watch` has to be called before this one.
     """
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
@@ -30,7 +30,7 @@ class HeldThings:
         self.slip = self.tilt = 0.0
 
     def watch(self) -> None:
-        """Take in the state after a control tick."""
+        """Measure the state after a control tick."""
         for name, holders in self._world.holding().items():
             if name in self._scene.cloths:
                 continue

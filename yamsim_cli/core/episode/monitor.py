@@ -1,4 +1,4 @@
-"""Observes an episode at every physics step: joint limits, forbidden contacts, and physics that breaks down."""
+"""Observation of every physics step: joint limits, forbidden contacts, and physics that breaks down."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..scene.compiled import CompiledScene
 from ..scene.compiling import breakdown
 from ..types import Margins
 
-CONTACT_STEPS = 8  # physics steps after which contacts are looked at although their number has not changed
+CONTACT_STEPS = 8  # physics steps after which contacts are checked even if their number has not changed
 
 
 class Monitor:
     """Observes how near the arms come to their limits, and keeps the first fault of each kind.
 
     Attributes:
-        collision: what touched something that it must not touch, and when; None if nothing did.
-        breakdown: what went wrong in physics itself, and when; None if nothing did.
+        collision: the first forbidden contact, and when; None without one.
+        breakdown: the first breakdown of physics, and when; None without one.
 
     Args:
         steps: physics steps in a control tick.
@@ -64,12 +64,12 @@ class Monitor:
         self._stop_distance = min(self._stop_distance, float(distances.min()))
         self._step = 0
         if self.breakdown is None and (text := breakdown(data)):
-            # The time is counted in steps, since MuJoCo has reset its own clock.
+            # MuJoCo has reset its own clock, so the time is counted in steps.
             seconds = self._steps * float(self._model.opt.timestep)
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def margins(self, slip: float | None = None, tilt: float | None = None) -> Margins:
-        """Return how near the arms came to their limits so far.
+        """Return how near the arms have come to their limits.
 
         Args:
             slip, tilt: see `Margins`.
@@ -84,11 +84,11 @@ class Monitor:
             self.collision = f"{names} touch after {data.time:.2f} s"
 
 
-STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be; stops are soft in physics
+STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be, because stops are soft in physics
 
 
 def limits_fault(margins: Margins) -> str | None:
-    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; None if none."""
+    """Return, as text, the motion that exceeds a motor's speed, a drive's torque or a joint's stop; None without one."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
         return None
     return (

@@ -158,7 +158,7 @@ class Bench:
         return found
 
     def clear_cache(self) -> None:
-        """Drop what `cached` keeps, since it refers to the bench and would otherwise only be freed by a cycle collection."""
+        """Drop what `cached` keeps. It refers to the bench, which would stay in memory until a cycle collection."""
         self._cache = (b"", {})
 
     def grips(self, thing: str, max_opening: float) -> Iterator[Grip]:
@@ -186,7 +186,7 @@ class Bench:
         return self.height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
 
     def height_of(self, thing: str, T: Array, onto: str) -> float:
-        """Return the height in `world` at which a thing's origin comes to rest below a pose (4, 4), in its orientation, m."""
+        """Return the height in `world` at which a thing's origin comes to rest if it falls from a pose (4, 4) upright or not, m."""
         top = float(self.cached(("bounds", onto), lambda: self.world.bounds(onto))[1][2])
         low, high = self._block(thing)
         T_over = T.copy()

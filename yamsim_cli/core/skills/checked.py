@@ -224,7 +224,7 @@ def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
 
 
 def _arm_length(model: mujoco.MjModel) -> float:
-    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of the offsets between."""
+    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of all offsets."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
     while model.body_parentid[body]:

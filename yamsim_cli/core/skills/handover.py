@@ -130,7 +130,7 @@ class Handover(Skill):
         return _TurnedHandover.model_construct(**dict(self))
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
-        """Return the first meeting that leaves the next skills possible; if there is none, the first reachable meeting."""
+        """Return the first meeting that leaves the next skills possible; else the first reachable meeting."""
         held = bench.update_held(giver)
         for following in (*preferences(ahead, bench, cast), ()):
             for skill in (self, self.relaxed(bench, cast)):
@@ -141,7 +141,7 @@ class Handover(Skill):
     def _meeting_before(
         self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
     ) -> _Meeting | None:
-        """Return the first meeting that both hands reach without contacts and that leaves skills possible; None without one."""
+        """Return the first meeting without contacts that both hands reach and that leaves skills possible."""
         grips = _taking_grips(bench, cast, taker, held.thing, ahead)
         # The first search tests a grip only if hands can meet with it. Later searches profit from every tested grip.
         check_first = bool(grips.faults)
@@ -206,7 +206,7 @@ class _TakingGrips:
 
 
 def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
-    """Return the taking grips, shared by all searches while nothing moves: suitability does not depend on the meeting."""
+    """Return the taking grips. All searches share them while nothing moves, since a meeting does not change `faults`."""
     key = ("taking grips", taker.side, thing, tuple(ahead))
     return bench.cached(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
@@ -228,7 +228,7 @@ def _within_reach(
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
-    """Return the meeting with the hands' pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
+    """Return the meeting with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
     if not can_point(T_giving, giver.arm.T_base_in_world) or not can_point(T_taking, taker.arm.T_base_in_world):
         return None
     taking = taker.reach(T_taking, (taker.ready,))
@@ -303,7 +303,7 @@ class _Poses:
 
 
 def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
-    """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands are in each other's way."""
+    """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     apart = T_taking[:3, 3] - T_giving[:3, 3]
     distance = float(np.linalg.norm(apart))

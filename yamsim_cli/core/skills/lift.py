@@ -70,7 +70,7 @@ class Lift(Skill):
             bench.update_held(hand)
 
     def _pair(self, bench: Bench, one: Hand, other: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
-        """Return for each hand its grip, and its joints (dof,) before and at the grip; the most distant pair that is free."""
+        """Return the most distant pair of grips that is free: for each hand, its grip and its joints (dof,) before and at it."""
         reached = {hand: list(self._reached(bench, hand, thing)) for hand in (one, other)}
         pairs = sorted(
             itertools.product(*reached.values()),

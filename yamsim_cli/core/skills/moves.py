@@ -22,8 +22,7 @@ _RETREAT, _SHORT_RETREAT = 0.07, 0.04
 def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
     """Yield segments that close the fingers on the thing between them, and wait until everything rests.
 
-    Fingers close with the grip's force. A hand with a weld closes them only to the thing's width, and switches its magnet
-    on.
+    Fingers close with the grip's force. A hand with a weld closes them to the thing's width, and switches its magnet on.
     """
     closing = Fingers(grip.opening, 0.0 if hand.welds else grip.force)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
@@ -32,7 +31,7 @@ def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
 
 
 def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
-    """Yield segments that open each finger by a clearance (m), and draw the hand back along its approach axis, or up."""
+    """Yield segments that open each finger by a clearance (m), and draw the hand back along its axis or up."""
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.magnet = False
     yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(opening)}, arrives=False)
@@ -105,7 +104,7 @@ def rest(bench: Bench) -> Segment:
 
 
 def recover(bench: Bench) -> Iterator[Segment]:
-    """Yield motions that open and park all hands that hold nothing. A hand that is blocked waits until others are parked.
+    """Yield motions that open and park all hands that hold nothing; a blocked hand waits until others are parked.
 
     Raises:
         SkillFailedError: none of the remaining hands has a free path.

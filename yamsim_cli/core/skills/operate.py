@@ -85,7 +85,7 @@ class Operate(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _before(self, bench: Bench, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
-        """Return joints (dof,) before the straight approach to a handle; None if the handle is out of reach or blocked."""
+        """Return joints (dof,) before the straight approach to a handle; None if it is out of reach or blocked."""
         at = hand.reach(T_at, (hand.joints, hand.ready))
         if at is None or bench.touched(hand, at, opening, between=thing):
             return None

@@ -122,7 +122,7 @@ class Pick(Skill):
     def _reached(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
     ) -> Reach | None:
-        """Return the first grip that a hand can take now and that leaves the skills ahead possible; None without one."""
+        """Return the first grip that a hand can take now and that leaves the skills ahead possible; else None."""
         for grip in bench.grips(thing, hand.max_opening):
             found = self.reach(bench, hand, thing, grip)
             if isinstance(found, Reach):

@@ -26,7 +26,9 @@ from .moves import bring, let_go, rest
 HOVER_HEIGHT = 0.07  # m, a thing comes straight down from this height over its goal
 _RELEASE_GAP = 0.002  # m, a thing is released this high over its goal
 
-_MAX_OFFSET = 0.03  # m, a thing farther than this from its goal has not been placed
+_MAX_OFFSET = (
+    0.03  # largest sine of the angle above horizontal at which a hand points that puts a thing down in a lying attitude
+)
 
 # largest sine of the angle above horizontal at which a hand points that puts a thing down on another face
 _MAX_UPWARD = 0.1
@@ -40,7 +42,7 @@ class Placing(Skill):
 
     Attributes:
         thing: a role; it is in a hand.
-        drop: height of the release over the goal, m, for goals at which fingers around the thing would touch the support.
+        drop: height of the release over the goal, m, where fingers around the thing would touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -130,7 +132,7 @@ class Placing(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) of a hand at `HOVER_HEIGHT` over a pose (4, 4) of its pinch frame; None if out of reach."""
+        """Return joints (dof,) of a hand at `HOVER_HEIGHT` over a pose (4, 4) of its pinch frame; None without any."""
         return hand.reach(raised(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready), PASSING)
 
     def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
@@ -237,7 +239,7 @@ class _PlaceInAnyAttitude(Place):
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
     def _lying_goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """Return the poses (4, 4) in `world` in stable attitudes other than upright, with the centre of mass over the point."""
+        """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the goal's point."""
         place, _ = self._place(bench, cast)
         centre = np.array(bench.items[thing].inertia.centre)
         heading = yaw(bench.world.pose(thing))

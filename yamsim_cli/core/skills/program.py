@@ -131,9 +131,9 @@ def _read_each(
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     """Yield the steps of a loop, once for each thing of a role.
 
-    The keys of `given`: `of` is a role. `do` is the steps, in which `it` is the present thing, `previous` the thing before,
-    and `number` how many things came before. `skip` is how many things to leave out at the start. `order` lists kinds of
-    things, in the order in which they are visited.
+    Keys of `given`: `of` is a role. `do` is the steps, in which `it` is the present thing, `previous` the thing
+    before, and `number` how many things came before. `skip` is how many things to leave out at the start. `order` lists
+    kinds of things, in the order in which they are visited.
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(

@@ -52,7 +52,7 @@ class PutAside(Placing):
 
     @staticmethod
     def _blocks_a_start(bench: Bench, thing: str, place: Array) -> bool:
-        """Return whether a thing at a point (2,) would overlap a thing's start, to which some thing may have to return."""
+        """Return whether a thing at a point (2,) would overlap a start, to which a thing may have to return."""
         radius = float(np.hypot(*bench.half_outline(thing, 0.0)))
         return any(
             float(np.linalg.norm(bench.world.start(other)[:2, 3] - place))

@@ -26,8 +26,8 @@ _MAX_TILT = math.radians(10)  # rad, a thing that leans more has fallen over aga
 
 
 class SetUpright(Placing):
-    """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp allows
-    both that and setting it upright, the thing is turned before.
+    """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp
+    allows that, the thing is turned before.
 
     Attributes:
         thing: a role.
