@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from ..attempt.alone import RIG, PickedGrasp, take
+from ..attempt.alone import RIG, PickedGrasp, simulate_pick
 from ..config.loader import load_config
 from ..config.rig import ArmConfig, RigConfig
 from ..geometry.se3 import (
@@ -57,7 +57,7 @@ def grasp(subject: Subject) -> CheckOutcome:
     if all(point.opening >= widest for point in friction.points):
         return unchecked(f"{2000 * item.grasp.opening:.4g} mm wide: more than the hand opens, {2000 * widest:.4g} mm")
     try:
-        taken = take(item, replace(subject.locations, meshes=subject.meshes))
+        taken = simulate_pick(item, replace(subject.locations, meshes=subject.meshes))
     except SkillFailedError as error:
         return CheckOutcome(False, {"force_n": short(friction.force, 3)}, f"the skill `pick` fails: {error}")
     return _held(_Hand.of(subject), taken, item.grasp.clearance)

@@ -21,7 +21,7 @@ from .held import HeldThings
 from .monitor import Monitor, limits_fault
 from .rules import End, EndReason, EndRule, EpisodeRules
 
-# : Called at the start and after every physics step with the state, which it must not change.
+#: Called at the start and after every physics step with the state, which it must not change.
 OnStep = Callable[[mujoco.MjData], None]
 
 
@@ -63,8 +63,8 @@ class Played:
     Attributes:
         states: one for each recorded frame, from before the frame's first command acts.
         end: how the episode ended.
-        verdict: of the goal at the end. If the goal held then but not for its hold time, the verdict of the last tick at
-            which it did not hold. None without a goal.
+        verdict: of the goal at the end. If the goal held then but not for its hold time, the last verdict with which it
+            did not hold. None without a goal.
         held_ticks: control ticks for which the goal held without a break until the end.
         margins: how near the arms came to their limits, and how far things moved in the hands; None if no tick passed.
         collision: the first forbidden contact, and when; None without one.
@@ -321,8 +321,8 @@ class Episode:
         return {name: self.world.pose(name) for name in self.scene.things}
 
     def _states(self) -> tuple[StepState, ...]:
-        every, actions = self._timing.ticks_per_frame, self.actions
-        spans = [slice(k * every, (k + 1) * every) for k in range(len(self._frames))]
+        ticks, actions = self._timing.ticks_per_frame, self.actions
+        spans = [slice(k * ticks, (k + 1) * ticks) for k in range(len(self._frames))]
         return tuple(
             StepState(time, qpos, Actions(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)
             for (time, qpos, seen), span in zip(self._frames, spans, strict=True)

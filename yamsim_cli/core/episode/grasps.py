@@ -44,8 +44,7 @@ class WeldGrasp:
 
     Args:
         scene: a scene whose arms have welds.
-        reach: largest distance from the pinch point to a thing's surface at which the magnet attracts the thing, m; None
-            for any distance.
+        reach: largest distance from the pinch point to a thing's surface at which the magnet attracts, m; None for any.
     """
 
     def __init__(self, scene: CompiledScene, reach: float | None) -> None:
@@ -87,7 +86,7 @@ class WeldGrasp:
 
 
 class ClothGrasp:
-    """Constraints that hold points of cloth between closed fingers, see `sim.cloth`; rigid things are held by friction."""
+    """Constraints that hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid things."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._grips = ClothGrips(scene)

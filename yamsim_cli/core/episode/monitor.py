@@ -88,7 +88,7 @@ STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be, because stops 
 
 
 def limits_fault(margins: Margins) -> str | None:
-    """Return, as text, the motion that exceeds a motor's speed, a drive's torque or a joint's stop; None without one."""
+    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; else None."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
         return None
     return (

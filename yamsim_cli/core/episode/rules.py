@@ -49,10 +49,10 @@ class EpisodeRules:
     magnet_reach: float | None = MAGNET_REACH
 
 
-# : The rules of demonstrations by a task's expert, and of their replays.
+#: The rules of demonstrations by a task's expert, and of their replays.
 EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, magnet_reach=None)
 
-# : The rules of replays of a person's recorded actions.
+#: The rules of replays of a person's recorded actions.
 REPEATED_RULES = EpisodeRules(EndRule.ACTOR, magnet_reach=None)
 
 

@@ -186,7 +186,7 @@ class Bench:
         return self.height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
 
     def height_of(self, thing: str, T: Array, onto: str) -> float:
-        """Return the height in `world` at which a thing's origin comes to rest if it falls from a pose (4, 4) upright or not, m."""
+        """Return the height in `world` at which a thing with the rotation of a pose (4, 4) comes to rest, m."""
         top = float(self.cached(("bounds", onto), lambda: self.world.bounds(onto))[1][2])
         low, high = self._block(thing)
         T_over = T.copy()

@@ -118,7 +118,7 @@ def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tup
     if arms < skill.hands:
         raise ConflictError(f"to fold cloth {skill.said} takes two arms; use a rig with two, or `diagonal`", path)
     thing = cast.one(skill.thing)
-    for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
+    for item in next(player.of for role, player in task.things.items() if thing in cast.of(role)):
         if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
                 f"the {item.name} cannot be folded {skill.said}: that takes {_GRIDS[skill.how]}, not "
@@ -154,14 +154,14 @@ def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int
     """Check that each object that is to hang has an eye, and that each object that it hangs on has a peg."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _objects_of(task, cast, role):
-            if handle not in (names := [one.name for one in item.handles]):
+            if handle not in (names := [known_handle.name for known_handle in item.handles]):
                 known = ", ".join(names) or "(none)"
                 raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
 
 
 def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig, ...]:
     """Return the objects that may play a role; `role` may also be the name of a thing."""
-    return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
+    return next(player.of for name, player in task.things.items() if role in (name, *cast.of(name)))
 
 
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
@@ -170,9 +170,9 @@ def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
     picked = {skill.thing for _, skill in read_steps(task.expert, cast) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
         ("task", "things", role, "of", k): item
-        for role, one in task.things.items()
+        for role, player in task.things.items()
         if picked & {role, *cast.of(role)}
-        for k, item in enumerate(one.of)
+        for k, item in enumerate(player.of)
     }
     check_fingers(config.rig, config.acting_arms, items)
 

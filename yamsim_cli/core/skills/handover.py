@@ -206,7 +206,7 @@ class _TakingGrips:
 
 
 def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
-    """Return the taking grips. All searches share them while nothing moves, since a meeting does not change `faults`."""
+    """Return the taking grips, which all searches share while nothing moves: `faults` holds for every meeting."""
     key = ("taking grips", taker.side, thing, tuple(ahead))
     return bench.cached(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
@@ -247,10 +247,10 @@ def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeti
     """Return whether the hands touch nothing at a meeting but the thing between their fingers."""
     if bench.touched(giver, meeting.giver_joints, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
         return False
-    there = bench.posed_qpos(giver, meeting.giver_joints, giver.opening, held)
+    qpos = bench.posed_qpos(giver, meeting.giver_joints, giver.opening, held)
     touched, opening = bench.obstacles.touched, meeting.opening
-    at_it = touched(there, taker.number, meeting.taker_joints, opening, between=held.thing)
-    return not at_it and not touched(there, taker.number, meeting.approach_joints, opening)
+    blocked = touched(qpos, taker.number, meeting.taker_joints, opening, between=held.thing)
+    return not blocked and not touched(qpos, taker.number, meeting.approach_joints, opening)
 
 
 @dataclass(frozen=True)

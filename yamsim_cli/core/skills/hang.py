@@ -63,10 +63,10 @@ class Hang(Skill):
         fault = f"the {hand.side} arm does not reach the peg with it"
         load = Load(thing, T_thing_in_pinch)
         for before, T_on in self._candidates(bench, cast, hand, thing, T_thing_in_pinch, (joints, hand.ready)):
-            there = hand.reach(T_on @ inverse(T_thing_in_pinch), (before,), PASSING)
-            if there is None:
+            at_peg = hand.reach(T_on @ inverse(T_thing_in_pinch), (before,), PASSING)
+            if at_peg is None:
                 continue
-            blocked = bench.touched(hand, there, hand.opening, load) or bench.touched(hand, before, hand.opening, load)
+            blocked = bench.touched(hand, at_peg, hand.opening, load) or bench.touched(hand, before, hand.opening, load)
             if blocked is None:
                 return None
             fault = f"{blocked} at the peg"

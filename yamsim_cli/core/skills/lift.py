@@ -42,8 +42,8 @@ class Lift(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        one, other = bench.hands[:2]
-        found = self._pair(bench, one, other, thing)
+        hand_a, hand_b = bench.hands[:2]
+        found = self._pair(bench, hand_a, hand_b, thing)
         openings = {hand: min(grip.opening + grip.clearance, hand.max_opening) for hand, grip, *_ in found}
         for hand, _, before, _ in found:
             yield bench.segment({hand: bench.free_path(hand, before, openings[hand])}, {hand: Fingers(openings[hand])})
@@ -69,9 +69,9 @@ class Lift(Skill):
         for hand in closing:
             bench.update_held(hand)
 
-    def _pair(self, bench: Bench, one: Hand, other: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
-        """Return the most distant pair of grips that is free: for each hand, its grip and its joints (dof,) before and at it."""
-        reached = {hand: list(self._reached(bench, hand, thing)) for hand in (one, other)}
+    def _pair(self, bench: Bench, hand_a: Hand, hand_b: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
+        """Return the most distant free pair of grips: each hand with its grip, and joints (dof,) before and at it."""
+        reached = {hand: list(self._reached(bench, hand, thing)) for hand in (hand_a, hand_b)}
         pairs = sorted(
             itertools.product(*reached.values()),
             key=lambda pair: (
@@ -82,8 +82,8 @@ class Lift(Skill):
             apart = _position(first[1]) - _position(second[1])
             if float(np.linalg.norm(apart)) < _MIN_APART:
                 break
-            there = bench.posed_qpos(first[0], first[3], first[1].opening, None)
-            if bench.obstacles.touched(there, second[0].number, second[3], second[1].opening, between=thing) is None:
+            qpos = bench.posed_qpos(first[0], first[3], first[1].opening, None)
+            if bench.obstacles.touched(qpos, second[0].number, second[3], second[1].opening, between=thing) is None:
                 return [first, second]
         raise SkillFailedError(Cause.UNREACHABLE, f"no two places at which both hands can take the {thing}")
 

@@ -22,7 +22,7 @@ _RETREAT, _SHORT_RETREAT = 0.07, 0.04
 def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
     """Yield segments that close the fingers on the thing between them, and wait until everything rests.
 
-    Fingers close with the grip's force. A hand with a weld closes them to the thing's width, and switches its magnet on.
+    Fingers close with the grip's force. A hand with a weld closes to the thing's width, and switches its magnet on.
     """
     closing = Fingers(grip.opening, 0.0 if hand.welds else grip.force)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
@@ -91,10 +91,10 @@ def _parked(hand: Hand) -> bool:
     return bool(abs(hand.joints - hand.ready).max() <= 1e-6)
 
 
-def park_free(bench: Bench, but: Hand | None = None) -> Iterator[Segment]:
-    """Yield the motions that park all hands that hold nothing, except `but`."""
+def park_free(bench: Bench, except_hand: Hand | None = None) -> Iterator[Segment]:
+    """Yield the motions that park all hands that hold nothing, except `except_hand`."""
     for hand in bench.hands:
-        if hand is not but and hand.held is None:
+        if hand is not except_hand and hand.held is None:
             yield from park(bench, hand)
 
 

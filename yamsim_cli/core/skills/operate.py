@@ -98,15 +98,17 @@ class Operate(Skill):
         """Return a function from a share of the joint's motion to the pose (4, 4) of the pinch frame in `world`."""
         joint = link.joint
         low, high = (joint.si(end) for end in joint.range)
-        now = low + bench.world.opening(thing, link.name) * (high - low)
+        start = low + bench.world.opening(thing, link.name) * (high - low)
         goal = low + self.to * (high - low)
         axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        about = pose(joint.position)
+        T_axis = pose(joint.position)
 
         def pose_at(share: float) -> Array:
-            change = share * (goal - now)
+            change = share * (goal - start)
             if joint.turns:
-                return T_part @ about @ pose(rotation=rotation_from_vector(axis * change)) @ inverse(about) @ T_in_part
+                return (
+                    T_part @ T_axis @ pose(rotation=rotation_from_vector(axis * change)) @ inverse(T_axis) @ T_in_part
+                )
             return T_part @ pose(axis * change) @ T_in_part
 
         return pose_at

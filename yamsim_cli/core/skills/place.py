@@ -26,11 +26,9 @@ from .moves import bring, let_go, rest
 HOVER_HEIGHT = 0.07  # m, a thing comes straight down from this height over its goal
 _RELEASE_GAP = 0.002  # m, a thing is released this high over its goal
 
-_MAX_OFFSET = (
-    0.03  # largest sine of the angle above horizontal at which a hand points that puts a thing down in a lying attitude
-)
+_MAX_OFFSET = 0.03  # m, a thing farther than this from its goal has not been placed
 
-# largest sine of the angle above horizontal at which a hand points that puts a thing down on another face
+# largest sine of the angle above horizontal at which a hand points that puts a thing down in a lying attitude
 _MAX_UPWARD = 0.1
 
 # rad, headings relative to the present heading, the smallest first
@@ -94,16 +92,16 @@ class Placing(Skill):
             T_goal = raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
             can_point_there = can_point(T_pinch, hand.arm.T_base_in_world)
-            there = hand.reach(T_pinch, (joints, hand.ready)) if can_point_there else None
-            if there is None:
+            goal_joints = hand.reach(T_pinch, (joints, hand.ready)) if can_point_there else None
+            if goal_joints is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
-            over = hand.reach(raised(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (there,), PASSING)
-            if over is None:
+            hover_joints = hand.reach(raised(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (goal_joints,), PASSING)
+            if hover_joints is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
-            elif blocked := bench.touched(hand, there, hand.opening, load):
+            elif blocked := bench.touched(hand, goal_joints, hand.opening, load):
                 fault = f"{blocked} at its goal"
-            elif blocked := bench.touched(hand, over, hand.opening, Load(thing, T_thing_in_pinch)):
+            elif blocked := bench.touched(hand, hover_joints, hand.opening, Load(thing, T_thing_in_pinch)):
                 fault = f"{blocked} over its goal"
             else:
                 return None
@@ -239,7 +237,7 @@ class _PlaceInAnyAttitude(Place):
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
     def _lying_goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the goal's point."""
+        """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the point."""
         place, _ = self._place(bench, cast)
         centre = np.array(bench.items[thing].inertia.centre)
         heading = yaw(bench.world.pose(thing))

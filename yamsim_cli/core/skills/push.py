@@ -97,7 +97,7 @@ class Push(Skill):
     def _reach(
         self, bench: Bench, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
-        """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at its start and end; else None."""
+        """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at start and end; else None."""
         height = float(bench.world.bounds(TABLE)[1][2]) + _PUSH_HEIGHT
         # Fingers down, the closing axis across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
