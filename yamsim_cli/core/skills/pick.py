@@ -170,10 +170,10 @@ class Pick(Skill):
 
 
 def _before(
-    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, beside: float | None
+    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, finger_distance: float | None
 ) -> tuple[Array | None, str]:
     """Return joints (dof,) before the straight approach to a thing; else None, and why there are none."""
-    why = bench.touched(hand, at, opening, between=thing, beside=beside)
+    why = bench.touched(hand, at, opening, between=thing, beside=finger_distance)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"
