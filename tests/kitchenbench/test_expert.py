@@ -82,7 +82,7 @@ def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: Bench) -> 
     """And not what slows it down: an arm that is at rest would stand beside its place by that."""
     hand = expert_bench.hands[0]
     goal = hand.ready + np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
-    segment = expert_bench.segment({hand: expert_bench.way(hand, goal)})
+    segment = expert_bench.segment({hand: expert_bench.free_path(hand, goal)})
     *_, last = actions_of(expert_bench, segment, 10)
     # Nothing hangs on the first joint, whose axis is upright; what brakes it is newton metres.
     assert last[7 * hand.number] == pytest.approx(goal[0], abs=0.002)
@@ -139,8 +139,8 @@ def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) 
         wide = grip.opening + grip.clearance
         return at is not None and bench.touched(hand, at, wide, between="cutlery_2", beside=beside) is None
 
-    close = [grip for grip in bench.grips("cutlery_2", hand.widest) if grip.beside is not None]
-    first = next(grip for grip in close if free(grip, grip.beside))
+    close = [grip for grip in bench.grips("cutlery_2", hand.max_opening) if grip.finger_distance is not None]
+    first = next(grip for grip in close if free(grip, grip.finger_distance))
     assert not free(first, None)
 
 

@@ -156,7 +156,7 @@ class PlanningScene:
 
     def close(self) -> None:
         """Free the simulation and what the skills have kept."""
-        self.bench.forget()
+        self.bench.clear_cache()
         self._simulator.close()
 
 
@@ -194,7 +194,10 @@ def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
             # A drive is a spring towards its command, which therefore includes the deflection by the weight that the
             # arm bears. Accelerations are not compensated: their deflection would remain after the motion.
             arm = hand.arm
-            joints = path.joints[tick] + bench.bearing(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
+            joints = (
+                path.joints[tick]
+                + bench.holding_torques(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
+            )
             opening = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
             share = commanded_share(fingers, float(np.clip(opening, *fingers.ctrl_range)))
             parts += [np.clip(joints, arm.joint_range[:, 0], arm.joint_range[:, 1]), [share]]

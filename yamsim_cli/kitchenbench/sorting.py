@@ -22,7 +22,7 @@ from ..core.skills.handover import Handover
 from ..core.skills.insert import Insert
 from ..core.skills.moves import let_go, park_free, recover, rest
 from ..core.skills.pick import Pick
-from ..core.skills.place import OVER, Placing, raised
+from ..core.skills.place import HOVER_HEIGHT, Placing, raised
 from ..core.skills.put_aside import PutAside
 from ..core.tasks.casting import gap, outline
 from ..core.types import Cause
@@ -106,7 +106,7 @@ class PlaceInCompartment(Placing):
         """See `Placing`; where that fails, from joints that reach the place itself."""
         joints = super()._over(hand, T_pinch)
         if joints is None and (there := hand.reach(T_pinch, (hand.joints, hand.ready), PASSING)) is not None:
-            joints = hand.reach(raised(T_pinch, OVER), (there,), PASSING)
+            joints = hand.reach(raised(T_pinch, HOVER_HEIGHT), (there,), PASSING)
         return joints
 
 
@@ -147,7 +147,7 @@ class Slide(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
+    NEEDS_HELD: ClassVar[bool | None] = False
     thing: str
     arm: Side = "any"
 
@@ -203,7 +203,7 @@ class Slide(Skill):
 def _slid(bench: Bench, hand: Hand, press: _Press, shift: Array) -> Iterator[Segment]:
     """Approach, press, slide, and retreat."""
     closed = {hand: Fingers(0.0)}
-    yield bench.segment({hand: bench.way(hand, press.above)}, closed, arrives=False)
+    yield bench.segment({hand: bench.free_path(hand, press.above)}, closed, arrives=False)
     yield bench.segment({hand: bench.line(hand, press.T_press)})
     T_end = press.T_press.copy()
     T_end[:2, 3] += shift * (1.0 + _SHORT / float(np.linalg.norm(shift)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.attempt.alone import reachable_places, take
+from yamsim_cli.core.attempt.alone import reachable_places, simulate_pick
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import GraspPoint, ObjectConfig
 from yamsim_cli.core.resources import Locations
@@ -23,7 +23,7 @@ def places(item: ObjectConfig) -> tuple[GraspPoint, ...]:
 
 def test_a_cube_is_held_as_its_config_says(locations: Locations) -> None:
     item = load("cube_red", locations)
-    taken = take(item, locations)
+    taken = simulate_pick(item, locations)
     assert item.grasp is not None and item.grasp.friction is not None
     assert (taken.opening, taken.force) == (item.grasp.opening, item.grasp.friction.force)
     T_pinch_in_thing = np.linalg.inv(taken.T_thing_in_pinch)
@@ -33,13 +33,13 @@ def test_a_cube_is_held_as_its_config_says(locations: Locations) -> None:
 
 def test_a_tall_thing_does_not_touch_the_hand_at_the_start(locations: Locations) -> None:
     item = load("kitchen_pasta_box", locations)
-    assert take(item, locations).force == pytest.approx(20.8)
+    assert simulate_pick(item, locations).force == pytest.approx(20.8)
 
 
 @pytest.mark.slow
 def test_what_is_thinner_than_the_pads_reach_down_is_dropped(locations: Locations) -> None:
     with pytest.raises(SkillFailedError, match="fell out of the right hand"):
-        take(load("kitchen_dry_pasta", locations), locations)
+        simulate_pick(load("kitchen_dry_pasta", locations), locations)
 
 
 def test_places_that_no_hand_can_take_are_left_out(locations: Locations) -> None:

@@ -44,7 +44,7 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
         pick, handover, place = program_of(config.task, cast)
         assert isinstance(pick, Pick) and isinstance(handover, Handover) and isinstance(place, Place)
         [giver], banana = bench.free_hands(pick.arm), cast.one("object")
-        taken = (pick.reach(bench, giver, banana, grip) for grip in bench.grips(banana, giver.widest))
+        taken = (pick.reach(bench, giver, banana, grip) for grip in bench.grips(banana, giver.max_opening))
         first = islice((reach for reach in taken if isinstance(reach, Reach)), 12)
         held = ((inverse(reach.grip.T_pinch_in_thing), reach.at) for reach in first)
         assert any(handover.fault(bench, cast, giver, banana, T, at, [place]) is None for T, at in held)

@@ -1,4 +1,4 @@
-"""A thing alone on a table before one arm, and how the skill `pick` takes it from there."""
+"""A single thing on a table in front of one arm, and how the skill `pick` picks it up."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..skills.base import Skill
 from ..skills.bench import Bench, SkillFailedError
-from ..skills.grips import grips
+from ..skills.grips import friction_grips
 from ..skills.pick import Pick, Reach
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
@@ -36,23 +36,23 @@ from ..types import Cause, EpisodeJob
 from .sampling import no_start, sample
 from .simulator import Simulator, open_episode
 
-#: The rig whose hand takes things.
+#: The rig whose hand picks things up.
 RIG = "single_linear"
 
 _THING = "thing"
-_PLACE = (0.33, 0.15)  # m, in `world`: where the middle of the thing lies, well in reach, beside the hand at its start
-_HEADINGS = (0.0, 90.0)  # degrees, of the thing; the second is tried where `pick` fails in the first
-_JOB = EpisodeJob(0, 0)
+_PLACE = (0.33, 0.15)  # m, in `world`: middle of the thing; well within reach, beside the hand's start
+_HEADINGS = (0.0, 90.0)  # degrees, of the thing; the second is tried if `pick` fails with the first
+_JOB = EpisodeJob(0, 0)  # the seed and number from which everything random follows
 
 
 @dataclass(frozen=True)
-class Taken:
-    """How `pick` holds a thing that it has lifted.
+class PickedGrasp:
+    """The grasp of a thing that `pick` has lifted.
 
     Attributes:
         T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
-        opening: of each finger around the thing, as the skill commands it, m.
-        force: with which each finger presses, N.
+        opening: commanded opening of each finger around the thing, m.
+        force: of each finger, N.
     """
 
     T_thing_in_pinch: Array
@@ -60,8 +60,8 @@ class Taken:
     force: float
 
 
-def take(item: ObjectConfig, locations: Locations) -> Taken:
-    """Let `pick` lift a thing from the table in physics, and return how the hand holds it then.
+def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
+    """Run `pick` on a thing in physics, and return the resulting grasp.
 
     Args:
         locations: with the folders of the thing's meshes, if it collides by meshes.
@@ -73,18 +73,18 @@ def take(item: ObjectConfig, locations: Locations) -> Taken:
     *first, last = _HEADINGS
     for heading in first:
         with suppress(SkillFailedError):
-            return _take(item, locations, heading)
-    return _take(item, locations, last)
+            return _pick_at_heading(item, locations, heading)
+    return _pick_at_heading(item, locations, last)
 
 
 def reachable_places(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
-    """The places of a thing's friction grasp that `pick` can take, those with the least lean of the hand first.
+    """Return the grasp points of a thing that `pick` can use, those with the least lean of the hand first.
 
-    Nothing moves: a place counts if in one of the headings the arm reaches it, and touches nothing on its way. A thing
-    that is not for one hand to lift has none.
+    Nothing is simulated: a grasp point counts if in one of the headings the arm reaches it without contacts. A thing
+    that one hand cannot lift has none.
 
     Args:
-        locations: as of `take`.
+        locations: as of `simulate_pick`.
 
     Raises:
         SkillFailedError: the thing has no room on the table.
@@ -95,27 +95,27 @@ def reachable_places(item: ObjectConfig, locations: Locations) -> tuple[GraspPoi
     points = item.grasp.friction.points
     leans = np.full(len(points), np.inf)
     for heading in _HEADINGS:
-        with _before_arm(item, locations, heading) as stage:
-            leans = np.minimum(leans, [_least_lean(stage.bench, item.with_places((point,))) for point in points])
+        with _set_up(item, locations, heading) as setup:
+            leans = np.minimum(leans, [_least_lean(setup.bench, item.with_places((point,))) for point in points])
     return tuple(points[k] for k in np.argsort(leans, kind="stable") if np.isfinite(leans[k]))
 
 
 def _least_lean(bench: Bench, item: ObjectConfig) -> float:
-    """How far the hand leans from straight down where it takes a thing by its config's places, in whole degrees.
+    """Return the least lean of a hand from straight down at an object's grasp points, in whole degrees.
 
     Returns:
-        Infinity where it cannot take the thing by any of them.
+        Infinity if the hand cannot use any of them.
     """
     pick, hand = Pick(thing=_THING), bench.hands[0]
-    for grip in grips(item):
+    for grip in friction_grips(item):
         if isinstance(pick.reach(bench, hand, _THING, grip), Reach):
             return round(math.degrees(math.acos(np.clip(-grip.T_pinch_in_thing[2, 2], -1, 1))))
     return math.inf
 
 
 @dataclass(frozen=True)
-class _Stage:
-    """A thing at rest on the table: what acts, what skills plan with, and who is who."""
+class _Setup:
+    """A thing at rest on the table, with the engine, the bench and the program."""
 
     scene: CompiledScene
     episode: Episode
@@ -125,7 +125,7 @@ class _Stage:
 
 
 @contextmanager
-def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Stage]:
+def _set_up(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Setup]:
     session = Session(_config(item, locations, heading), locations)
     task = session.config.task
     with Simulator(session) as simulator:
@@ -136,19 +136,19 @@ def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Ite
         episode = open_episode(simulator, attempt, EpisodeRules())
         stands, rng = list(start_stands(session.config)), generator(_JOB, Stream.SEARCH)
         bench = simulator.expert_tools.bench(episode.world, stands, rng)
-        yield _Stage(simulator.scene, episode, bench, program_of(task, cast), cast)
+        yield _Setup(simulator.scene, episode, bench, program_of(task, cast), cast)
 
 
-def _take(item: ObjectConfig, locations: Locations, heading: float) -> Taken:
-    with _before_arm(item, locations, heading) as stage:
-        for segment in run_program(stage.program, stage.bench, stage.cast, RecoveryLog()):
-            stage.episode.act(path_actions(stage.scene, segment.paths))
-        hand = stage.bench.hands[0]
-        return Taken(stage.bench.look_at(hand).T_thing_in_pinch, hand.opening, hand.grip)
+def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -> PickedGrasp:
+    with _set_up(item, locations, heading) as setup:
+        for segment in run_program(setup.program, setup.bench, setup.cast, RecoveryLog()):
+            setup.episode.act(path_actions(setup.scene, segment.paths))
+        hand = setup.bench.hands[0]
+        return PickedGrasp(setup.bench.update_held(hand).T_thing_in_pinch, hand.opening, hand.grip)
 
 
 def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
-    """A recording of nothing but `pick`."""
+    """Return the config of a recording whose program is `pick` alone."""
     x, y = _PLACE
     task = ProgramTask.model_validate(
         {

@@ -1,4 +1,4 @@
-"""Attempts in motion: by a task's expert, or by actions that are known already."""
+"""Execution of attempts: by a task's expert, or by given actions."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from .simulator import Simulator, open_episode
 
 @dataclass(frozen=True)
 class Simulated:
-    """An attempt, and what became of it.
+    """An attempt and its result.
 
     Attributes:
-        attempt: as it began, with its distractors where they were placed.
+        attempt: as sampled, with the distractors that were placed later.
         outcome: how it ended.
         played: what happened; None if nothing moved.
     """
@@ -43,10 +43,10 @@ class Simulated:
 
 
 def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> Simulated:
-    """Let a task's expert act in an attempt, without any rendering, and place the distractors of a success.
+    """Return the attempt as performed by the task's expert, without rendering. A success gets its distractors.
 
     Args:
-        grips: whether the fingers close; without, every task that needs a hand fails.
+        grips: whether fingers close. Without, every task that needs a grasp fails.
     """
     if attempt.start is None:
         return Simulated(attempt, Outcome(False, Cause.NO_LAYOUT, no_start(simulator, attempt)), None)
@@ -54,38 +54,42 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     rng = generator(attempt.job, Stream.SEARCH)
     bench = simulator.expert_tools.bench(episode.world, list(start_stands(simulator.config)), rng)
-    log, noted = RecoveryLog(), list[Recovery]()
+    log, recoveries = RecoveryLog(), list[Recovery]()
 
-    def note() -> None:
-        new = log.recoveries[len(noted) :]
-        noted.extend(Recovery(one.step, one.skill, one.detail, episode.frames) for one in new)
+    def note_recoveries() -> None:
+        new = log.recoveries[len(recoveries) :]
+        recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frames) for entry in new)
 
     failure: tuple[Cause, str] | None = None
-    # After the program, the arms wait until the goal has held.
-    most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
+    # After the program, the arms wait until the hold time has passed.
+    max_ticks = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
         for segment in _motions(simulator, episode, bench, log):
-            note()
-            if episode.ticks + segment.ticks > most:
+            note_recoveries()
+            if episode.ticks + segment.ticks > max_ticks:
                 failure = Cause.TIME, f"not done after {episode.seconds:.0f} s"
                 break
-            episode.act(_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            episode.act(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
             if episode.end is not None:
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
-    note()
+    note_recoveries()
     last = path_actions(episode.scene, bench.wait(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
-    episode.act(_fingers(episode.scene, last, grips), until_success=True)
-    bench.forget()
+    episode.act(_with_fingers(episode.scene, last, grips), until_success=True)
+    bench.clear_cache()
     played = episode.finish()
-    outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(noted))
-    done = Simulated(attempt, outcome, played)
-    return replace(done, attempt=with_distractors(simulator, attempt, done.states)) if outcome.success else done
+    outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(recoveries))
+    simulated = Simulated(attempt, outcome, played)
+    return (
+        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.states))
+        if outcome.success
+        else simulated
+    )
 
 
 def _motions(simulator: Simulator, episode: Episode, bench: Bench, log: RecoveryLog) -> Iterator[Segment]:
-    """The motions of a task's expert. Once the goal is reached, hands that have let go stay where they are."""
+    """Yield the motions of a task's expert. Hands are not parked once the goal is reached."""
     task, cast = simulator.config.task, simulator.cast
     yield from run_program(program_of(task, cast), bench, cast, log)
     if not episode.succeeds:
@@ -95,10 +99,10 @@ def _motions(simulator: Simulator, episode: Episode, bench: Bench, log: Recovery
 def repeat(
     simulator: Simulator, attempt: Attempt, actions: Actions, rules: EpisodeRules, on_step: OnStep | None = None
 ) -> Simulated:
-    """Let known actions act in an attempt, and judge them as everything else is judged.
+    """Return the attempt as performed by given actions, judged like any other.
 
     Args:
-        rules: of the episode in which they acted first; the same actions then get the same verdict.
+        rules: of the episode in which the actions were recorded; the verdict is then the same.
         on_step: see `Episode`.
     """
     episode = open_episode(simulator, attempt, rules, on_step)
@@ -108,10 +112,10 @@ def repeat(
 
 
 def outcome_of(simulator: Simulator, played: Played, failure: tuple[Cause, str] | None = None) -> Outcome:
-    """Return how an episode ended, in numbers.
+    """Return the outcome of an episode.
 
     Args:
-        failure: why its expert gave up, and the figures behind that; None if it did not.
+        failure: cause and details of an expert's failure; None without one.
     """
     end = played.end
     cause, detail = end.cause, end.detail
@@ -125,7 +129,7 @@ def outcome_of(simulator: Simulator, played: Played, failure: tuple[Cause, str] 
 
 
 def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
-    """Return the same attempt with distractors where nothing comes near them; unchanged if the config has none.
+    """Return the attempt with distractors placed where nothing comes near them; unchanged if the config has none.
 
     Args:
         states: of the whole attempt.
@@ -137,15 +141,15 @@ def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[St
 
 
 def with_room(simulator: Simulator, attempt: Attempt) -> Attempt:
-    """Return the attempt with distractors that leave room for its demonstration, for whoever else acts in it.
+    """Return the attempt with distractors that leave room for its demonstration, for other actors.
 
-    Nothing is simulated if the config has no distractors. If the demonstration fails, there are none either.
+    Nothing is simulated if the config has no distractors. If the demonstration fails, none are placed.
     """
     return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
 
 
 def _misses_its_target(simulator: Simulator, played: Played) -> bool:
-    """Return whether the first thing that fails is the distance that the task is scored by."""
+    """Return whether the goal fails first at the distance by which the task is scored."""
     target = simulator.config.task.target_predicate
     if target is None or played.verdict is None or played.verdict.reached:
         return False
@@ -154,9 +158,9 @@ def _misses_its_target(simulator: Simulator, played: Played) -> bool:
 
 
 def _distances(simulator: Simulator, played: Played) -> tuple[float | None, float | None, float | None]:
-    """Return how far a thing ended from what it was to be put on: horizontally and in height, m; and its speed, m/s.
+    """Return a thing's distance from its target at the end, horizontal and vertical, m; and the thing's speed, m/s.
 
-    All are None for a goal without such a measure.
+    All are None for a goal without such a distance.
     """
     task, cast = simulator.config.task, simulator.cast
     target = task.target_predicate
@@ -167,8 +171,8 @@ def _distances(simulator: Simulator, played: Played) -> tuple[float | None, floa
     return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
 
 
-def _fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
-    """Return the same actions; without grips, with fingers that stay open and magnets that stay off."""
+def _with_fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
+    """Return the actions; without grips, with open fingers and magnets off."""
     if grips:
         return actions
     ctrl = actions.ctrl.copy()

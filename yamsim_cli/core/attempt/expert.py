@@ -1,4 +1,4 @@
-"""What the expert of a task plans with: its skills run on a simulated scene."""
+"""The planning tools of a task's expert."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from ..skills.bench import Bench
 from ..skills.hand import Hand
 from ..types import Stand
 
-# Poses of a hand that are tried at a place: leaning by these angles from straight down, towards these sides, and turned
-# about its own axis by these angles, rad.
-LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
-TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
-TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
+# Candidate poses of a hand at a place.
+LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, from straight down
+LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the lean
+TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
 
-# m and rad; whether a place can be reached at all, its margin to a stop does not matter.
-_ANYHOW = Tolerance(3e-3, math.radians(4.0), margin=0.0)
+# m and rad; a place counts as reachable whatever the margin to a stop
+_REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertTools:
-    """What skills plan with in one scene, as far as it does not depend on the attempt."""
+    """The tools of skills in one scene, as far as they are the same for all attempts."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmTools, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
@@ -41,20 +40,20 @@ class ExpertTools:
         self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms, distractors)
 
     def reaches_place(self, place: Array) -> bool:
-        """Return whether some hand that acts gets to a place (3,) in `world`, m, whatever it would touch there."""
+        """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""
         stands = start_stands(self._config)
         for k in self._config.acting_scene_arms:
             ik = self._tools[k].ik
-            if any(ik.reach(T, [stands[k].joints], _ANYHOW) is not None for T in _hand_poses(place)):
+            if any(ik.reach(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
                 return True
         return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """The height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
+        """Return the height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
         return self._obstacles.rest_height(qpos, thing, T_in_world, lowest)
 
     def bench(self, world: SimWorld, stands: list[Stand], rng: np.random.Generator) -> Bench:
-        """A bench for one attempt, whose arms stand where it starts."""
+        """Return the bench of an attempt, with the arms at their start."""
         config, scene = self._config, self._scene
         hands = [
             Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
@@ -68,7 +67,7 @@ class ExpertTools:
 
 
 def sides(config: RecordConfig) -> tuple[str, ...]:
-    """The sides of the scene's arms, in its order."""
+    """Return the sides of the scene's arms, in its order."""
     return tuple(config.rig.arms[number].side for number in config.rig.recorded)
 
 
@@ -76,7 +75,7 @@ def _hand_poses(place: Array) -> Iterator[Array]:
     """Yield poses (4, 4) of a hand at a place (3,), from above first."""
     down = rotation_from_vector([math.pi, 0.0, 0.0])
     for lean in LEANS:
-        for towards in TOWARDS if lean else TOWARDS[:1]:
+        for towards in LEAN_DIRECTIONS if lean else LEAN_DIRECTIONS[:1]:
             tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
             for turn in TURNS:
                 yield pose(place, tilted @ rotation_z(turn) @ down)

@@ -1,4 +1,4 @@
-"""An attempt's bytes: what a worker gives back."""
+"""The files of an attempt, as a worker returns them."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ from ..vision.renderer import SceneRenderer
 from .engine import Simulated
 from .simulator import Simulator
 
-# Revision of how scenes are drawn, raised when the same config gives other pictures: 2 since the table and the posts
-# cast shadows. A recording that states none is of `FIRST_LOOKS`.
+# Revision of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
+# shadows. A recording without a revision has `FIRST_LOOKS`.
 LOOKS, FIRST_LOOKS = "2", "1"
 
 # Revision of the engine, raised when the same config and seed give other actions: 2 since all tasks are programs of
-# skills, and arms solve inverse kinematics in closed form. A recording that states none is of `FIRST_ENGINE`.
+# skills and inverse kinematics is solved in closed form. A recording without a revision has `FIRST_ENGINE`.
 ENGINE, FIRST_ENGINE = "2", "1"
 
 
 def versions() -> dict[str, str]:
-    """Versions of what an episode's bytes depend on; `looks` concerns its pictures alone."""
+    """Return the versions on which an episode's bytes depend; `looks` affects only its images."""
     packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
     return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS, "engine": ENGINE} | {
         key: version(name) for key, name in packages.items()
     }
 
 
-def payload(simulator: Simulator, done: Simulated) -> EpisodePayload:
-    """All that is recorded of an attempt: its files, rendered, if it succeeded.
+def payload(simulator: Simulator, simulated: Simulated) -> EpisodePayload:
+    """Return what is recorded of an attempt; a success has rendered files.
 
     Raises:
         ResourceError: no OpenGL context could be made.
     """
-    if not done.outcome.success:
-        return result(done)
-    recorded = frames(simulator, done.attempt, done.states)
+    if not simulated.outcome.success:
+        return result(simulated)
+    recorded = frames(simulator, simulated.attempt, simulated.states)
     files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(recorded)}
-    files |= image_files(simulator, done.attempt, [state.qpos for state in done.states])
+    files |= image_files(simulator, simulated.attempt, [state.qpos for state in simulated.states])
     return EpisodePayload(
-        done.attempt,
-        done.outcome,
+        simulated.attempt,
+        simulated.outcome,
         files,
         len(recorded),
         content_hash(recorded),
@@ -68,15 +68,15 @@ def payload(simulator: Simulator, done: Simulated) -> EpisodePayload:
     )
 
 
-def result(done: Simulated) -> EpisodePayload:
-    """What became of an attempt, without any files."""
-    return EpisodePayload(done.attempt, done.outcome)
+def result(simulated: Simulated) -> EpisodePayload:
+    """Return the payload of an attempt without files."""
+    return EpisodePayload(simulated.attempt, simulated.outcome)
 
 
 def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
-    """What is recorded of each state, see `dataset.lowdim`; nothing is rendered for it."""
-    every = simulator.config.task.timing.ticks_per_frame
-    return [_frame(simulator, attempt, state, k * every) for k, state in enumerate(states)]
+    """Return what is recorded of each state, see `dataset.lowdim`; nothing is rendered."""
+    ticks_per_frame = simulator.config.task.timing.ticks_per_frame
+    return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
@@ -112,13 +112,13 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) 
 
 
 def full_openings(config: RecordConfig) -> list[float]:
-    """How far one finger of each arm opens in use, m, in the order of recordings."""
+    """Return the largest opening in use of each arm's fingers, m, in the order of recordings."""
     fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recorded]
     return [each.full_opening for each in fingers if each is not None]
 
 
 def render(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
-    """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,), without what a camera's cable adds.
+    """Return for each camera the RGB image (height, width, 3) at MuJoCo's positions (nq,), without picture noise.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -131,9 +131,12 @@ def render(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequenc
 def recorded_pictures(
     simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
 ) -> Iterator[tuple[int, str, Image]]:
-    """Frame, camera and RGB image (height, width, 3), as recordings have them, at each of MuJoCo's positions (nq,).
+    """Yield frame, camera and RGB image (height, width, 3) as recorded, at each of MuJoCo's positions (nq,).
 
-    The image's memory is used again for the next one. Raises as `render`.
+    Each image reuses the memory of the previous one.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
     """
     width, height = simulator.config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
@@ -147,9 +150,10 @@ def recorded_pictures(
 
 
 def image_files(simulator: Simulator, attempt: Attempt, positions: Iterable[Array]) -> dict[str, bytes]:
-    """Path inside the episode -> JPEG of each recorded picture, and the ground truth about it where that is wanted.
+    """Return path in the episode -> content of each JPEG, and of the ground truth if the config has `truth`.
 
-    Raises as `render`.
+    Raises:
+        ResourceError: no OpenGL context could be made.
     """
     files: dict[str, bytes] = {}
     truth: EpisodeTruth | None = None
@@ -163,24 +167,28 @@ def image_files(simulator: Simulator, attempt: Attempt, positions: Iterable[Arra
 
 
 def depth_mm(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> NDArray[np.uint16]:
-    """A depth image (height, width) in mm at MuJoCo's positions (nq,), of a config with `truth`. Raises as `render`."""
+    """Return a depth image (height, width) in mm at MuJoCo's positions (nq,), for a config with `truth`.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
     assert simulator.labels is not None, "depth is part of truth"
     renderer = _renderer(simulator, attempt)
     simulator.replica.show(qpos)
-    # Of what has a label, as recorded truth is: the sky has none, and is at no distance.
+    # Only labelled geoms have a depth, as in recorded ground truth: the sky has no label.
     labels = simulator.labels
     return whole_mm(renderer.label(simulator.replica.data, camera, labels.of_geom, labels.of_flex)[1])
 
 
 def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
-    """The renderer, once it knows how the attempt looks."""
+    """Return the renderer, updated to the attempt's variation."""
     simulator.varied(attempt)
     simulator.variations.upload(simulator.renderer)
     return simulator.renderer
 
 
 class EpisodeTruth:
-    """Gathers an episode's truth: `add` every frame of every camera in order, then take `files`."""
+    """Collects an episode's ground truth: `add` every frame of every camera in order, then read `files`."""
 
     def __init__(self, labels: SceneLabels, cameras: Sequence[str], T_base_in_world: Array) -> None:
         self._labels = labels
@@ -190,7 +198,7 @@ class EpisodeTruth:
         self._files: dict[str, bytes] = {}
 
     def add(self, data: mujoco.MjData, camera: str, renderer: SceneRenderer) -> None:
-        """Measure the picture that a camera takes now."""
+        """Measure the ground truth of a camera's present image."""
         truth = measure_frame(data, camera, renderer, self._labels, self._T_base_in_world)
         frame = len(self._rows[camera])
         self._rows[camera].append(truth.arrays)
@@ -200,7 +208,7 @@ class EpisodeTruth:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Path inside the episode -> content."""
+        """Path in the episode -> content."""
         files = dict(self._files)
         for camera, rows in self._rows.items():
             forms = array_forms(self._labels.names, len(rows))

@@ -1,4 +1,4 @@
-"""Workers that make attempts: each attempt is a pure function of its job."""
+"""Makes attempts in a worker: each attempt is a pure function of its job."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .payload import payload, result
 from .sampling import sample
 from .simulator import Simulators
 
-# Where meshes are shown, when a worker's are not the recorder's.
+# Places in which meshes are shown, for messages: the recorder and the worker.
 _PLACES = ("for the recorder", "there")
 
 
 class EpisodeRunner(Closing):
-    """Makes attempts from their numbers alone, in a worker or in this process.
+    """Makes attempts from their seed and number, in a worker or in this process.
 
     Args:
-        render: whether successes become files; otherwise attempts are made in physics alone.
+        render: whether successes become files; otherwise attempts are simulated without rendering.
 
     Raises:
-        ResourceError: it would show other meshes than the config says.
+        ResourceError: other meshes would be shown than the config states.
     """
 
     def __init__(self, session: Session, *, render: bool) -> None:
@@ -34,14 +34,14 @@ class EpisodeRunner(Closing):
         if render:
             require_meshes(session)
         self._simulators = Simulators(session)
-        # Now, since the files that it is made from need not be there any more when the first job comes.
+        # The expert's tools are made now, since the files that they need may be gone when the first job comes.
         self._simulators.of(EpisodeJob(session.config.seed, 0)).prepare()
 
     def run(self, job: EpisodeJob) -> EpisodePayload:
         """Make one attempt."""
         simulator = self._simulators.of(job)
-        done = demonstrate(simulator, sample(simulator, job))
-        return payload(simulator, done) if self._render else result(done)
+        simulated = demonstrate(simulator, sample(simulator, job))
+        return payload(simulator, simulated) if self._render else result(simulated)
 
     def close(self) -> None:
         """Free the renderers."""
@@ -49,14 +49,14 @@ class EpisodeRunner(Closing):
 
 
 def require_meshes(session: Session) -> None:
-    """Make sure that the pictures of a worker's session show the meshes that the config states.
+    """Check that a worker shows the meshes that the config states.
 
     Raises:
         ResourceError: the session shows other meshes.
     """
-    said = session.config.meshes
-    if said is not None and (others := differences(said, shown_meshes(session), _PLACES)):
+    expected = session.config.meshes
+    if expected is not None and (found := differences(expected, shown_meshes(session), _PLACES)):
         raise ResourceError(
-            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
+            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; they "
             "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
         )

@@ -1,4 +1,4 @@
-"""Sample an attempt: everything random in it, from its two numbers, before anything is planned or moves."""
+"""Sampling of an attempt: everything random in it, from its seed and number, before anything is planned or moves."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from ..variation import Variation
 from .expert import sides
 from .simulator import Simulator, Simulators, open_episode
 
-MAX_DRAWS = 20  # draws of the start in which the goal holds already, after which an attempt has no start
+MAX_DRAWS = 20  # count, draws of the start after which an attempt has no start, because the goal already held in each
 HOLDS_ALREADY = "the goal holds already at the start"
 
 DROP_HEIGHT = 0.5  # m over the table, from which the resting height of each thing is searched
-SPARE_HEIGHT = 2.0  # m between things that wait above the table until it is their turn to be placed
-SPAWN_GAP = 2e-4  # m between a placed thing and what it lies on, so that no contact exists before the first step
+SPARE_HEIGHT = 2.0  # m between things that wait above the table until they are placed
+SPAWN_GAP = 2e-4  # m between a placed thing and its support, so that no contact exists before the first step
 
 
 def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
-    """Return the attempt of a seed and a number, everything at rest; its distractors come later.
+    """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
 
-    The attempt has no start if there is no room for its things, or if its goal always holds already, see `no_start`.
+    The attempt has no start if its things have no room or if its goal holds in every draw, see `no_start`.
     """
     config, task, cast = simulator.config, simulator.config.task, simulator.cast
     attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, job))
@@ -57,13 +57,13 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
 
 
 def sampled_places(simulator: Simulator, job: EpisodeJob) -> dict[str, Placed] | str:
-    """Return where an attempt's things are placed first, or the name of a thing for which there is no room."""
+    """Return where an attempt's things are first placed, or the name of a thing that has no room."""
     config = simulator.config
     return draw_places(config.task, simulator.cast, _block_of(simulator), config.table, job)
 
 
 def no_start(simulator: Simulator, attempt: Attempt) -> str:
-    """Return why an attempt has no start."""
+    """Return why an attempt has no start, for a person."""
     places = sampled_places(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
@@ -78,22 +78,22 @@ def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
 
 
 def _block_of(simulator: Simulator) -> BlockOf:
-    """See `draw_places`."""
+    """Return the function that gives a thing's block, see `draw_places`."""
     scene, replica = simulator.scene, simulator.replica
     world = world_of(scene, replica.data, sides(simulator.config))
 
     @functools.cache
     def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
         qpos = scene.model.qpos0.copy()
-        _open(scene, qpos, name, dict(opened))
+        _set_openings(scene, qpos, name, dict(opened))
         replica.show(qpos)
         return world.block(name)
 
     return lambda name, opened: block(name, tuple(opened.items()))
 
 
-def _open(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
-    """Write how far a thing's parts are open into MuJoCo's positions (nq,)."""
+def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
+    """Write the openings of a thing's parts, as shares of their ranges, into MuJoCo's positions (nq,)."""
     for part, share in opened.items():
         joint = scene.model.joint(f"{name}_{part}")
         low, high = joint.range
@@ -101,12 +101,12 @@ def _open(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, flo
 
 
 def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
-    """Return MuJoCo's positions (nq,) with each thing placed on what it starts on, one after the other."""
+    """Return MuJoCo's positions (nq,) after each thing has been placed on its support in turn."""
     scene, top = simulator.scene, simulator.config.table.top
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
     for name, placed in places.items():
-        _open(scene, qpos, name, placed.open)
+        _set_openings(scene, qpos, name, placed.open)
         T = placed.T.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
@@ -118,7 +118,7 @@ def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
 
 
 def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
-    """Return MuJoCo's positions (nq,) with the cloths crumpled that start so; at `start` they lie flat."""
+    """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all lie flat."""
     task, scene = simulator.config.task, simulator.scene
     for role, how in task.starts.items():
         for name in simulator.cast.of(role):
@@ -128,28 +128,28 @@ def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> A
     return start
 
 
-# So many attempts without a start are taken for a task that has none; mostly, the first one has one.
-_FIRST = 3
+# count, attempts after which a task without any start is rejected; usually the first attempt has one
+_CHECKED_ATTEMPTS = 3
 
 
 def check_starts(session: Session) -> None:
-    """Make sure that one of the first attempts of a task has a start.
+    """Check that one of the first attempts of a task has a start.
 
     Raises:
-        ConflictError: none has: its goal holds already, or its things have no room; the path is where, from the config.
+        ConflictError: none has, because the goal already holds or things have no room; the path leads from the config.
         SimulationError: its scene cannot be compiled.
     """
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
-        for number in range(_FIRST):
+        for number in range(_CHECKED_ATTEMPTS):
             job = EpisodeJob(session.config.seed, number)
             simulator = simulators.of(job)
             attempt = sample(simulator, job)
             if attempt.layout is not None:
                 return
             why = no_start(simulator, attempt)
-    told = f"{why}; none of the first {_FIRST} attempts of seed {session.config.seed} has a start"
+    message = f"{why}; none of the first {_CHECKED_ATTEMPTS} attempts of seed {session.config.seed} has a start"
     if why.startswith(HOLDS_ALREADY):
-        raise ConflictError(told, ("task", "goal"))
+        raise ConflictError(message, ("task", "goal"))
     role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
-    raise ConflictError(told, ("task", "starts", role))
+    raise ConflictError(message, ("task", "starts", role))

@@ -1,4 +1,4 @@
-"""What attempts are made in: all that is expensive, once a process."""
+"""The simulator of attempts: everything that is expensive to make, once in a process."""
 
 from __future__ import annotations
 
@@ -25,20 +25,19 @@ from .varied_scene import VariedScene
 
 
 class Simulator(Closing):
-    """A session's compiled scene, and what is made of it when it is first needed: replica, expert's tools and renderer.
+    """A session's compiled scene, and what is made from it on demand: replica, the expert's tools and renderer.
 
-    It remembers no attempt: what happens in one is told by functions of this and of the attempt. Close it, or use it as
-    a context manager, since it may own a renderer.
+    A simulator keeps no state of attempts. Close it or use it as a context manager, since it may own a renderer.
 
     Args:
-        session: whose task has the things of the cast alone.
-        cast: who plays the roles; if left out, the task's typical cast, whose things the session then gets.
+        session: its task has only the things of the cast.
+        cast: which thing plays which role; by default the task's typical cast, whose things the session then gets.
 
     Attributes:
-        session: of which it was made.
-        config: the session's.
-        cast: who plays the roles; the config has the things of this cast alone.
-        scene: compiled. Its model is varied as the attempt that was last asked for, see `varied`.
+        session: the session.
+        config: the session's config.
+        cast: which thing plays which role.
+        scene: the compiled scene. Its model has the variation of the last attempt given to `varied`.
 
     Raises:
         SimulationError: the scene cannot be compiled.
@@ -52,14 +51,14 @@ class Simulator(Closing):
         self.config = config = session.config
         self.cast = cast
         self.scene = build_scene(session)
-        # Made of the scene before it is varied for the first time.
+        # These are made from the scene before its first variation.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
         self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
         self.variations = VariedScene(config, self.scene)
         self._renderer: SceneRenderer | None = None
 
     def varied(self, attempt: Attempt) -> CompiledScene:
-        """The scene as it is in an attempt, until this is asked for another one."""
+        """Return the scene with an attempt's variation; valid until the next call."""
         return self.variations.of(attempt)
 
     @functools.cached_property
@@ -69,16 +68,16 @@ class Simulator(Closing):
 
     @functools.cached_property
     def expert_tools(self) -> ExpertTools:
-        """What the task's expert plans with; making it reads files."""
+        """The expert's planning tools; making them reads files."""
         return ExpertTools(self.config, self.scene, arm_tools(self.config, self.scene))
 
     def prepare(self) -> None:
-        """Make now what reads files, which need not be there any more when the first attempt comes."""
+        """Make now what reads files, in case the files are gone at the first attempt."""
         _ = self.expert_tools
 
     @property
     def renderer(self) -> SceneRenderer:
-        """The process's one renderer.
+        """The renderer.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -96,7 +95,7 @@ class Simulator(Closing):
 
 
 def played_session(session: Session, cast: Cast) -> Session:
-    """Return the same session with the things of a cast alone, and all regions of starts in `world`.
+    """Return the session with only the things of a cast, and with start regions in `world`.
 
     Raises:
         SimulationError: a thing cannot be made in its size.
@@ -105,7 +104,7 @@ def played_session(session: Session, cast: Cast) -> Session:
     try:
         played = task.played_by(cast)
     except ValueError as error:
-        # A dataset's own task, whose things could be made in their sizes once.
+        # A dataset's task: its things could be made in their sizes when it was recorded.
         raise SimulationError(f"task {task.name!r}: {error}") from error
     return session.with_values(task=played.model_copy(update={"starts": session.config.starts}))
 
@@ -117,54 +116,54 @@ def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-# How many are kept: each holds a compiled scene, and a renderer once it has rendered.
-_KEPT = 4
+# count, simulators that are kept: each holds a compiled scene and, once used, a renderer
+_MAX_SIMULATORS = 4
 
 _Key = tuple[tuple[str, str, float], ...]
 
 
 def cast_for(session: Session, job: EpisodeJob) -> Cast:
-    """Return who plays which role in an attempt."""
+    """Return which thing plays which role in an attempt."""
     return draw_cast(session.config.task, job)
 
 
 def simulator_for(session: Session, job: EpisodeJob) -> Simulator:
-    """Return a simulator of the things of an attempt.
+    """Return a new simulator for the things of an attempt.
 
     Raises:
-        SimulationError: its scene cannot be compiled, or a thing not be made in its size.
+        SimulationError: its scene cannot be compiled, or a thing cannot be made in its size.
     """
     cast = cast_for(session, job)
     return Simulator(played_session(session, cast), cast)
 
 
 class Simulators(Closing):
-    """Makes simulators and keeps the latest few. Close it, or use it as a context manager."""
+    """Makes simulators and keeps the most recently used. Close it, or use it as a context manager."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._made: OrderedDict[_Key, Simulator] = OrderedDict()
+        self._simulators: OrderedDict[_Key, Simulator] = OrderedDict()
 
     def of(self, job: EpisodeJob) -> Simulator:
-        """The simulator in which an attempt takes place; use it before the next one is asked for.
+        """Return the simulator of an attempt; valid until the next call.
 
         Raises:
             SimulationError: its scene cannot be compiled.
         """
         cast = cast_for(self.session, job)
         key = tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
-        if key in self._made:
-            self._made.move_to_end(key)
-            return self._made[key]
-        while len(self._made) >= _KEPT:
-            self._made.popitem(last=False)[1].close()
-        made = self._made[key] = Simulator(played_session(self.session, cast), cast)
+        if key in self._simulators:
+            self._simulators.move_to_end(key)
+            return self._simulators[key]
+        while len(self._simulators) >= _MAX_SIMULATORS:
+            self._simulators.popitem(last=False)[1].close()
+        made = self._simulators[key] = Simulator(played_session(self.session, cast), cast)
         return made
 
     def close(self) -> None:
         """Free all renderers."""
-        while self._made:
-            self._made.popitem()[1].close()
+        while self._simulators:
+            self._simulators.popitem()[1].close()
 
 
 def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:

@@ -1,4 +1,4 @@
-"""The one place where an attempt's variation acts: on the scene, on the renderer's copy of it, and on pictures."""
+"""Application of an attempt's variation to the scene, the renderer and the images."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ..vision.renderer import SceneRenderer
 
 
 class VariedScene:
-    """A compiled scene, varied as the attempt that was last asked for. Without any randomization nothing is changed.
+    """A compiled scene with the variation of the last attempt given to `of`; without randomization it never changes.
 
     Args:
-        scene: as it was compiled.
+        scene: as compiled.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
@@ -26,13 +26,13 @@ class VariedScene:
         if config.randomization.parts:
             self._varied = VariedModel(scene.model, config.randomization, config.scene)
         self._arms = VariedArms(scene) if config.randomization.arm_dynamics else None
-        # What the model has now, and what the renderer was told of.
+        # The variation that the model has now, and the variation that the renderer has.
         self._applied: Variation | None = None
         self._uploaded: Variation | None = None
         self._augmenter: tuple[Attempt, PictureAugmenter] | None = None
 
     def of(self, attempt: Attempt) -> CompiledScene:
-        """The scene as it is in an attempt, until another one is asked for."""
+        """Return the scene with an attempt's variation; valid until the next call."""
         if self._varied and attempt.variation is not self._applied:
             self._varied.apply(attempt.variation)
             if self._arms:
@@ -41,17 +41,17 @@ class VariedScene:
         return self._scene
 
     def upload(self, renderer: SceneRenderer) -> None:
-        """Tell the renderer what it keeps a copy of, as the scene has it now; before anything is rendered."""
+        """Upload the textures of the scene's variation to the renderer; needed before rendering."""
         if self._varied and self._uploaded is not self._applied:
             for texture in self._varied.textures:
                 renderer.upload_texture(texture)
             self._uploaded = self._applied
 
     def finish(self, attempt: Attempt, image: Image, frame: int, camera: int) -> None:
-        """Change an attempt's picture (height, width, 3) in place, as its camera and cable would.
+        """Apply the noise of the camera and its cable to an attempt's image (height, width, 3), in place.
 
         Args:
-            frame, camera: their numbers, from which all that is random about one picture follows.
+            frame, camera: their numbers, from which the noise follows.
         """
         ranges = self._config.randomization.picture
         if ranges is None:

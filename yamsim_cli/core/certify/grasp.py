@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from ..attempt.alone import RIG, Taken, take
+from ..attempt.alone import RIG, PickedGrasp, simulate_pick
 from ..config.loader import load_config
 from ..config.rig import ArmConfig, RigConfig
 from ..geometry.se3 import (
@@ -57,13 +57,13 @@ def grasp(subject: Subject) -> CheckOutcome:
     if all(point.opening >= widest for point in friction.points):
         return unchecked(f"{2000 * item.grasp.opening:.4g} mm wide: more than the hand opens, {2000 * widest:.4g} mm")
     try:
-        taken = take(item, replace(subject.locations, meshes=subject.meshes))
+        taken = simulate_pick(item, replace(subject.locations, meshes=subject.meshes))
     except SkillFailedError as error:
         return CheckOutcome(False, {"force_n": short(friction.force, 3)}, f"the skill `pick` fails: {error}")
     return _held(_Hand.of(subject), taken, item.grasp.clearance)
 
 
-def _held(hand: _Hand, taken: Taken, clearance: float) -> CheckOutcome:
+def _held(hand: _Hand, taken: PickedGrasp, clearance: float) -> CheckOutcome:
     """Whether a thing stays between the pads while the hand lifts, turns and shakes it."""
     T = inverse(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()

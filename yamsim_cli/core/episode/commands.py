@@ -25,7 +25,7 @@ def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
 
 
 def grip_command(fingers: SceneFingers, path: JointPath) -> Array:
-    """Return a gripper's commands (n,), m: the opening, less what makes each finger press with half its force."""
+    """Return a gripper's commands (n,), m: `opening - 2 grip / gain`. Each finger takes half of the drive's force."""
     clipped: Array = np.clip(path.gripper - 2 * path.grip / fingers.gain, *fingers.ctrl_range)
     return clipped
 

@@ -21,7 +21,7 @@ from .held import HeldThings
 from .monitor import Monitor, limits_fault
 from .rules import End, EndReason, EndRule, EpisodeRules
 
-#: Called with the start, and with the state after every physics step, which it must not change.
+#: Called at the start and after every physics step with the state, which it must not change.
 OnStep = Callable[[mujoco.MjData], None]
 
 
@@ -43,12 +43,12 @@ class Timing(Protocol):
 
 @dataclass(frozen=True)
 class EpisodeGoal:
-    """What an episode is about.
+    """The goal of an episode.
 
     Attributes:
-        goal: what has to hold.
-        cast: which thing plays which role in it.
-        hold_ticks: control ticks for which it has to hold.
+        goal: the predicates that have to hold.
+        cast: which thing plays which role.
+        hold_ticks: control ticks for which the goal has to hold.
     """
 
     goal: Goal
@@ -58,16 +58,15 @@ class EpisodeGoal:
 
 @dataclass(frozen=True)
 class Played:
-    """All that happened in an episode.
+    """Everything that happened in an episode.
 
     Attributes:
-        states: one for each recorded frame, taken before the frame's first command acts.
-        end: how it ended.
-        verdict: of the goal at the end; if the goal held then, but not for its hold time, of the last tick at which it
+        states: one for each recorded frame, from before the frame's first command acts.
+        end: how the episode ended.
+        verdict: of the goal at the end. If the goal held then but not for its hold time, the last verdict with which it
             did not hold. None without a goal.
-        held_ticks: control ticks for which the goal had held without a break at the end.
-        margins: how near the arms came to their limits, and how still the things lay in the hands; None if no tick
-            passed.
+        held_ticks: control ticks for which the goal held without a break until the end.
+        margins: how near the arms came to their limits, and how far things moved in the hands; None if no tick passed.
         collision: the first forbidden contact, and when; None without one.
         T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
         speeds: thing -> speed at the end, m/s.
@@ -90,14 +89,14 @@ class Played:
 
 
 class Episode:
-    """One attempt in motion. The same commands from the same start give the same bits, in however many calls.
+    """One attempt in motion. The same commands from the same start give the same bits, in any division into calls.
 
     The goal is evaluated after every control tick, whoever acts. `end` says when and how the episode ended.
 
     Attributes:
-        scene: in which it takes place.
+        scene: the compiled scene.
         data: MuJoCo's present state, with poses and contacts up to date.
-        world: the same state by the names of things.
+        world: the present state by the names of things.
         ticks: control ticks that have passed.
         verdict: of the goal now, with all its margins; None without a goal.
         held_ticks: control ticks for which the goal has held without a break.
@@ -107,9 +106,9 @@ class Episode:
         start: MuJoCo's positions (nq,), from which everything starts at rest.
         timing: of the task.
         sides: "left" or "right" of each of the scene's arms.
-        goal: what is judged; None where somebody else judges.
-        rules: what ends it.
-        world: the state by the names of things; by default of all things in the scene.
+        goal: what is judged; None if the caller judges.
+        rules: what ends the episode; by default those of `EpisodeRules()`.
+        world: returns the state by the names of things; by default of all things in the scene.
         on_step: see `OnStep`.
     """
 
@@ -133,7 +132,7 @@ class Episode:
         self.world.begin()
         self._grasp = grasp_of(scene, self._rules.magnet_reach)
         self._monitor = Monitor(scene, timing.physics_steps_per_tick)
-        self._held = HeldThings(scene, self.world)
+        self._held_things = HeldThings(scene, self.world)
         self._T_at_start = self._poses()
         self._ctrl: list[Array] = []
         self._magnet: list[Sequence[bool]] = []
@@ -144,7 +143,7 @@ class Episode:
         self.end: End | None = None
         self.held_ticks = 0
         self.verdict: Verdict | None = None
-        self._failed: Verdict | None = None
+        self._last_unmet: Verdict | None = None
         self._judge()
         if on_step:
             on_step(self.data)
@@ -163,11 +162,11 @@ class Episode:
     def succeeds(self) -> bool:
         """Whether the goal has held for its hold time, now."""
         goal = self._goal
-        return goal is not None and self._holds and self.held_ticks >= goal.hold_ticks
+        return goal is not None and self._goal_holds and self.held_ticks >= goal.hold_ticks
 
     @property
     def held(self) -> tuple[bool, ...]:
-        """Whether each arm's weld holds a thing."""
+        """Whether each arm's weld holds a thing (arms,)."""
         return tuple(weld_holds(self.data, arm) for arm in self.scene.arms)
 
     @property
@@ -182,7 +181,7 @@ class Episode:
 
     @property
     def status(self) -> str:
-        """How the goal stands, for a person; empty without a goal."""
+        """The state of the goal as text for a person; empty without a goal."""
         if self.verdict is None or self._goal is None:
             return ""
         worst = self.verdict.worst
@@ -198,7 +197,7 @@ class Episode:
         return readings(self.scene, now if seen is None else seen, job, self.ticks)
 
     def step(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None = None) -> None:
-        """Let a command act for one control tick; nothing happens once the episode has ended.
+        """Execute a command for one control tick; nothing happens once the episode has ended.
 
         Args:
             ctrl: commands of each arm's drives (arms, drives), rad and m.
@@ -210,10 +209,10 @@ class Episode:
         self._tick(command, magnet, joints)
 
     def act(self, actions: Actions, *, until_success: bool = False) -> None:
-        """Let several control ticks of actions act, until the episode ends.
+        """Execute the actions of several control ticks, until the episode ends.
 
         Args:
-            until_success: whether to leave out the rest once the goal has held for its hold time.
+            until_success: whether to stop once the goal has held for its hold time.
         """
         for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
             if self.end is not None or (until_success and self.succeeds):
@@ -221,17 +220,21 @@ class Episode:
             self._tick(ctrl, magnet, joints)
 
     def finish(self) -> Played:
-        """End the episode on behalf of its actor, if it has not ended, and return all that happened."""
+        """End the episode on behalf of its actor if it has not ended, and return all that happened."""
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None
-        verdict = self._failed if self._holds and not self.succeeds and self._failed is not None else self.verdict
+        verdict = (
+            self._last_unmet
+            if self._goal_holds and not self.succeeds and self._last_unmet is not None
+            else self.verdict
+        )
         return Played(
             states=self._states(),
             end=self.end,
             verdict=verdict,
             held_ticks=self.held_ticks,
-            margins=self._monitor.margins(self._held.slip, self._held.tilt) if self.ticks else None,
+            margins=self._monitor.margins(self._held_things.slip, self._held_things.tilt) if self.ticks else None,
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
             T_at_end=self._poses(),
@@ -239,7 +242,7 @@ class Episode:
         )
 
     @property
-    def _holds(self) -> bool:
+    def _goal_holds(self) -> bool:
         return self.verdict is not None and self.verdict.reached
 
     def _tick(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None) -> None:
@@ -262,12 +265,12 @@ class Episode:
         self._monitor.end_tick(data)
         self.ticks += 1
         self.world.watch()
-        self._held.watch()
+        self._held_things.watch()
         self._judge()
-        self._look_for_end()
+        self._check_end()
 
     def _refresh(self) -> None:
-        """Bring poses and contacts up to date: after `mj_step`, they are those of the step before."""
+        """Update poses and contacts: after `mj_step`, they are those of the step before."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -278,13 +281,13 @@ class Episode:
     def _judge(self) -> None:
         if self._goal is None:
             return
-        held = self._holds
+        held_before = self._goal_holds
         self.verdict = judge(self._goal.goal, self.world, self._goal.cast)
-        self.held_ticks = self.held_ticks + 1 if held and self._holds else 0
-        if not self._holds:
-            self._failed = self.verdict
+        self.held_ticks = self.held_ticks + 1 if held_before and self._goal_holds else 0
+        if not self._goal_holds:
+            self._last_unmet = self.verdict
 
-    def _look_for_end(self) -> None:
+    def _check_end(self) -> None:
         monitor, rules = self._monitor, self._rules
         if monitor.breakdown:
             self._end(EndReason.UNSTABLE, Cause.UNSTABLE, monitor.breakdown)
@@ -299,13 +302,13 @@ class Episode:
 
     def _end(self, reason: EndReason, cause: Cause | None = None, detail: str = "") -> None:
         if cause is None and self._goal is not None and not self.succeeds:
-            cause, detail = self._why_not()
+            cause, detail = self._goal_failure()
         self.end = End(reason, self.ticks, cause, detail)
 
-    def _why_not(self) -> tuple[Cause, str]:
-        """Return why the goal is not reached now."""
+    def _goal_failure(self) -> tuple[Cause, str]:
+        """Return the cause and details of a goal that is not reached now."""
         assert self.verdict is not None and self._goal is not None
-        if not self._holds:
+        if not self._goal_holds:
             worst = self.verdict.worst
             return Cause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
         tick = self._timing.tick
@@ -318,8 +321,8 @@ class Episode:
         return {name: self.world.pose(name) for name in self.scene.things}
 
     def _states(self) -> tuple[StepState, ...]:
-        every, actions = self._timing.ticks_per_frame, self.actions
-        spans = [slice(k * every, (k + 1) * every) for k in range(len(self._frames))]
+        ticks, actions = self._timing.ticks_per_frame, self.actions
+        spans = [slice(k * ticks, (k + 1) * ticks) for k in range(len(self._frames))]
         return tuple(
             StepState(time, qpos, Actions(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)
             for (time, qpos, seen), span in zip(self._frames, spans, strict=True)

@@ -1,4 +1,4 @@
-"""How hands hold things. A grasp is a property of the grippers in a scene, whoever commands them."""
+"""How hands hold things. The grasp depends on the grippers in a scene, not on the actor."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..types import Holds
 
 
 class Grasp(Protocol):
-    """Decides at the start of every control tick what each hand holds during the tick."""
+    """Decides before every control tick what each hand holds during the tick."""
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
-        """Return whether a constraint holds something in each arm's hand.
+        """Return whether a constraint holds something in each arm's hand (arms,).
 
         Args:
             data: MuJoCo's state with poses and contacts up to date. Constraints are switched in it.
@@ -29,22 +29,22 @@ class Grasp(Protocol):
 
 
 class FrictionGrasp:
-    """Fingers hold things by friction alone, so no constraint ever holds anything."""
+    """A grasp by friction alone, without constraints."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._none = (False,) * len(scene.arms)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
-        """See `Grasp`; the command of a magnet has no effect."""
+        """See `Grasp`; `magnet` is ignored."""
         return self._none
 
 
 class WeldGrasp:
-    """A magnet in each hand, which welds the nearest thing to the flange while it is commanded on.
+    """A magnet in each hand, which welds the nearest thing to the flange while commanded on.
 
     Args:
         scene: a scene whose arms have welds.
-        reach: largest distance from the pinch point to a thing's surface at which the magnet takes it, m; None for any.
+        reach: largest distance from the pinch point to a thing's surface at which the magnet attracts, m; None for any.
     """
 
     def __init__(self, scene: CompiledScene, reach: float | None) -> None:
@@ -86,18 +86,18 @@ class WeldGrasp:
 
 
 class ClothGrasp:
-    """Constraints hold points of cloth between closed fingers, see `sim.cloth`; friction holds everything else."""
+    """Constraints that hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid things."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._grips = ClothGrips(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
-        """See `Grasp`; the command of a magnet has no effect."""
+        """See `Grasp`; `magnet` is ignored."""
         return self._grips.update(data, ctrl)
 
 
 def grasp_of(scene: CompiledScene, magnet_reach: float | None) -> Grasp:
-    """Return the grasp of a scene's hands: of cloth where there is some, by weld where arms have welds, else friction.
+    """Return the grasp of a scene: of cloth if it has cloth, by welds if its arms have welds, else by friction.
 
     Args:
         magnet_reach: see `WeldGrasp`.

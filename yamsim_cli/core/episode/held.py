@@ -1,4 +1,4 @@
-"""How still things lie in the hands that hold them."""
+"""How far things slip and tilt in the hands that hold them."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ SETTLED_TICKS = 8  # control ticks of holding after which a thing counts as sett
 
 
 class HeldThings:
-    """Measures how far things move in hands, and turn, while they are held.
+    """Measures how far things slip and tilt while they are held.
 
     Attributes:
         slip: largest distance that a settled thing moved in a hand, m.
-        tilt: largest angle between a held thing's vertical axis when it was taken and later, rad.
+        tilt: largest angle between a held thing's vertical axis at its grasp and later, rad.
 
     Args:
-        world: whose `watch` is called before this one's.
+        world: its `watch` has to be called before this one.
     """
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
         self._scene, self._world = scene, world
         self._ticks: dict[tuple[str, int], int] = {}
-        self._in_hand: dict[tuple[str, int], Array] = {}
-        self._taken: dict[str, Array] = {}
+        self._position_in_hand: dict[tuple[str, int], Array] = {}
+        self._T_when_grasped: dict[str, Array] = {}
         self.slip = self.tilt = 0.0
 
     def watch(self) -> None:
-        """Take in the state after a control tick."""
+        """Measure the state after a control tick."""
         for name, holders in self._world.holding().items():
             if name in self._scene.cloths:
                 continue
             for k, side in enumerate(self._world.sides):
                 if side in holders:
-                    self._held(name, k)
+                    self._measure(name, k)
                 else:
                     self._ticks.pop((name, k), None)
             if not holders:
-                self._taken.pop(name, None)
+                self._T_when_grasped.pop(name, None)
 
-    def _held(self, name: str, arm: int) -> None:
+    def _measure(self, name: str, arm: int) -> None:
         key = (name, arm)
         ticks = self._ticks[key] = self._ticks.get(key, 0) + 1
         T = self._world.pose(name)
-        self.tilt = max(self.tilt, tilt(self._taken.setdefault(name, T)[:3, :3].T @ T[:3, :3]))
+        self.tilt = max(self.tilt, tilt(self._T_when_grasped.setdefault(name, T)[:3, :3].T @ T[:3, :3]))
         flange = self._world.data.body(self._scene.arms[arm].flange)
         position = (inverse(pose(flange.xpos, flange.xmat.reshape(3, 3))) @ T)[:3, 3]
         if ticks <= SETTLED_TICKS:
-            self._in_hand[key] = position
-        self.slip = max(self.slip, float(np.linalg.norm(position - self._in_hand[key])))
+            self._position_in_hand[key] = position
+        self.slip = max(self.slip, float(np.linalg.norm(position - self._position_in_hand[key])))

@@ -1,4 +1,4 @@
-"""Observes an episode at every physics step: joint limits, forbidden contacts, and physics that breaks down."""
+"""Observation of every physics step: joint limits, forbidden contacts, and physics that breaks down."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..scene.compiled import CompiledScene
 from ..scene.compiling import breakdown
 from ..types import Margins
 
-CONTACT_STEPS = 8  # physics steps after which contacts are looked at although their number has not changed
+CONTACT_STEPS = 8  # physics steps after which contacts are checked even if their number has not changed
 
 
 class Monitor:
     """Observes how near the arms come to their limits, and keeps the first fault of each kind.
 
     Attributes:
-        collision: what touched something that it must not touch, and when; None if nothing did.
-        breakdown: what went wrong in physics itself, and when; None if nothing did.
+        collision: the first forbidden contact, and when; None without one.
+        breakdown: the first breakdown of physics, and when; None without one.
 
     Args:
         steps: physics steps in a control tick.
@@ -40,7 +40,7 @@ class Monitor:
         self._step, self._steps = 0, 0
         self._contacts = -1
         self._velocity = self._torque = 0.0
-        self._joint = np.inf
+        self._stop_distance = np.inf
         self.collision: str | None = None
         self.breakdown: str | None = None
 
@@ -51,32 +51,32 @@ class Monitor:
         self._step, self._steps = k + 1, self._steps + 1
         if self.collision is None and (data.ncon != self._contacts or self._steps % CONTACT_STEPS == 0):
             self._contacts = data.ncon
-            self._look_at_contacts(data)
+            self._check_contacts(data)
 
     def end_tick(self, data: mujoco.MjData) -> None:
         """Observe the state after a control tick's last physics step."""
         velocities = np.abs(self._velocities[: self._step, self._dof]).max(axis=0)
         forces = np.abs(self._forces[: self._step, self._ctrl]).max(axis=0)
         positions = self._positions[: self._step, self._qpos]
-        room = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
+        distances = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
         self._velocity = max(self._velocity, float((velocities / self._motor_speed).max()))
         self._torque = max(self._torque, float((forces / self._most_torque).max()))
-        self._joint = min(self._joint, float(room.min()))
+        self._stop_distance = min(self._stop_distance, float(distances.min()))
         self._step = 0
         if self.breakdown is None and (text := breakdown(data)):
-            # The time is counted in steps, since MuJoCo has reset its own clock.
+            # MuJoCo has reset its own clock, so the time is counted in steps.
             seconds = self._steps * float(self._model.opt.timestep)
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def margins(self, slip: float | None = None, tilt: float | None = None) -> Margins:
-        """Return how near the arms came to their limits so far.
+        """Return how near the arms have come to their limits.
 
         Args:
             slip, tilt: see `Margins`.
         """
-        return Margins(self._velocity, self._torque, float(self._joint), slip, tilt)
+        return Margins(self._velocity, self._torque, float(self._stop_distance), slip, tilt)
 
-    def _look_at_contacts(self, data: mujoco.MjData) -> None:
+    def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
         forbidden = self._scene.forbidden(geoms)
         if forbidden.any():
@@ -84,11 +84,11 @@ class Monitor:
             self.collision = f"{names} touch after {data.time:.2f} s"
 
 
-STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be; stops are soft in physics
+STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be, because stops are soft in physics
 
 
 def limits_fault(margins: Margins) -> str | None:
-    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; None if none."""
+    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; else None."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
         return None
     return (

@@ -1,4 +1,4 @@
-"""What ends an episode, and which events fail it."""
+"""Which events end an episode, and which of them fail it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from enum import StrEnum
 
 from ..types import Cause
 
-MAGNET_REACH = 0.06  # m, from a hand's pinch point to a thing's surface; a magnet takes nothing that is farther away
+MAGNET_REACH = 0.06  # m, from a hand's pinch point to a thing's surface; a magnet attracts nothing that is farther away
 
 
 class EndRule(StrEnum):
     """Who ends an episode that neither fails nor runs out of time.
 
     With `SUCCESS`, the episode ends at the first control tick at which the goal has held for its hold time. With
-    `ACTOR`, whoever acts ends it, and the goal has to hold at that moment.
+    `ACTOR`, the actor ends it, and the goal has to hold at that moment.
     """
 
     SUCCESS = "success"
@@ -36,11 +36,11 @@ class EpisodeRules:
     """The rules of an episode.
 
     Attributes:
-        end: who ends it.
-        strict: whether a forbidden contact or an exceeded joint limit ends it as a failure. Demonstrations are strict.
-            The arms of a person or a policy may touch the table.
-        max_ticks: control ticks after which it ends; None for no time limit.
-        magnet_reach: largest distance at which a magnet takes a thing, m; None for any, as recorded actions need it.
+        end: who ends the episode.
+        strict: whether a forbidden contact or an exceeded joint limit fails the episode. Demonstrations are strict. The
+            arms of a person or a policy may touch the table.
+        max_ticks: control ticks after which the episode ends; None for no time limit.
+        magnet_reach: largest distance at which a magnet attracts a thing, m; None for any, as recorded actions need it.
     """
 
     end: EndRule = EndRule.ACTOR
@@ -49,10 +49,10 @@ class EpisodeRules:
     magnet_reach: float | None = MAGNET_REACH
 
 
-#: The rules of demonstrations by a task's expert, and of recorded demonstrations that are repeated.
+#: The rules of demonstrations by a task's expert, and of their replays.
 EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, magnet_reach=None)
 
-#: The rules of recorded actions of a person, repeated.
+#: The rules of replays of a person's recorded actions.
 REPEATED_RULES = EpisodeRules(EndRule.ACTOR, magnet_reach=None)
 
 
@@ -61,9 +61,9 @@ class End:
     """How an episode ended.
 
     Attributes:
-        reason: what ended it.
-        tick: number of control ticks that had passed.
-        cause: why it is no success, as far as the ending itself says so.
+        reason: the event that ended the episode.
+        tick: control ticks that had passed.
+        cause: why the attempt failed; None if the end itself is no failure.
         detail: the figures behind the cause, for a person.
     """
 

@@ -129,7 +129,7 @@ def _could_work(simulators: Simulators, cause: Cause, job: EpisodeJob) -> bool:
     if isinstance(places, str) or cause is Cause.NO_LAYOUT:
         return not isinstance(places, str)
     task, cast = simulator.config.task, simulator.cast
-    grasped = {thing for skill in program_of(task, cast) if skill.NEEDS is False for _, thing in skill.roles()[:1]}
+    grasped = {thing for skill in program_of(task, cast) if skill.NEEDS_HELD is False for _, thing in skill.roles()[:1]}
     top = simulator.config.table.top
     return all(
         simulator.expert_tools.reaches_place(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))

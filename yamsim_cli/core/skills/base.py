@@ -1,4 +1,4 @@
-"""What every skill is: its arguments as a config, and the motions that it plans on its way."""
+"""The base class of skills: arguments as a config, and motions that are planned while the skill runs."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from ..types import Cause
 from .bench import Bench, Segment, SkillFailedError
 from .hand import Hand
 
-# Which arm a skill uses: by its side, or by its turn, see `RecordConfig.arm`.
+# The arm that a skill uses: by its side, or by its turn, which follows from `RecordConfig.arm`.
 Side = Literal["left", "right", "first", "second", "any"]
 
 
 class Skill(Config):
-    """Base of the skills. A subclass's fields are its arguments; those that name a role are listed in `ROLES`.
+    """Base class of the skills. A subclass's fields are its arguments; `ROLES` lists the fields that name a role.
 
-    A skill plans from the state that it finds: between two segments that it yields, whoever runs it lets them act, and
-    brings the bench's world up to date.
+    A skill plans from the present state. Between two yielded segments, the caller executes the motion and updates
+    the bench's world.
     """
 
     ROLES: ClassVar[tuple[str, ...]]
-    # Whether its thing has to be in a hand before, and whether it is in one afterwards; None leaves that as it is.
-    NEEDS: ClassVar[bool | None] = None
-    LEAVES: ClassVar[bool | None] = None
-    # Whether it is done with cloth alone; others are with stiff things alone, but for the roles that may be either.
+    # Whether the skill's thing has to be in a hand before, and whether it is in a hand afterwards. None: either before,
+    # and unchanged afterwards.
+    NEEDS_HELD: ClassVar[bool | None] = None
+    LEAVES_HELD: ClassVar[bool | None] = None
+    # Whether the skill manipulates cloth. Other skills manipulate rigid things; roles in `ANY_MATERIAL` may be either.
     OF_CLOTH: ClassVar[bool] = False
-    EITHER: ClassVar[tuple[str, ...]] = ()
+    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
-        """Do it.
+        """Yield the segments of motion that perform the skill.
 
         Args:
-            ahead: the skills that follow, the next one first, for choices that have to suit them.
+            ahead: the skills that follow, the next first. Choices such as a grip have to suit them.
 
         Raises:
-            SkillFailedError: there is no way, or its effect did not come about.
+            SkillFailedError: no motion was found, or the skill did not have its effect.
         """
 
     def fault(
@@ -53,41 +54,44 @@ class Skill(Config):
         joints: Array,
         ahead: Sequence[Skill] = (),
     ) -> str | None:
-        """Why this skill could not go on with a thing that a hand were to hold so; None if it could, as far as known.
+        """Return why this skill would fail with a thing held in a given pose; None if nothing is known to prevent it.
 
         Args:
             T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
-            joints: of the arm (dof,) where it would take the thing, rad.
-            ahead: the skills after this one, which a skill that hands the thing on has to leave possible.
+            joints: joints (dof,) at which the arm would grasp the thing, rad.
+            ahead: the skills after this one. A skill that hands the thing over has to leave them possible.
         """
         return None
 
     def relaxed(self, bench: Bench, cast: Cast) -> Skill:
-        """The same skill with what it only prefers left open, for hands that cannot do what it prefers."""
+        """Return this skill without its preferences, for hands that cannot satisfy them; itself if there are none."""
         return self
 
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
-        """About where this skill would bring a thing (2,), in `world`, m; none if it brings it nowhere."""
+        """Return roughly where this skill would bring a thing: points (2,) in `world`, m; none if nowhere."""
         return ()
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """The arguments that name roles, and the roles."""
+        """Return each argument that names a role, with the role."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
 
 
 def preferences(ahead: Sequence[Skill], bench: Bench, cast: Cast) -> Iterator[Sequence[Skill]]:
-    """The skills that follow as they prefer it; and, where that is something else, with what they prefer left open."""
+    """Yield the skills that follow with their preferences; then without, if that changes any of them."""
     yield ahead
     relaxed = [skill.relaxed(bench, cast) for skill in ahead]
     if any(one is not other for one, other in zip(relaxed, ahead, strict=True)):
         yield relaxed
 
 
-def hand_with(bench: Bench, thing: str, done: str) -> Hand:
-    """The hand that holds a thing which is to be `done`, such as "put down".
+def require_holder(bench: Bench, thing: str, done: str) -> Hand:
+    """Return the hand that holds a thing.
+
+    Args:
+        done: for the message, what is to be done with the thing, such as "put down".
 
     Raises:
-        SkillFailedError: none does any more.
+        SkillFailedError: no hand holds the thing.
     """
     hand = holder_of(bench, thing)
     if hand is None:
@@ -96,5 +100,5 @@ def hand_with(bench: Bench, thing: str, done: str) -> Hand:
 
 
 def holder_of(bench: Bench, thing: str) -> Hand | None:
-    """The hand that is to hold a thing, if one is."""
+    """Return the hand that holds a thing, as of its last `Bench.update_held`; None if no hand does."""
     return next((hand for hand in bench.hands if hand.held is not None and hand.held.thing == thing), None)

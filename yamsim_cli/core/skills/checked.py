@@ -1,4 +1,4 @@
-"""Whether a task can be: its program, and where its things start."""
+"""Checks of a config's task: its program, and whether the places in it can be reached."""
 
 from __future__ import annotations
 
@@ -29,40 +29,40 @@ from .place import Place
 from .program import read_program, read_steps
 from .push import Push
 
-# What grids of points a fold takes, where it does not take all.
+# How a cloth's grid has to be divided for each fold that needs more than a grid.
 _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
 
 
 def check_config(config: Config) -> None:
-    """Make sure that a config's task can be, if it is a task or a recording of one.
+    """Check that a config's task can be performed, if the config is a task or a recording.
 
     Raises:
-        ConflictError: it cannot; its path is where, from the config.
+        ConflictError: it cannot; the path leads from the config's root.
     """
     if isinstance(config, ProgramTask):
         check_program(config)
     elif isinstance(config, RecordConfig):
         sides = [config.rig.arms[k].side for k in config.acting]
-        # What is wrong with the rig's own arms alone may be the fault of the rig.
-        for known, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
+        # A fault that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
+        for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
             try:
-                check_program(config.task, known)
+                check_program(config.task, known_sides)
             except ConflictError as error:
                 raise ConflictError(str(error), *(("task", *path) for path in error.paths), *blamed) from error
         if config.grasp == "weld":
-            _check_widths(config, config.task)
+            _check_openings(config, config.task)
         _check_reach(config)
         _check_places(config, config.task)
 
 
 def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
-    """Make sure that a task's program has known skills, roles and parts, and that hands are free when it needs them.
+    """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
     Args:
-        sides: of the arms that do it, where that is known.
+        sides: of the arms that act; None if unknown.
 
     Raises:
-        ConflictError: it cannot be; its path is where, from the task.
+        ConflictError: the program is impossible; the path leads from the task's root.
     """
     cast = task.typical_cast
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
@@ -70,27 +70,27 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     for path, skill in read_steps(task.expert, cast, ("expert",)):
         thing = cast.one(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
-        if skill.NEEDS and thing not in held:
+        if skill.NEEDS_HELD and thing not in held:
             raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
-        if skill.NEEDS is False and thing not in held and len(held) >= arms:
+        if skill.NEEDS_HELD is False and thing not in held and len(held) >= arms:
             others = " and the ".join(sorted(held))
             raise ConflictError(f"no hand is free for the {thing}: the {others} is held; put it down first", path)
-        if skill.LEAVES is not None:
-            held = held | {thing} if skill.LEAVES else held - {thing}
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Operate):
             _check_part(task, cast, skill, path)
         if isinstance(skill, Hang):
             _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.EITHER:
-                said = (
+            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
+                problem = (
                     "is no cloth; give a role that cloth plays"
                     if skill.OF_CLOTH
                     else "is cloth; it can only be folded, or have things placed onto it"
                 )
-                raise ConflictError(f"the {role} {said}", (*path, argument))
+                raise ConflictError(f"the {role} {problem}", (*path, argument))
         if isinstance(skill, Place) and skill.on != TABLE:
-            _check_carries(task, cast, skill, path)
+            _check_support(task, cast, skill, path)
         if isinstance(skill, Fold):
             _check_fold(task, cast, skill, arms, path)
     if (found := contradiction(task.goal)) is not None:
@@ -101,13 +101,13 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    """Make sure that there are the arms that a step names, or takes."""
+    """Check that the arms exist that a step names or needs."""
     if isinstance(skill, Handover | Lift) and arms < 2:
         raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
-        absent = sides is not None and named in ("left", "right") and named not in sides
-        if absent or (named == "second" and arms < 2):
+        missing = sides is not None and named in ("left", "right") and named not in sides
+        if missing or (named == "second" and arms < 2):
             only = sides[0] if sides else "first"
             raise ConflictError(
                 f"no {named} arm does this task, only the {only} one; give 'first', or 'any'", (*path, argument)
@@ -118,7 +118,7 @@ def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tup
     if arms < skill.hands:
         raise ConflictError(f"to fold cloth {skill.said} takes two arms; use a rig with two, or `diagonal`", path)
     thing = cast.one(skill.thing)
-    for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
+    for item in next(player.of for role, player in task.things.items() if thing in cast.of(role)):
         if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
                 f"the {item.name} cannot be folded {skill.said}: that takes {_GRIDS[skill.how]}, not "
@@ -138,8 +138,8 @@ def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str |
         )
 
 
-def _check_carries(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
-    """Make sure that something can be put onto whatever plays the role that a step puts a thing onto."""
+def _check_support(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
+    """Check that each object that may play the supporting role has a floor or a flat top."""
     role = next(name for name in task.things if skill.on in (name, *cast.of(name)))
     for k, item in enumerate(task.things[role].of):
         if item.cloth is None and not item.carries:
@@ -151,34 +151,34 @@ def _check_carries(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str 
 
 
 def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int, ...]) -> None:
-    """Make sure that what is to hang has an eye, and what it is to hang on a peg, whichever objects play them."""
+    """Check that each object that is to hang has an eye, and that each object that it hangs on has a peg."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _objects_of(task, cast, role):
-            if handle not in (names := [one.name for one in item.handles]):
+            if handle not in (names := [known_handle.name for known_handle in item.handles]):
                 known = ", ".join(names) or "(none)"
                 raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
 
 
 def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig, ...]:
-    """What may play a role, or the thing of that name."""
-    return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
+    """Return the objects that may play a role; `role` may also be the name of a thing."""
+    return next(player.of for name, player in task.things.items() if role in (name, *cast.of(name)))
 
 
-def _check_widths(config: RecordConfig, task: ProgramTask) -> None:
-    """Make sure that whatever the expert picks up fits between the fingers of the arms that act."""
+def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
+    """Check that every picked object fits between the fingers of the acting arms."""
     cast = task.typical_cast
     picked = {skill.thing for _, skill in read_steps(task.expert, cast) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
         ("task", "things", role, "of", k): item
-        for role, one in task.things.items()
+        for role, player in task.things.items()
         if picked & {role, *cast.of(role)}
-        for k, item in enumerate(one.of)
+        for k, item in enumerate(player.of)
     }
     check_fingers(config.rig, config.acting_arms, items)
 
 
 def _check_reach(config: RecordConfig) -> None:
-    """Make sure that of every region on the table some place is nearer to an arm's base than the arm is long."""
+    """Check that each start region on the table has a point nearer to an arm's base than the arm's length."""
     arms = _arms(config)
     for role, start in config.starts.items():
         if start.on != TABLE:
@@ -196,7 +196,7 @@ def _check_reach(config: RecordConfig) -> None:
 
 
 def _check_places(config: RecordConfig, task: ProgramTask) -> None:
-    """Make sure that each place on the table that a step names is within the length of some arm."""
+    """Check that each point on the table that a step names lies within the length of some arm."""
     arms = _arms(config)
     longest = max(length for _, length in arms)
     for path, skill in read_steps(task.expert, task.typical_cast, ("expert",)):
@@ -212,19 +212,19 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
 
 
 def _named_place(skill: Skill) -> tuple[str, Array | None]:
-    """The argument by which a skill names a place on the table, and the place (2,); None if it names none."""
+    """Return the argument by which a skill names a point on the table, and the point (2,); None if it names none."""
     if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
         return "at", np.array(skill.at) + skill.number * np.array(skill.step)
     return "to", np.array(skill.to) if isinstance(skill, Push) else None
 
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
-    """Where the base (2,) of each arm that acts is in `world`, and how long the arm is at most, m."""
-    return [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(config.rig.arms[k]))) for k in config.acting]
+    """Return the base (2,) in `world` and the length of each acting arm, m."""
+    return [(config.rig.T_base_in_world(k)[:2, 3], _arm_length(bare_arm(config.rig.arms[k]))) for k in config.acting]
 
 
-def _length(model: mujoco.MjModel) -> float:
-    """At least how far from its base an arm's pinch point never gets, m: all that is between them in one line."""
+def _arm_length(model: mujoco.MjModel) -> float:
+    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of all offsets."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
     while model.body_parentid[body]:
@@ -234,23 +234,23 @@ def _length(model: mujoco.MjModel) -> float:
 
 
 def program_contradiction(task: ProgramTask) -> str | None:
-    """How a task's program contradicts its goal; None if it does not, as far as its steps tell."""
+    """Return how a task's program contradicts its goal; None if no step is known to."""
     cast = task.typical_cast
     program = read_program(task.expert, cast)
-    held, moved, passed = set[str](), set[str](), set[str]()
+    held, moved, handed_over = set[str](), set[str](), set[str]()
     for skill in program:
         things = {thing for _, role in skill.roles() for thing in cast.of(role)}
         thing = cast.one(skill.roles()[0][1])
         moved |= things
-        if skill.LEAVES is not None:
-            held = held | {thing} if skill.LEAVES else held - {thing}
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Handover):
-            passed.add(thing)
+            handed_over.add(thing)
 
     def impossible(predicate: Predicate) -> str | None:
         things = set(cast.of(predicate.roles()[0][1]))
         named = " and the ".join(sorted(things))
-        if isinstance(predicate, HandedOver | WasHandedOver) and not things <= passed:
+        if isinstance(predicate, HandedOver | WasHandedOver) and not things <= handed_over:
             return f"no step of the expert hands over the {named}; add `handover`"
         if predicate.IN_HAND is True and not things <= held:
             instead = ", or ask for `was_handed_over`" if isinstance(predicate, HandedOver) else ""
@@ -266,6 +266,6 @@ def program_contradiction(task: ProgramTask) -> str | None:
 
 
 def _starts_on(task: ProgramTask, name: str) -> str | None:
-    """What a role starts on, or the thing of a role."""
+    """Return what a role, or the thing of a role, starts on."""
     cast = task.typical_cast
     return next((start.on for role, start in task.starts.items() if name in (role, *cast.of(role))), None)

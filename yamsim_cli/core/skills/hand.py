@@ -1,4 +1,4 @@
-"""One arm as skills see it: what it was told last, what it holds, and how it reaches."""
+"""An arm as skills see it: its last command, what it holds, and its reach."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver, Tolerance
 from ..scene.compiled import SceneArm
 
-# Where fingers close or open; and where a hand only passes.
-EXACT = Tolerance(1.5e-3, math.radians(2.0))
-PASSING = Tolerance(4e-3, math.radians(6.0))
+EXACT = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
+PASSING = Tolerance(4e-3, math.radians(6.0))  # m and rad, at waypoints
 
-# rad, the distance from its stops that every joint keeps where a choice of grip allows that. Tracking errors and a
-# gripper's load move joints by up to 0.05 rad; a real arm also differs from its model.
+# rad, distance from the stops that every joint keeps if some grip allows it. Tracking errors and a gripper's load move
+# joints by up to 0.05 rad, and a real arm differs from its model.
 RESERVE = 0.15
 
-# Ways to hold a thing that differ by less, in where the hand is and from where it comes, reach the same, m and rad.
-_SAME_PLACE, _SAME_SIDE = 0.01, math.radians(20.0)
+_SAME_POSITION, _SAME_DIRECTION = 0.01, math.radians(20.0)  # m and rad; grips that differ by less reach the same places
 
 
 @dataclass(frozen=True)
 class Held:
-    """A thing in a hand, by its pose (4, 4) in the pinch frame, when it was last looked at."""
+    """A thing in a hand, with its pose (4, 4) in the pinch frame when last measured."""
 
     thing: str
     T_thing_in_pinch: Array
@@ -39,15 +37,17 @@ class Hand:
     Attributes:
         number: of the arm in its scene.
         side: "left" or "right".
-        arm: where its parts lie in MuJoCo's arrays, and what it can do.
-        ik, dynamics: inverse kinematics of its pinch frame, and its inverse dynamics.
-        joints: what it was told to reach last (dof,), rad.
-        opening: of one finger, as told last, m.
-        grip: how hard each finger is to press, N.
-        magnet: whether its magnet is commanded on; without effect on a hand that has none.
-        held: what it holds.
-        in_vain: how it held things that it then could not put where they were to go.
-        reserve: least distance of every joint from its stops at what `reach` finds, rad; see `Bench.reserve`.
+        arm: the arm's indices in MuJoCo's arrays, and its limits.
+        ik: inverse kinematics of the pinch frame.
+        dynamics: inverse dynamics.
+        ready: joints (dof,) of the parked arm, rad.
+        joints: last commanded joints (dof,), rad.
+        opening: last commanded opening of each finger, m.
+        grip: commanded force of each finger, N.
+        magnet: whether the magnet is commanded on; without effect on a hand that has none.
+        held: the thing in the hand; None without one.
+        failed_grasps: grasps after which the thing could not be brought to its goal.
+        reserve: least distance of every joint from its stops in `reach`, rad; see `Bench.reserve`.
     """
 
     def __init__(
@@ -66,41 +66,39 @@ class Hand:
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
         self.magnet = False
         self.held: Held | None = None
-        self.in_vain: list[Held] = []
+        self.failed_grasps: list[Held] = []
         self.reserve = 0.0
 
-    def held_in_vain(self, thing: str, T_pinch_in_thing: Array) -> bool:
-        """Whether it held a thing about so before, its pinch frame (4, 4) in the thing's, and could not put it where it
-        was to go.
-        """
-        before = [inverse(one.T_thing_in_pinch) for one in self.in_vain if one.thing == thing]
+    def failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
+        """Return whether `failed_grasps` has a similar grasp of a thing, by the pinch frame (4, 4) in the thing's."""
+        earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
-            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_PLACE
-            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_SIDE)
-            for T in before
+            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_POSITION
+            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_DIRECTION)
+            for T in earlier
         )
 
     @property
-    def widest(self) -> float:
-        """How far one finger can be told to open, m."""
+    def max_opening(self) -> float:
+        """Largest opening of each finger that can be commanded, m."""
         assert self.arm.fingers is not None, "skills are for hands with fingers"
         return float(self.arm.fingers.ctrl_range[1])
 
     @property
     def welds(self) -> bool:
-        """Whether a weld holds what is in the hand, and not the friction of its fingers."""
+        """Whether the hand holds things by a weld instead of by friction."""
         return self.arm.weld is not None
 
     def pinch_at(self, joints: Array) -> Array:
-        """Pose (4, 4) of the pinch frame in `world` with the arm at `joints` (dof,)."""
+        """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,)."""
         return self.ik.pose_of(joints)
 
     def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
-        """Joints (dof,) that bring the pinch frame to a pose (4, 4), see `IkSolver.reach`."""
+        """Return joints (dof,) that bring the pinch frame to a pose (4, 4); None without any. See `IkSolver.reach`."""
         return self.ik.reach(T_pinch_in_world, seeds, self._with_reserve(tolerance))
 
     def may_reach(self, T_pinch_in_world: Array, tolerance: Tolerance = EXACT) -> Array:
-        """Return for which of many poses (n, 4, 4) `reach` may find joints, see `IkSolver.may_reach`."""
+        """Return for which of the poses (n, 4, 4) `reach` may find joints, see `IkSolver.may_reach`."""
         return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
 
     def _with_reserve(self, tolerance: Tolerance) -> Tolerance:

@@ -1,4 +1,4 @@
-"""Give a thing from one hand to the other, in the air."""
+"""Hand a thing over in the air, from one hand to the other."""
 
 from __future__ import annotations
 
@@ -17,67 +17,66 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, hand_with, preferences
+from .base import Skill, preferences, require_holder
 from .bench import Bench, CachedIterable, Fingers, Segment, SkillFailedError
-from .grips import Grip, points_well
+from .grips import Grip, can_point
 from .hand import PASSING, Hand, Held
 from .moves import let_go, rest, take_hold
 
-# From so far the taking hand comes straight, m.
-_APPROACH = 0.08
+_APPROACH = 0.08  # m, length of the straight approach of the taking hand
 
-# Where hands meet: how far ahead of the middle between their bases, m.
-_AHEAD = (0.32, 0.26, 0.38, 0.44)
+# m, candidate distances of the meeting in front of the midpoint between the bases, in the order tried
+_MEETING_X = (0.32, 0.26, 0.38, 0.44)
 
-# Two hands whose fingers point less far apart than this are in each other's way; and from here on they point at each
-# other, and may be turned about that line, rad.
-_LEAST_ANGLE = math.radians(50)
-_OPPOSITE = math.radians(165)
-# How hands meet: at least how far apart they hold a long thing if they come from the same side, m; how much lower than
-# usual, m; and by how much the line from the giving to the taking hand is turned from the line between the bases, rad.
-# Fingers with room between them come first, then fingers that only just pass each other, then lower places, which hands
-# reach from above.
+_MIN_ANGLE = math.radians(50)  # rad, hands that point less far apart are in each other's way unless side by side
+# rad, from here on hands face each other, and the thing may roll about the line between them
+_FACING_ANGLE = math.radians(165)
+# Meetings in the order tried: least distance between hands that come from the same side, m; how much lower than
+# `height`, m; and angle between the line from hand to hand and the line between the bases, rad. Fingers with room
+# between them come first, then fingers that just pass each other, then lower places, which hands reach from above.
 _MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
-_LEAST_APART = min(apart for apart, _, _ in _MEETINGS)
+_MIN_APART = min(apart for apart, _, _ in _MEETINGS)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
-_MORE_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
+_TURNED_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
 
-# How many grips are looked at together: one look at their poses costs as much as 20 poses one by one.
-_BATCH = 64
+# count, grips whose poses are tested in one call; a call costs as much as 20 separate poses
+_BATCH_SIZE = 64
 
+# rad, of the thing about the line between hands that face each other
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
 class _Meeting:
-    """How hands meet.
+    """Grip and joints of both hands at a handover.
 
     Attributes:
-        grip: the taking hand's.
-        wide: opening of one of its fingers before it closes, m.
-        giving: joints (dof,) of the giving arm, rad.
-        before, taking: joints (dof,) of the taking arm before it comes to the thing, and at it, rad.
+        grip: of the taking hand.
+        opening: of each of its fingers before it closes, m.
+        giver_joints: of the giving arm (dof,), rad.
+        approach_joints: of the taking arm before the straight approach (dof,), rad.
+        taker_joints: of the taking arm at the thing (dof,), rad.
     """
 
     grip: Grip
-    wide: float
-    giving: Array
-    before: Array
-    taking: Array
+    opening: float
+    giver_joints: Array
+    approach_joints: Array
+    taker_joints: Array
 
 
 class Handover(Skill):
-    """Bring a thing to where both hands reach it, let the other hand take it, and let go.
+    """Move a thing to where both hands reach it, grasp it with the other hand, and release it.
 
     Attributes:
         thing: a role; it is in a hand.
-        to: which hand is to have it then.
-        height: of its origin over the table, m.
+        to: the hand that holds the thing afterwards.
+        height: of the thing's origin over the table, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = True
-    LEAVES: ClassVar[bool | None] = True
+    NEEDS_HELD: ClassVar[bool | None] = True
+    LEAVES_HELD: ClassVar[bool | None] = True
     MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MEETINGS
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
@@ -86,16 +85,16 @@ class Handover(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        giver = hand_with(bench, thing, "handed over")
+        giver = require_holder(bench, thing, "handed over")
         if bench.side_of(self.to) == giver.side:
             return
         taker = next(hand for hand in bench.hands if hand is not giver)
         meeting = self._meeting(bench, cast, giver, taker, ahead)
-        held = bench.look_at(giver)
+        held = bench.update_held(giver)
         load = Load(thing, held.T_thing_in_pinch)
-        yield bench.segment({giver: bench.way(giver, meeting.giving, load=load)})
-        path = bench.way(taker, meeting.before, meeting.wide)
-        yield bench.segment({taker: path}, {taker: Fingers(meeting.wide)})
+        yield bench.segment({giver: bench.free_path(giver, meeting.giver_joints, load=load)})
+        path = bench.free_path(taker, meeting.approach_joints, meeting.opening)
+        yield bench.segment({taker: path}, {taker: Fingers(meeting.opening)})
         T_grip = bench.world.pose(thing) @ meeting.grip.T_pinch_in_thing
         yield bench.segment({taker: bench.line(taker, T_grip)})
         yield from take_hold(bench, taker, meeting.grip)
@@ -105,7 +104,7 @@ class Handover(Skill):
         taker.held = Held(thing, inverse(bench.T_pinch(taker)) @ bench.world.pose(thing))
         yield from let_go(bench, giver, bench.clearance(thing))
         yield rest(bench)
-        bench.look_at(taker)
+        bench.update_held(taker)
 
     def fault(
         self,
@@ -127,12 +126,12 @@ class Handover(Skill):
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
-        """See `Skill`: the line from hand to hand may be turned from the line between the bases."""
+        """See `Skill`: the line from hand to hand may be turned relative to the line between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
-        """The first meeting after which the next skill can go on; without one, the first at all."""
-        held = bench.look_at(giver)
+        """Return the first meeting that leaves the next skills possible; else the first reachable meeting."""
+        held = bench.update_held(giver)
         for following in (*preferences(ahead, bench, cast), ()):
             for skill in (self, self.relaxed(bench, cast)):
                 if (found := skill._meeting_before(bench, cast, giver, taker, held, following)) is not None:
@@ -142,10 +141,10 @@ class Handover(Skill):
     def _meeting_before(
         self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
     ) -> _Meeting | None:
-        """The first meeting at which both hands reach the thing and touch nothing, and after which skills can go on."""
+        """Return the first meeting without contacts that both hands reach and that leaves skills possible."""
         grips = _taking_grips(bench, cast, taker, held.thing, ahead)
-        # The first search asks about a grip only where hands would meet by it. Later ones have use for every answer.
-        ask_first = bool(grips.faults)
+        # The first search tests a grip only if hands can meet with it. Later searches profit from every tested grip.
+        check_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
@@ -153,10 +152,10 @@ class Handover(Skill):
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
         attitude = functools.cache(lambda grip: _attitude(T_giving, grip.T_pinch_in_thing))
         for apart, lower, turn in self.MEETINGS:
-            places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _AHEAD]
+            places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _MEETING_X]
             poses = _Poses(rotation_z(turn) @ across, apart, np.array(places), attitude)
             for number, grip, T_things in _within_reach(giver, taker, T_giving, grips.open(), poses):
-                if ask_first and not grips.suits(number, grip):
+                if check_first and not grips.suits(number, grip):
                     continue
                 for T_thing in T_things:
                     meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
@@ -170,9 +169,9 @@ class Handover(Skill):
 
 
 class _TurnedHandover(Handover):
-    """A hand-over in which the line from hand to hand may be turned."""
+    """A handover in which the line from hand to hand may be turned."""
 
-    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MORE_MEETINGS
+    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _TURNED_MEETINGS
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
         """See `Skill`."""
@@ -180,57 +179,57 @@ class _TurnedHandover(Handover):
 
 
 class _TakingGrips:
-    """The ways in which a hand may take a thing, the best ones first.
+    """Grips by which a hand may take a thing, the most reliable first.
 
     Attributes:
-        faults: number of a way -> why the skills ahead could not go on with it, or None; as far as anybody asked.
+        faults: number of each tested grip -> why the skills ahead would fail with it; None if they would not.
     """
 
     def __init__(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> None:
         self._bench, self._cast, self._taker, self._thing, self._ahead = bench, cast, taker, thing, ahead
-        self._grips = CachedIterable(bench.grips(thing, taker.widest))
+        self._grips = CachedIterable(bench.grips(thing, taker.max_opening))
         self.faults: dict[int, str | None] = {}
 
     def open(self) -> Iterator[tuple[int, Grip]]:
-        """Yield the ways with which skills ahead can go on, as far as anybody asked, each with its number."""
+        """Yield the number and the grip of all that are untested or suitable."""
         return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
     def suits(self, number: int, grip: Grip) -> bool:
-        """Whether the skills ahead can go on with the grip that has a number."""
+        """Return whether the skills ahead can continue with a grip; each grip is tested once."""
         if number not in self.faults:
             fault = None
             if self._ahead:
-                taken = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
-                fault = self._ahead[0].fault(self._bench, self._cast, *taken, self._ahead[1:])
+                grasp = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
+                fault = self._ahead[0].fault(self._bench, self._cast, *grasp, self._ahead[1:])
             self.faults[number] = fault
         return self.faults[number] is None
 
 
 def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
-    """The same grips for every search while nothing moves: whether one suits does not depend on where hands meet."""
+    """Return the taking grips, which all searches share while nothing moves: `faults` holds for every meeting."""
     key = ("taking grips", taker.side, thing, tuple(ahead))
-    return bench.once(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
+    return bench.cached(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
 
 def _within_reach(
     giver: Hand, taker: Hand, T_giving: Array, grips: Iterator[tuple[int, Grip]], poses: _Poses
 ) -> Iterator[tuple[int, Grip, Array]]:
-    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach it."""
-    while batch := list(itertools.islice(grips, _BATCH)):
+    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
+    while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T_things = [poses.of(grip) for _, grip in batch]
         T = np.concatenate(T_things)
         T_taking = np.concatenate([T @ grip.T_pinch_in_thing for T, (_, grip) in zip(T_things, batch, strict=True)])
         reached = taker.may_reach(T_taking)
         reached[reached] = giver.may_reach(T[reached] @ T_giving, PASSING)
-        ends = np.cumsum([len(some) for some in T_things])[:-1]
-        for (number, grip), some, mask in zip(batch, T_things, np.split(reached, ends), strict=True):
+        ends = np.cumsum([len(T_thing) for T_thing in T_things])[:-1]
+        for (number, grip), T_thing, mask in zip(batch, T_things, np.split(reached, ends), strict=True):
             if mask.any():
-                yield number, grip, some[mask]
+                yield number, grip, T_thing[mask]
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
-    """The meeting with the hands' pinch frames at poses (4, 4) in `world`; None where an arm does not reach its own."""
-    if not points_well(T_giving, giver.arm.T_base_in_world) or not points_well(T_taking, taker.arm.T_base_in_world):
+    """Return the meeting with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
+    if not can_point(T_giving, giver.arm.T_base_in_world) or not can_point(T_taking, taker.arm.T_base_in_world):
         return None
     taking = taker.reach(T_taking, (taker.ready,))
     if taking is None:
@@ -241,44 +240,44 @@ def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: G
     before = taker.reach(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), PASSING)
     if before is None:
         return None
-    return _Meeting(grip, min(grip.opening + grip.clearance, taker.widest), giving, before, taking)
+    return _Meeting(grip, min(grip.opening + grip.clearance, taker.max_opening), giving, before, taking)
 
 
 def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeting) -> bool:
-    """Whether neither hand touches anything at a meeting but the thing between its fingers."""
-    if bench.touched(giver, meeting.giving, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
+    """Return whether the hands touch nothing at a meeting but the thing between their fingers."""
+    if bench.touched(giver, meeting.giver_joints, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
         return False
-    there = bench.imagined(giver, meeting.giving, giver.opening, held)
-    touched, wide = bench.obstacles.touched, meeting.wide
-    at_it = touched(there, taker.number, meeting.taking, wide, between=held.thing)
-    return not at_it and not touched(there, taker.number, meeting.before, wide)
+    qpos = bench.posed_qpos(giver, meeting.giver_joints, giver.opening, held)
+    touched, opening = bench.obstacles.touched, meeting.opening
+    blocked = touched(qpos, taker.number, meeting.taker_joints, opening, between=held.thing)
+    return not blocked and not touched(qpos, taker.number, meeting.approach_joints, opening)
 
 
 @dataclass(frozen=True)
 class _Attitude:
-    """How a thing has to be turned for two hands to take it from their own sides.
+    """Orientation of a thing in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation (3, 3) from the thing's frame to one whose first axis leads from the giving hand to the
-            taking one, and whose second axis points along both hands.
-        apart: distance between hands that point about the same way, m; None if they do not.
-        opposite: whether hands point at each other, so that the thing may be turned about the line between them.
+        R_thing: rotation (3, 3) from the thing's frame to a frame whose first axis leads from the giving hand to the
+            taking hand, and whose second axis points along both hands.
+        apart: distance between hands that point in similar directions, m; None for other hands.
+        facing: whether the hands face each other, so that the thing may roll about the line between them.
     """
 
     R_thing: Array
     apart: float | None
-    opposite: bool
+    facing: bool
 
 
 @dataclass(frozen=True)
 class _Poses:
-    """Poses of a thing at which both hands come from their own side, and as much from above.
+    """Poses of a thing at which each hand comes from its own side, and both as steeply from above as possible.
 
     Attributes:
-        across: direction (3,) of the line from the giving to the taking hand, in `world`.
-        side_by_side: how far apart hands that point the same way have to be, m.
-        places: of the thing (n, 3), in `world`, m.
-        attitude: of the thing by a taking grip.
+        across: direction (3,) from the giving to the taking hand, in `world`.
+        side_by_side: least distance between hands that point in similar directions, m.
+        places: of the thing's origin (n, 3), in `world`, m.
+        attitude: returns the thing's attitude for a taking grip.
     """
 
     across: Array
@@ -291,7 +290,7 @@ class _Poses:
         attitude = self.attitude(grip)
         if attitude is None or (attitude.apart is not None and attitude.apart < self.side_by_side):
             return np.empty((0, 4, 4))
-        R = (self._rolled if attitude.opposite else self._rolled[:1]) @ attitude.R_thing
+        R = (self._rolled if attitude.facing else self._rolled[:1]) @ attitude.R_thing
         T = np.tile(np.eye(4), (len(R), len(self.places), 1, 1))
         T[..., :3, :3], T[..., :3, 3] = R[:, None], self.places
         return T.reshape(-1, 4, 4)
@@ -304,23 +303,24 @@ class _Poses:
 
 
 def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
-    """The attitude for two hands' pinch frames (4, 4) in the thing's; None where hands are in each other's way."""
+    """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     apart = T_taking[:3, 3] - T_giving[:3, 3]
     distance = float(np.linalg.norm(apart))
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
-    same_way = angle < _LEAST_ANGLE
-    if same_way and distance < _LEAST_APART:
+    same_way = angle < _MIN_ANGLE
+    if same_way and distance < _MIN_APART:
         return None
-    one = apart if same_way else giving - taking
-    one = one / np.linalg.norm(one)
-    two = giving + taking
-    if angle > _OPPOSITE:
-        # Any direction beside that line may be the one from above; the thing's own is tried first.
-        two = np.array((0.0, 0.0, -1.0)) if abs(one[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
-    two = two - (two @ one) * one
-    if np.linalg.norm(two) < 0.1:
+    first = apart if same_way else giving - taking
+    first = first / np.linalg.norm(first)
+    second = giving + taking
+    if angle > _FACING_ANGLE:
+        # The hands face each other, so any direction across the line may point down; the thing's own z axis is tried
+        # first.
+        second = np.array((0.0, 0.0, -1.0)) if abs(first[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
+    second = second - (second @ first) * first
+    if np.linalg.norm(second) < 0.1:
         return None
-    two = two / np.linalg.norm(two)
-    R_thing = np.array([one, two, np.cross(one, two)])
-    return _Attitude(R_thing, distance if same_way else None, angle > _OPPOSITE)
+    second = second / np.linalg.norm(second)
+    R_thing = np.array([first, second, np.cross(first, second)])
+    return _Attitude(R_thing, distance if same_way else None, angle > _FACING_ANGLE)

@@ -1,4 +1,4 @@
-"""Put what a hand holds into a container, wherever in it there is most room."""
+"""Put a held thing into a container."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ from ..goals.cast import Cast
 from .bench import Bench
 from .place import Placing
 
-# How finely places in a container are tried, m, and how much lower a place has to be to be the better one, m.
-_GRID = 0.03
-_LOWER = 0.01
+_GRID_STEP = 0.03  # m, between the places in a container that are tried
+_HEIGHT_STEP = 0.01  # m, resting heights are compared in these steps; at equal height the more central place is better
 
-# What fell aside has come into the container all the same with so large a share of its volume inside: what is tall does
-# not go deep.
-_INSIDE = 0.3
+# share of the volume. A thing that fell over is in the container if at least this share is inside; tall things do not
+# go deep.
+_MIN_SHARE_INSIDE = 0.3
 
-# Headings that are tried, as turns from along the container.
+# rad, headings relative to the container's, in the order tried
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(Placing):
-    """Put a thing into a container: where it comes to lie lowest, near the container's middle.
+    """Put a thing where it rests lowest in a container, near the container's middle.
 
     Attributes:
         thing: a role; it is in a hand.
-        into: a role: what contains it then.
+        into: a role: the container.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
@@ -49,25 +48,25 @@ class Insert(Placing):
         for turn in _TURNS:
             heading = yaw(T) + turn
             half = bench.half_outline(thing, turn)
-            room = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]
-            if any(first > last for first, last in room):
+            ranges = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]
+            if any(first > last for first, last in ranges):
                 continue
-            middles = [(first + last) / 2 for first, last in room]
-            for x in _spread(*room[0]):
-                for y in _spread(*room[1]):
+            middles = [(first + last) / 2 for first, last in ranges]
+            for x in _grid(*ranges[0]):
+                for y in _grid(*ranges[1]):
                     place = (T @ (x, y, 0.0, 1.0))[:2]
                     height = bench.height_on(thing, place, container, heading)
                     T_goal = pose((*place, height), rotation_z(heading))
-                    off = float(np.hypot(x - middles[0], y - middles[1]))
-                    # The block around a container has room outside of its walls as well.
+                    offset = float(np.hypot(x - middles[0], y - middles[1]))
+                    # The block around a container also covers space outside of its walls.
                     if bench.world.inside(container, (T_goal @ foot)[None, :3])[0]:
-                        found.append((round(height / _LOWER), off, T_goal))
+                        found.append((round(height / _HEIGHT_STEP), offset, T_goal))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
-        if bench.world.share_inside(thing, onto) < _INSIDE:
+        if bench.world.share_inside(thing, onto) < _MIN_SHARE_INSIDE:
             super()._check(bench, thing, onto, T_goal)
 
 
-def _spread(first: float, last: float) -> Array:
-    return np.linspace(first, last, max(1, math.ceil((last - first) / _GRID)) + 1)
+def _grid(first: float, last: float) -> Array:
+    return np.linspace(first, last, max(1, math.ceil((last - first) / _GRID_STEP)) + 1)

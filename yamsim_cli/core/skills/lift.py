@@ -14,41 +14,39 @@ from ..goals.cast import Cast
 from ..types import Cause
 from .base import Skill
 from .bench import Bench, Fingers, Segment, SkillFailedError
-from .grips import Grip, points_well
+from .grips import Grip, can_point
 from .hand import PASSING, Hand, Held
 from .moves import GRIP_TICKS, let_go, rest
 
-# From so far hands come straight, m; how far apart they take hold at least, m; and how many grips a hand is tried with.
-_APPROACH = 0.08
-_APART = 0.12
-_MOST_GRIPS = 24
+_APPROACH = 0.08  # m, length of the straight approach of each hand
+_MIN_APART = 0.12  # m, least distance between the two grasps
+_MAX_GRIPS = 24  # count, reachable grips of each hand that are compared
 
-# Both hands move at this speed, m/s.
-_SPEED = 0.10
+_SPEED = 0.10  # m/s, of both hands while they lift
 
 
 class Lift(Skill):
-    """Take a thing at two places, one with each hand, and lift it level.
+    """Grasp a thing at two places, one with each hand, and lift it level.
 
     Attributes:
         thing: a role.
-        by: how high, m.
+        by: height of the lift, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
-    LEAVES: ClassVar[bool | None] = True
+    NEEDS_HELD: ClassVar[bool | None] = False
+    LEAVES_HELD: ClassVar[bool | None] = True
     thing: str
     by: Distance = 0.10
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        one, other = bench.hands[:2]
-        found = self._pair(bench, one, other, thing)
-        wide = {hand: min(grip.opening + grip.clearance, hand.widest) for hand, grip, *_ in found}
+        hand_a, hand_b = bench.hands[:2]
+        found = self._pair(bench, hand_a, hand_b, thing)
+        openings = {hand: min(grip.opening + grip.clearance, hand.max_opening) for hand, grip, *_ in found}
         for hand, _, before, _ in found:
-            yield bench.segment({hand: bench.way(hand, before, wide[hand])}, {hand: Fingers(wide[hand])})
+            yield bench.segment({hand: bench.free_path(hand, before, openings[hand])}, {hand: Fingers(openings[hand])})
         T_thing = bench.world.pose(thing)
         lines = {hand: bench.line(hand, T_thing @ grip.T_pinch_in_thing) for hand, grip, *_ in found}
         yield bench.segment(lines)
@@ -69,11 +67,11 @@ class Lift(Skill):
             up[hand] = bench.line(hand, T_up, _SPEED)
         yield bench.segment(up)
         for hand in closing:
-            bench.look_at(hand)
+            bench.update_held(hand)
 
-    def _pair(self, bench: Bench, one: Hand, other: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
-        """Each hand with its grip, and its joints (dof,) before it and at it; those that are far apart first."""
-        reached = {hand: list(self._reached(bench, hand, thing)) for hand in (one, other)}
+    def _pair(self, bench: Bench, hand_a: Hand, hand_b: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
+        """Return the most distant free pair of grips: each hand with its grip, and joints (dof,) before and at it."""
+        reached = {hand: list(self._reached(bench, hand, thing)) for hand in (hand_a, hand_b)}
         pairs = sorted(
             itertools.product(*reached.values()),
             key=lambda pair: (
@@ -81,26 +79,26 @@ class Lift(Skill):
             ),
         )
         for first, second in pairs:
-            apart = _place(first[1]) - _place(second[1])
-            if float(np.linalg.norm(apart)) < _APART:
+            apart = _position(first[1]) - _position(second[1])
+            if float(np.linalg.norm(apart)) < _MIN_APART:
                 break
-            there = bench.imagined(first[0], first[3], first[1].opening, None)
-            if bench.obstacles.touched(there, second[0].number, second[3], second[1].opening, between=thing) is None:
+            qpos = bench.posed_qpos(first[0], first[3], first[1].opening, None)
+            if bench.obstacles.touched(qpos, second[0].number, second[3], second[1].opening, between=thing) is None:
                 return [first, second]
         raise SkillFailedError(Cause.UNREACHABLE, f"no two places at which both hands can take the {thing}")
 
     def _reached(self, bench: Bench, hand: Hand, thing: str) -> Iterator[tuple[Hand, Grip, Array, Array]]:
         T_thing, number = bench.world.pose(thing), 0
-        for grip in bench.grips(thing, hand.widest):
+        for grip in bench.grips(thing, hand.max_opening):
             T_at = T_thing @ grip.T_pinch_in_thing
-            if not points_well(T_at, hand.arm.T_base_in_world):
+            if not can_point(T_at, hand.arm.T_base_in_world):
                 continue
             at = hand.reach(T_at, (hand.ready,))
             before = None if at is None else hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), PASSING)
             if at is None or before is None:
                 continue
-            wide = min(grip.opening + grip.clearance, hand.widest)
-            if bench.touched(hand, at, wide, between=thing) or bench.touched(hand, before, wide):
+            opening = min(grip.opening + grip.clearance, hand.max_opening)
+            if bench.touched(hand, at, opening, between=thing) or bench.touched(hand, before, opening):
                 continue
             T_up = T_at.copy()
             T_up[2, 3] += self.by
@@ -108,10 +106,10 @@ class Lift(Skill):
                 continue
             number += 1
             yield hand, grip, before, at
-            if number == _MOST_GRIPS:
+            if number == _MAX_GRIPS:
                 return
 
 
-def _place(grip: Grip) -> Array:
-    place: Array = grip.T_pinch_in_thing[:3, 3]
-    return place
+def _position(grip: Grip) -> Array:
+    position: Array = grip.T_pinch_in_thing[:3, 3]
+    return position

@@ -1,4 +1,4 @@
-"""Motions that several skills are made of."""
+"""Motions that several skills share."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from .bench import Bench, Fingers, Segment, SkillFailedError
 from .grips import Grip
 from .hand import PASSING, Hand
 
-# Control ticks in which fingers close on something, or open; and in which what was let go comes to rest.
-GRIP_TICKS = 10
-_OPEN_TICKS = 8
-_REST_TICKS = 4
+GRIP_TICKS = 10  # control ticks in which fingers close
+_OPEN_TICKS = 8  # control ticks in which fingers open
+_REST_TICKS = 4  # control ticks in which the arms and a released thing come to rest
 
-# m, how far a hand draws back from what it let go; and where joints come too near to their stops on that
-_BACK, _LEAST_BACK = 0.07, 0.04
+# m, how far a hand draws back from a released thing; the shorter one if the other ends near a joint's stop
+_RETREAT, _SHORT_RETREAT = 0.07, 0.04
 
 
 def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
-    """Close the fingers on a thing between them, and let everything come to rest.
+    """Yield segments that close the fingers on the thing between them, and wait until everything rests.
 
-    Fingers close to a force; a hand with a weld closes them only as far as the thing is wide, and switches its magnet
-    on.
+    Fingers close with the grip's force. A hand with a weld closes to the thing's width, and switches its magnet on.
     """
     closing = Fingers(grip.opening, 0.0 if hand.welds else grip.force)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
@@ -33,15 +31,15 @@ def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
 
 
 def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
-    """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
-    wide = min(hand.opening + clearance, hand.widest)
+    """Yield segments that open each finger by a clearance (m), and draw the hand back along its axis or up."""
+    opening = min(hand.opening + clearance, hand.max_opening)
     hand.magnet = False
-    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)}, arrives=False)
+    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(opening)}, arrives=False)
     thing, hand.held = None if hand.held is None else hand.held.thing, None
-    # Fingers that were around something start near to it. Where no path is free, the first one has to do.
+    # Open fingers are still near to the thing. If no path is free of contacts, the first path is used.
     retreat: Array | None = None
     for path in _retreats(bench, hand):
-        if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)):
+        if clear(path, lambda joints: bench.touched(hand, joints, opening, between=thing)):
             retreat = path
             break
         retreat = path if retreat is None else retreat
@@ -50,10 +48,10 @@ def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
 
 
 def _retreats(bench: Bench, hand: Hand) -> Iterator[Array]:
-    """Yield straight paths (n + 1, dof) by which a hand leaves what it let go: those that end away from stops first."""
+    """Yield straight paths (n + 1, dof) away from a released thing, those that end away from stops first."""
     T = hand.pinch_at(hand.joints)
     paths = []
-    for distance in (_BACK, _LEAST_BACK):
+    for distance in (_RETREAT, _SHORT_RETREAT):
         back, up = T @ pose((0.0, 0.0, -distance)), T.copy()
         up[2, 3] += distance
         for T_clear in (back, up):
@@ -67,25 +65,25 @@ def _retreats(bench: Bench, hand: Hand) -> Iterator[Array]:
 
 
 def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
-    """A motion (n + 1, dof) that takes what a hand holds straight to a pose (4, 4) in `world`, at a speed, m/s.
+    """Return a motion (n + 1, dof) that moves a held thing straight to a pose (4, 4) in `world`, at a speed in m/s.
 
     Raises:
-        SkillFailedError: the hand holds nothing any more, or the line leaves the arm's reach.
+        SkillFailedError: the hand no longer holds anything, or the line leaves the arm's reach.
     """
-    held = bench.look_at(hand)
-    # The arm sags a little under its load: what it was told lies so far off what it does.
-    T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
-    return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch, speed)
+    held = bench.update_held(hand)
+    # The arm sags under its load, so the measured pose differs from the commanded pose by this transform.
+    T_commanded_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
+    return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
 
 
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
-    """Bring a hand that holds nothing out of the way."""
+    """Yield the motion of a hand that holds nothing to its ready posture, unless it is there."""
     if not _parked(hand):
-        yield bench.segment({hand: bench.way(hand, hand.ready)}, arrives=False)
+        yield bench.segment({hand: bench.free_path(hand, hand.ready)}, arrives=False)
 
 
 def idle(bench: Bench) -> list[Hand]:
-    """The hands that hold nothing, and are not out of the way."""
+    """Return the hands that hold nothing and are not parked."""
     return [hand for hand in bench.free_hands("any") if not _parked(hand)]
 
 
@@ -93,35 +91,34 @@ def _parked(hand: Hand) -> bool:
     return bool(abs(hand.joints - hand.ready).max() <= 1e-6)
 
 
-def park_free(bench: Bench, but: Hand | None = None) -> Iterator[Segment]:
-    """Bring the hands that hold nothing out of the way, except one."""
+def park_free(bench: Bench, except_hand: Hand | None = None) -> Iterator[Segment]:
+    """Yield the motions that park all hands that hold nothing, except `except_hand`."""
     for hand in bench.hands:
-        if hand is not but and hand.held is None:
+        if hand is not except_hand and hand.held is None:
             yield from park(bench, hand)
 
 
 def rest(bench: Bench) -> Segment:
-    """Let everything come to rest."""
+    """Return the segment in which everything comes to rest."""
     return bench.wait(_REST_TICKS)
 
 
 def recover(bench: Bench) -> Iterator[Segment]:
-    """Bring hands that hold nothing out of the way, their fingers open. Where one is in another one's way, that goes
-    first.
+    """Yield motions that open and park all hands that hold nothing; a blocked hand waits until others are parked.
 
     Raises:
-        SkillFailedError: there is no free way for any of those that are left.
+        SkillFailedError: none of the remaining hands has a free path.
     """
-    left = bench.free_hands("any")
-    while left:
-        before, faults = len(left), list[SkillFailedError]()
-        for hand in tuple(left):
+    waiting = bench.free_hands("any")
+    while waiting:
+        before, faults = len(waiting), list[SkillFailedError]()
+        for hand in tuple(waiting):
             try:
-                if hand.opening < hand.widest / 4:
-                    yield from let_go(bench, hand, hand.widest / 2)
+                if hand.opening < hand.max_opening / 4:
+                    yield from let_go(bench, hand, hand.max_opening / 2)
                 yield from park(bench, hand)
-                left.remove(hand)
+                waiting.remove(hand)
             except SkillFailedError as fault:
                 faults.append(fault)
-        if len(left) == before:
+        if len(waiting) == before:
             raise faults[0]

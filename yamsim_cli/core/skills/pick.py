@@ -1,4 +1,4 @@
-"""Take a thing from where it lies."""
+"""Pick up a thing."""
 
 from __future__ import annotations
 
@@ -17,26 +17,33 @@ from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Side, Skill, holder_of, preferences
 from .bench import Bench, Fingers, Segment, SkillFailedError
-from .grips import Grip, points_well
+from .grips import Grip, can_point
 from .hand import PASSING, RESERVE, Hand, Held
 from .moves import let_go, park_free, take_hold
 
-# From so far the hand comes straight: from less where there is no room for more, m.
+# m, lengths of the straight approach; the shorter one is for tight places
 _APPROACHES = (0.09, 0.05)
 
 
 @dataclass(frozen=True)
 class Reach:
-    """A grip that a hand can take: its joints (dof,) before it and at it, and how wide its fingers are then, m."""
+    """A grip that a hand can take now.
+
+    Attributes:
+        grip: the grip.
+        before: joints (dof,) before the straight approach, rad.
+        at: joints (dof,) at the grip, rad.
+        opening: of each finger during the approach, m.
+    """
 
     grip: Grip
     before: Array
     at: Array
-    wide: float
+    opening: float
 
 
 class Pick(Skill):
-    """Take a thing and lift it, by the arm and the grip with which what follows can be done too.
+    """Grasp a thing and lift it, with an arm and a grip that leave the skills ahead possible.
 
     Attributes:
         thing: a role.
@@ -45,9 +52,9 @@ class Pick(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
-    LEAVES: ClassVar[bool | None] = True
-    # Whether each motion waits for the arm at the end of the one before.
+    NEEDS_HELD: ClassVar[bool | None] = False
+    LEAVES_HELD: ClassVar[bool | None] = True
+    # Whether each motion waits until the arm has reached the end of the previous motion.
     WAITS: ClassVar[bool] = True
     thing: str
     arm: Side = "any"
@@ -71,16 +78,18 @@ class Pick(Skill):
                     return
         if not reasons:
             low, high = bench.world.block(thing)
-            opens = f"{2000 * max(hand.widest for hand in bench.acting):.0f} mm"
+            stroke = f"{2000 * max(hand.max_opening for hand in bench.acting):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
-                f"it is {size} mm and has no two opposite faces less than {opens} apart, as wide as a hand opens"
+                f"it is {size} mm and has no two opposite faces less than {stroke} apart, as wide as a hand opens"
             ] = 1
-        said = "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {said}")
+        summary = "; ".join(
+            f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
+        )
+        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
-        """The hands that may do it, the nearest to where the thing lies and is to lie first."""
+        """Return the hands that may pick, those nearest to the thing and to its goals first."""
         places = [bench.world.pose(thing)[:2, 3], *goals]
         hands = bench.free_hands(self.arm)
 
@@ -92,8 +101,8 @@ class Pick(Skill):
 
     def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
         grip = found.grip
-        path = bench.way(hand, found.before, found.wide)
-        yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
+        path = bench.free_path(hand, found.before, found.opening)
+        yield bench.segment({hand: path}, {hand: Fingers(found.opening)}, arrives=self.WAITS)
         path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
         yield bench.segment({hand: path}, arrives=self.WAITS)
         yield from take_hold(bench, hand, grip)
@@ -105,7 +114,7 @@ class Pick(Skill):
         T_up[2, 3] += self.lift
         yield bench.segment({hand: bench.line(hand, T_up)}, arrives=self.WAITS)
         try:
-            bench.look_at(hand)
+            bench.update_held(hand)
         except SkillFailedError:
             yield from let_go(bench, hand, grip.clearance)
             raise
@@ -113,8 +122,8 @@ class Pick(Skill):
     def _reached(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
     ) -> Reach | None:
-        """Return the first grip that a hand can take now, and with which what follows can go on; None without one."""
-        for grip in bench.grips(thing, hand.widest):
+        """Return the first grip that a hand can take now and that leaves the skills ahead possible; else None."""
+        for grip in bench.grips(thing, hand.max_opening):
             found = self.reach(bench, hand, thing, grip)
             if isinstance(found, Reach):
                 T = inverse(grip.T_pinch_in_thing)
@@ -127,30 +136,30 @@ class Pick(Skill):
         return None
 
     def reach(self, bench: Bench, hand: Hand, thing: str, grip: Grip) -> Reach | str | None:
-        """How a hand can take a thing by a grip now; else why it cannot.
+        """Return how a hand can take a thing by a grip now; else why not, for a person.
 
         Returns:
-            None where no look at the arm is needed: the hand held the thing so in vain, or no hand points there.
+            None if the grip is no candidate: a similar grasp failed before, or no hand can point there.
         """
-        if grip.opening > hand.widest:
+        if grip.opening > hand.max_opening:
             return (
                 f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
-                f"{2000 * hand.widest:.1f} mm"
+                f"{2000 * hand.max_opening:.1f} mm"
             )
         T_at = bench.world.pose(thing) @ grip.T_pinch_in_thing
-        if hand.held_in_vain(thing, grip.T_pinch_in_thing) or not points_well(T_at, hand.arm.T_base_in_world):
+        if hand.failed_with(thing, grip.T_pinch_in_thing) or not can_point(T_at, hand.arm.T_base_in_world):
             return None
         at = hand.reach(T_at, (hand.joints, hand.ready))
         if at is None:
             return f"the {hand.side} arm does not reach it so"
-        wide = min(grip.opening + grip.clearance, hand.widest)
-        before, why = _before(bench, hand, thing, T_at, at, wide, grip.beside)
+        opening = min(grip.opening + grip.clearance, hand.max_opening)
+        before, why = _before(bench, hand, thing, T_at, at, opening, grip.finger_distance)
         if before is None:
             return why
-        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, wide)
+        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, opening)
 
     def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
-        """What a hand would touch once it has lifted a thing that it takes at joints `at` (dof,)."""
+        """Return what prevents a hand from lifting a thing grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
         up = hand.reach(T_up, (at,), PASSING)
@@ -161,17 +170,17 @@ class Pick(Skill):
 
 
 def _before(
-    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, wide: float, beside: float | None
+    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, finger_distance: float | None
 ) -> tuple[Array | None, str]:
-    """Joints (dof,) from which a hand comes straight to a thing; else None, and why there are none."""
-    why = bench.touched(hand, at, wide, between=thing, beside=beside)
+    """Return joints (dof,) before the straight approach to a thing; else None, and why there are none."""
+    why = bench.touched(hand, at, opening, between=thing, beside=finger_distance)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"
-    for far in _APPROACHES:
-        before = hand.reach(T_at @ pose((0.0, 0.0, -far)), (at,), PASSING)
+    for distance in _APPROACHES:
+        before = hand.reach(T_at @ pose((0.0, 0.0, -distance)), (at,), PASSING)
         if before is not None:
-            blocked = bench.touched(hand, before, wide)
+            blocked = bench.touched(hand, before, opening)
             if blocked is None:
                 return before, ""
             why = blocked

@@ -1,4 +1,4 @@
-"""Put what a hand holds down: onto something, into something, or at a place."""
+"""Put a held thing down: onto or into another thing, or at a point on the table."""
 
 from __future__ import annotations
 
@@ -17,65 +17,63 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, hand_with
+from .base import Skill, require_holder
 from .bench import Bench, CachedIterable, Segment, SkillFailedError
-from .grips import points_well
+from .grips import can_point
 from .hand import PASSING, Hand
 from .moves import bring, let_go, rest
 
-# From so high a thing comes straight down, and is let go so much above where it will lie, m.
-OVER = 0.07
-_GAP = 0.002
+HOVER_HEIGHT = 0.07  # m, a thing comes straight down from this height over its goal
+_RELEASE_GAP = 0.002  # m, a thing is released this high over its goal
 
-# A thing farther than this from where it was to lie has not been placed, m.
-_NEAR = 0.03
+_MAX_OFFSET = 0.03  # m, a thing farther than this from its goal has not been placed
 
-# A hand that puts a thing down on a face beside points no farther up than this, as the sine of the angle.
-_LEVEL = 0.1
+# largest sine of the angle above horizontal at which a hand points that puts a thing down in a lying attitude
+_MAX_UPWARD = 0.1
 
-# Headings that are tried, as turns from the present one: small ones first.
+# rad, headings relative to the present heading, the smallest first
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 
 class Placing(Skill):
-    """Base of the skills that put down what a hand holds: they differ in where.
+    """Base class of the skills that put down a held thing; they differ in the goal.
 
     Attributes:
         thing: a role; it is in a hand.
-        drop: it falls the last bit, m: where fingers around it would touch what it is put onto.
+        drop: height of the release over the goal, m, where fingers around the thing would touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = True
-    LEAVES: ClassVar[bool | None] = False
-    # How fast a thing comes down, m/s.
+    NEEDS_HELD: ClassVar[bool | None] = True
+    LEAVES_HELD: ClassVar[bool | None] = False
+    # m/s, speed at which a thing comes down
     LOWERING: ClassVar[float] = 0.15
     thing: str
     drop: Annotated[FiniteFloat, Within("m", 0, 0.05)] = 0.0
 
     def support(self, cast: Cast) -> str:
-        """What the thing is put onto, or into: a thing or `table`."""
+        """Return the name of what the thing is put onto or into: a thing or `table`."""
         return TABLE
 
     @abstractmethod
     def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
-        """Where the thing may come to lie: poses (4, 4) in `world`, the best first."""
+        """Return candidate poses (4, 4) of the thing in `world`, the best first."""
 
-    def _best(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
-        """The same, each looked for but once while nothing moves: every grip that is tried asks for them."""
-        return bench.once((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
+    def _goals_once(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
+        """Return `goals`, computed once while nothing moves, because `fault` needs them for every grip."""
+        return bench.cached((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
 
     def relaxed(self, bench: Bench, cast: Cast) -> Placing:
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
-        """The same for a hand that holds the thing so, in the order in which they are tried."""
-        return self._best(bench, cast, thing)
+    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
+        """Return the goals in the order in which they are tried for a pose (4, 4) of the thing in the hand."""
+        return self._goals_once(bench, cast, thing)
 
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [T[:2, 3] for T in itertools.islice(self._best(bench, cast, thing), 1)]
+        return [T[:2, 3] for T in itertools.islice(self._goals_once(bench, cast, thing), 1)]
 
     def fault(
         self,
@@ -90,20 +88,20 @@ class Placing(Skill):
         """See `Skill`."""
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_lying in self._tried(bench, cast, thing, T_thing_in_pinch):
+        for T_lying in self._ordered_goals(bench, cast, thing, T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
-            well = points_well(T_pinch, hand.arm.T_base_in_world)
-            there = hand.reach(T_pinch, (joints, hand.ready)) if well else None
-            if there is None:
+            can_point_there = can_point(T_pinch, hand.arm.T_base_in_world)
+            goal_joints = hand.reach(T_pinch, (joints, hand.ready)) if can_point_there else None
+            if goal_joints is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
-            over = hand.reach(raised(T_goal, OVER) @ inverse(T_thing_in_pinch), (there,), PASSING)
-            if over is None:
+            hover_joints = hand.reach(raised(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (goal_joints,), PASSING)
+            if hover_joints is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
-            elif blocked := bench.touched(hand, there, hand.opening, load):
+            elif blocked := bench.touched(hand, goal_joints, hand.opening, load):
                 fault = f"{blocked} at its goal"
-            elif blocked := bench.touched(hand, over, hand.opening, Load(thing, T_thing_in_pinch)):
+            elif blocked := bench.touched(hand, hover_joints, hand.opening, Load(thing, T_thing_in_pinch)):
                 fault = f"{blocked} over its goal"
             else:
                 return None
@@ -112,16 +110,16 @@ class Placing(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        hand = hand_with(bench, thing, "put down")
-        held = bench.look_at(hand)
+        hand = require_holder(bench, thing, "put down")
+        held = bench.update_held(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-        for T_lying in self.relaxed(bench, cast)._tried(bench, cast, thing, held.T_thing_in_pinch):
+        for T_lying in self.relaxed(bench, cast)._ordered_goals(bench, cast, thing, held.T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             joints = self._over(hand, T_goal @ inverse(held.T_thing_in_pinch))
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
                 continue
             try:
-                path = bench.way(hand, joints, load=Load(thing, held.T_thing_in_pinch))
+                path = bench.free_path(hand, joints, load=Load(thing, held.T_thing_in_pinch))
             except SkillFailedError as error:
                 fault = str(error)
                 continue
@@ -132,40 +130,46 @@ class Placing(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Joints (dof,) of a hand over where its pinch frame is to go (4, 4)."""
-        return hand.reach(raised(T_pinch, OVER), (hand.joints, hand.ready), PASSING)
+        """Return joints (dof,) of a hand at `HOVER_HEIGHT` over a pose (4, 4) of its pinch frame; None without any."""
+        return hand.reach(raised(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready), PASSING)
 
     def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
-        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _GAP), self.LOWERING)})
+        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _RELEASE_GAP), self.LOWERING)})
         yield rest(bench)
         yield from let_go(bench, hand, bench.clearance(thing))
         yield rest(bench)
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        """Check that the thing lies at its goal.
+
+        Raises:
+            SkillFailedError: it does not.
+        """
         T = bench.world.pose(thing)
-        off = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
-        if off > _NEAR or T[2, 3] < T_goal[2, 3] - _NEAR:
+        offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
+        if offset > _MAX_OFFSET or T[2, 3] < T_goal[2, 3] - _MAX_OFFSET:
             raise SkillFailedError(
-                Cause.OFF_TARGET, f"the {thing} lies {off * 1000:.0f} mm beside its place on the {onto}"
+                Cause.OFF_TARGET, f"the {thing} lies {offset * 1000:.0f} mm beside its place on the {onto}"
             )
 
 
 class Place(Placing):
-    """Put a thing down, its heading as suits the arm: upright, or where no hand that takes it reaches that, in another
-    way in which the thing lies steadily, if it is one that may lie so (`rests` of its config).
+    """Put a thing down, upright and with the heading that suits the arm. If no grasp allows that, a thing whose config
+    has `rests` may be put down in another stable attitude.
 
     Attributes:
         thing: a role; it is in a hand.
-        on: a role, or `table`; the thing comes to lie over the middle of what plays it, on it or in it.
-        at: where on it: x and y in its frame, or in `world` for the table, m.
-        start_of: rather, a role: where its thing started.
-        step, number: so far beside it, m, and so many times.
-        heading_deg: of the thing in the frame of what it is put on; without, any. With it, the thing stands upright.
-        upright: it has to stand upright.
+        on: a role, or `table`; the thing is put over the middle of the role's thing, on it or in it.
+        at: x and y on the support, in its frame, m; for the table, in `world`.
+        start_of: a role, instead of `at`: the point where that role's thing started.
+        step: offset from `at`, m, which is applied `number` times.
+        number: how often `step` is applied.
+        heading_deg: of the thing in the support's frame; None for any. With a heading, the thing stands upright.
+        upright: whether the thing has to stand upright.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
-    EITHER: ClassVar[tuple[str, ...]] = ("on",)
+    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
     on: str
     at: tuple[Reach, Reach] | None = None
     start_of: str | None = None
@@ -196,14 +200,14 @@ class Place(Placing):
             yield pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading))
 
     def relaxed(self, bench: Bench, cast: Cast) -> Place:
-        """See `Skill`: it may lie otherwise than upright."""
-        asked = self.upright or self.heading_deg is not None
-        if asked or not bench.items[cast.one(self.thing)].rests_any_way:
+        """See `Skill`: the thing may be put down in another attitude than upright."""
+        fixed = self.upright or self.heading_deg is not None
+        if fixed or not bench.items[cast.one(self.thing)].rests_any_way:
             return self
-        return _PlaceAnyWay.model_construct(**dict(self))
+        return _PlaceInAnyAttitude.model_construct(**dict(self))
 
     def _place(self, bench: Bench, cast: Cast) -> tuple[Array, Array]:
-        """Where the thing is to lie (2,), and the pose (4, 4) of what it is to lie on, in `world`."""
+        """Return the goal's point (2,) and the pose (4, 4) of the support, in `world`."""
         onto = self.support(cast)
         T_onto = pose() if onto == TABLE else bench.world.pose(onto)
         x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
@@ -212,28 +216,28 @@ class Place(Placing):
         return (T_onto @ (x, y, 0.0, 1.0))[:2], T_onto
 
 
-class _PlaceAnyWay(Place):
-    """Put a thing down in any way in which it lies steadily: upright if the hand reaches that."""
+class _PlaceInAnyAttitude(Place):
+    """Put a thing down in any stable attitude, upright if the hand reaches that."""
 
     def relaxed(self, bench: Bench, cast: Cast) -> Place:
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
-        """See `Placing`. Of the other ways to lie, those where the hand comes from above come first."""
-        yield from self._best(bench, cast, thing)
-        others = bench.once((self, "others", thing), lambda: self._others(bench, cast, thing))
+    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
+        """See `Placing`. Upright goals come first, then those at which the hand comes most steeply from above."""
+        yield from self._goals_once(bench, cast, thing)
+        lying = bench.cached((self, "others", thing), lambda: self._lying_goals(bench, cast, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
 
-        def ahead(T: Array) -> Array:
+        def forward(T: Array) -> Array:
             direction: Array = (T @ T_pinch_in_thing)[:3, 2]
             return direction
 
-        reachable = [T for T in others if ahead(T)[2] < _LEVEL]
-        yield from sorted(reachable, key=lambda T: float(ahead(T)[2]))
+        reachable = [T for T in lying if forward(T)[2] < _MAX_UPWARD]
+        yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
-    def _others(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """Where the thing may lie otherwise than upright, its centre of mass over the place."""
+    def _lying_goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the point."""
         place, _ = self._place(bench, cast)
         centre = np.array(bench.items[thing].inertia.centre)
         heading = yaw(bench.world.pose(thing))
@@ -248,7 +252,7 @@ class _PlaceAnyWay(Place):
 
 
 def raised(T: Array, height: float) -> Array:
-    """A pose (4, 4) so much higher, m."""
+    """Return a pose (4, 4) moved up by a height, m."""
     higher = T.copy()
     higher[2, 3] += height
     return higher

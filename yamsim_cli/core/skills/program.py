@@ -1,4 +1,4 @@
-"""Programs: a task's list of skills, read from its YAML, and run on a bench."""
+"""Programs: a task's list of skills, read from its YAML, and its execution with retries."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .push import Push
 from .put_aside import PutAside, Regrasp, put_back
 from .set_upright import SetUpright, Turn
 
-# A new skill is a module here, and a line in the table.
+# The skills of programs. A new skill is a module in this package, and an entry here.
 SKILLS: Mapping[str, type[Skill]] = {
     "pick": Pick,
     "place": Place,
@@ -49,22 +49,21 @@ SKILLS: Mapping[str, type[Skill]] = {
     "flatten": Flatten,
 }
 
-# What goes through the things of a role: `each: {of: cup, do: [...]}`.
+# The key of a loop over the things of a role: `each: {of: cup, do: [...]}`.
 _EACH = "each"
 
-# How often a skill is tried before the program gives up; and after how many tries what cannot be put where it is to go,
-# as it is held, is put aside first, and taken anew.
-_TRIES, _HELD_TRIES = 3, 2
+# count, tries of a skill before the program fails; and tries after which a held thing is put down and grasped anew
+_MAX_TRIES, _TRIES_WITH_SAME_GRASP = 3, 2
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """A skill that had to be tried again.
+    """A skill that failed and was tried again.
 
     Attributes:
-        step: its number in the program as run.
+        step: its number in the unrolled program.
         skill: its name.
-        detail: what went wrong the first time.
+        detail: why it failed.
     """
 
     step: int
@@ -74,16 +73,16 @@ class Recovery:
 
 @dataclass
 class RecoveryLog:
-    """The skills that had to be tried again while a program ran."""
+    """The skills that failed and were tried again while a program ran."""
 
     recoveries: list[Recovery] = field(default_factory=list)
 
 
 def program_of(task: ProgramTask, cast: Cast) -> list[Skill]:
-    """The skills of a task's expert, loops unrolled for a cast.
+    """Return the skills of a task's expert, with loops unrolled for a cast.
 
     Raises:
-        ConfigError: it is not valid, as only a config that nobody checked can be, such as a dataset's own.
+        ConfigError: the program is not valid, which only an unchecked config such as a dataset's can be.
     """
     try:
         return read_program(task.expert, cast)
@@ -92,14 +91,14 @@ def program_of(task: ProgramTask, cast: Cast) -> list[Skill]:
 
 
 def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()) -> list[Skill]:
-    """The skills of a program, loops unrolled for a cast.
+    """Return the skills of a program, with loops unrolled for a cast.
 
     Args:
-        steps: as a task's YAML has them: each of one key, a skill's name or `each`.
-        path: where they stand, for messages.
+        steps: as in a task's YAML: each has one key, a skill's name or `each`.
+        path: of the steps in the config, for messages.
 
     Raises:
-        ConflictError: a step is not valid; its path is where.
+        ConflictError: a step is not valid; the path leads to the step.
     """
     return [skill for _, skill in read_steps(steps, cast, path)]
 
@@ -107,7 +106,7 @@ def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str
 def read_steps(
     steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """The skills of a program, each with where it stands; see `read_program`."""
+    """Yield each skill of a program with its path in the config; see `read_program`."""
     for k, step in enumerate(steps):
         yield from _read_step(step, cast, (*path, k), {})
 
@@ -130,8 +129,11 @@ def _read_step(
 def _read_each(
     given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """`of`: a role; `do`: steps, in which `it` is the role's thing, `previous` the one before, and `number` how many
-    came before; `skip`: how many of the first to leave out; `order`: kinds of things, in which order they come.
+    """Yield the steps of a loop, once for each thing of a role.
+
+    Keys of `given`: `of` is a role. `do` is the steps, in which `it` is the present thing, `previous` the thing
+    before, and `number` how many things came before. `skip` is how many things to leave out at the start. `order` lists
+    kinds of things, in the order in which they are visited.
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(
@@ -163,7 +165,8 @@ def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], n
     try:
         skill = SKILLS[key].model_validate(filled)
     except ValidationError as error:
-        # A misspelt key is both unknown and missing; the place where it stands comes first.
+        # A misspelt key is reported both as unknown and as missing. The unknown key comes first, because it has a
+        # place.
         found = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing")
         first = found[0]
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
@@ -180,10 +183,10 @@ def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], n
 
 
 def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: RecoveryLog) -> Iterator[Segment]:
-    """Run skills one after the other; one that fails is tried again, from the state that it left.
+    """Yield the segments of skills that run one after the other; a skill that fails is retried from the present state.
 
     Raises:
-        SkillFailedError: one failed as often as it is tried.
+        SkillFailedError: a skill failed `_MAX_TRIES` times.
     """
     number = 0
     tries: dict[int, int] = {}
@@ -193,16 +196,20 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: Recover
             yield from skill.run(bench, cast, program[number + 1 :])
         except SkillFailedError as error:
             tries[number] = tries.get(number, 0) + 1
-            if tries[number] >= _TRIES:
+            if tries[number] >= _MAX_TRIES:
                 raise
             log.recoveries.append(Recovery(number, _name(skill), str(error)))
-            # Arms that find no way out of the way stay where they are.
+            # Arms without a free path stay where they are.
             with suppress(SkillFailedError):
                 yield from recover(bench)
-            if tries[number] == _HELD_TRIES and isinstance(skill, Placing) and _taken(program[:number]) == skill.thing:
+            if (
+                tries[number] == _TRIES_WITH_SAME_GRASP
+                and isinstance(skill, Placing)
+                and _last_picked(program[:number]) == skill.thing
+            ):
                 with suppress(SkillFailedError):
                     yield from put_back(bench, cast, skill.thing)
-            number = _again_from(program, number, bench, cast)
+            number = _retry_from(program, number, bench, cast)
         else:
             number += 1
 
@@ -211,33 +218,33 @@ def _name(skill: Skill) -> str:
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
-def _taken(program: Sequence[Skill]) -> str | None:
-    """What the last `pick` of some steps takes."""
+def _last_picked(program: Sequence[Skill]) -> str | None:
+    """Return the role of the last `pick` of some steps; None without one."""
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
-def _again_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
-    """The number of the step to go on with after step `number` failed.
+def _retry_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
+    """Return the number of the step from which to continue after step `number` failed.
 
-    A step that needs its thing in a hand, where no hand holds it any more, needs the nearest step before it that takes
-    that thing. Any other step is tried again by itself.
+    If a step needs its thing in a hand and no hand holds the thing, the nearest earlier step that picks up the thing is
+    repeated. Any other step is retried by itself.
     """
-    if not program[number].NEEDS:
+    if not program[number].NEEDS_HELD:
         return number
     thing = _thing(program[number], cast)
     if holder_of(bench, thing) is not None:
         return number
-    takes = (k for k in reversed(range(number)) if program[k].LEAVES and not program[k].NEEDS)
+    takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
     return next((k for k in takes if _thing(program[k], cast) == thing), number)
 
 
 def _thing(skill: Skill, cast: Cast) -> str:
-    """The thing of a skill's first role: the one that `NEEDS` and `LEAVES` are about."""
+    """Return the thing of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
     return cast.one(skill.roles()[0][1])
 
 
-# Seconds of simulated time that a skill usually takes. Source: means of successful attempts at the shipped tasks.
-# No shipped task has `push`, `turn` or `regrasp`: those are estimates, by a reach and a motion, `place` and `handover`.
+# s, typical simulated duration of each skill. Source: means of successful attempts at the shipped tasks. No shipped
+# task has `push`, `turn` or `regrasp`; these are estimated from a reach and a motion, `place` and `handover`.
 SKILL_SECONDS: Mapping[str, float] = {
     "pick": 2.7,
     "place": 3.0,
@@ -254,13 +261,13 @@ SKILL_SECONDS: Mapping[str, float] = {
     "fold": 6.8,
     "flatten": 7.0,
 }
-_THIRDS = 1.6  # of "fold": what folding in thirds takes, which is two folds of one reach; measured
+_THIRDS_FACTOR = 1.6  # factor on "fold": folding in thirds takes two folds in one reach; measured
 
 
 def typical_ticks(task: ProgramTask) -> int:
     """Return how many control ticks a successful attempt at a task usually takes.
 
-    Most goals have held for their hold time when the last skill ends, so nothing is added for that.
+    No hold time is added: most goals have held for it when the last skill ends.
 
     Raises:
         ConfigError: the task's program is not valid.
@@ -271,4 +278,4 @@ def typical_ticks(task: ProgramTask) -> int:
 
 def _seconds(skill: Skill) -> float:
     (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
-    return SKILL_SECONDS[name] * (_THIRDS if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    return SKILL_SECONDS[name] * (_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

@@ -20,29 +20,27 @@ from .bench import Bench, Fingers, Segment, SkillFailedError
 from .hand import PASSING, Hand
 from .moves import GRIP_TICKS, park_free, rest
 
-# The fingers come down so far behind the thing, from so high, and push at this height over the table, m.
-_BEHIND = 0.03
-_ABOVE = 0.10
-_HEIGHT = 0.02
+_START_GAP = 0.03  # m, between the thing and the fingers where they come down behind it
+_APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
+_PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
-# A push goes no faster than this, m/s.
-_PUSHING = 0.10
+_PUSH_SPEED = 0.10  # m/s
 
-# How often a thing is pushed on, if it did not get there at once.
-_PUSHES = 3
+_MAX_PUSHES = 3  # count, pushes before the skill fails
 
-# How the hand may be turned about straight down from the fingers side by side, and how far it may lean, rad.
+# rad, of the hand about the vertical, relative to fingers side by side
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
+# rad, of the hand from straight down, in the order tried
 _LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
-    """Push a low thing to a place, in a straight line: the hand has to have room behind it, over the fingers.
+    """Push a low thing in a straight line to a point; the hand needs room behind the thing.
 
     Attributes:
         thing: a role.
         to: x and y in `world`, m.
-        radius: how near to it the thing has to come, m.
+        radius: largest distance from the point at which the push succeeds, m.
         arm: which arm.
     """
 
@@ -55,24 +53,26 @@ class Push(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        for _ in range(_PUSHES):
-            if self._off(bench, thing) <= self.radius:
+        for _ in range(_MAX_PUSHES):
+            if self._distance(bench, thing) <= self.radius:
                 return
             yield from self._push(bench, thing)
             yield rest(bench)
-        if (off := self._off(bench, thing)) > self.radius:
-            raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} was pushed to {off * 1000:.0f} mm from its place")
+        if (distance := self._distance(bench, thing)) > self.radius:
+            raise SkillFailedError(
+                Cause.OFF_TARGET, f"the {thing} was pushed to {distance * 1000:.0f} mm from its place"
+            )
 
-    def _off(self, bench: Bench, thing: str) -> float:
+    def _distance(self, bench: Bench, thing: str) -> float:
         return float(np.linalg.norm(bench.world.pose(thing)[:2, 3] - self.to))
 
     def _push(self, bench: Bench, thing: str) -> Iterator[Segment]:
         start = bench.world.pose(thing)[:2, 3]
-        way = np.array(self.to) - start
-        heading = math.atan2(way[1], way[0])
+        displacement = np.array(self.to) - start
+        heading = math.atan2(displacement[1], displacement[0])
         half = float(bench.half_outline(thing, -heading)[0])
-        along = way / np.linalg.norm(way)
-        first, last = start - along * (half + _BEHIND), np.array(self.to) - along * half
+        direction = displacement / np.linalg.norm(displacement)
+        first, last = start - direction * (half + _START_GAP), np.array(self.to) - direction * half
         hands = bench.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
             for lean, turn in itertools.product(_LEANS, _TURNS):
@@ -82,14 +82,14 @@ class Push(Skill):
                 yield from park_free(bench, hand)
                 joints, T_first, T_last = found
                 closed = Fingers(0.0)
-                yield bench.segment({hand: bench.way(hand, joints)}, {hand: closed})
+                yield bench.segment({hand: bench.free_path(hand, joints)}, {hand: closed})
                 yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closed})
                 yield bench.segment({hand: bench.line(hand, T_first)})
-                yield bench.segment({hand: bench.line(hand, T_last, _PUSHING)})
+                yield bench.segment({hand: bench.line(hand, T_last, _PUSH_SPEED)})
                 T_back = T_last.copy()
-                T_back[:2, 3] -= along * _BEHIND
+                T_back[:2, 3] -= direction * _START_GAP
                 yield bench.segment({hand: bench.line(hand, T_back)})
-                T_back[2, 3] += _ABOVE
+                T_back[2, 3] += _APPROACH_HEIGHT
                 yield bench.segment({hand: bench.line(hand, T_back)})
                 return
         raise SkillFailedError(Cause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
@@ -97,15 +97,15 @@ class Push(Skill):
     def _reach(
         self, bench: Bench, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
-        """Joints (dof,) over where the push begins, and the pinch frame (4, 4) where it begins and where it ends."""
-        height = float(bench.world.bounds(TABLE)[1][2]) + _HEIGHT
-        # Fingers down, the closing axis across the way.
+        """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at start and end; else None."""
+        height = float(bench.world.bounds(TABLE)[1][2]) + _PUSH_HEIGHT
+        # Fingers down, the closing axis across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         c, s = math.cos(lean), math.sin(lean)
         R = rotation_z(heading) @ down @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
         T_first, T_last = pose((*first, height), R), pose((*last, height), R)
         T_over = T_first.copy()
-        T_over[2, 3] += _ABOVE
+        T_over[2, 3] += _APPROACH_HEIGHT
         over = hand.reach(T_over, (hand.joints, hand.ready), PASSING)
         if over is None or bench.touched(hand, over, 0.0):
             return None

@@ -99,7 +99,7 @@ def check_still(simulators: Simulators, seed: int, n: int) -> Check:
 def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
     """Check that an expert whose fingers do not close never reaches the goal."""
     task = simulators.session.config.task
-    if all(skill.NEEDS is not False for skill in read_program(task.expert, task.typical_cast)):
+    if all(skill.NEEDS_HELD is not False for skill in read_program(task.expert, task.typical_cast)):
         return Check("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
     for job in (EpisodeJob(seed, number) for number in range(n)):

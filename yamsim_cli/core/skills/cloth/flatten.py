@@ -57,7 +57,7 @@ class Flatten(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
+    NEEDS_HELD: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
     thing: str
 

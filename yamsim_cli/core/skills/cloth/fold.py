@@ -35,7 +35,7 @@ class Fold(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS: ClassVar[bool | None] = False
+    NEEDS_HELD: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
     thing: str
     how: Way = "half"

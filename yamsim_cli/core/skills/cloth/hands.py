@@ -106,13 +106,13 @@ def _approached(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
     wide = {one.hand: Fingers(WIDE) for one in taken}
     goals = {hand: hand.ready for hand in idle(bench) if hand not in wide}
     goals |= {one.hand: one.before for one in taken}
-    ways = {hand: bench.way(hand, goal, WIDE) for hand, goal in goals.items()}
+    ways = {hand: bench.free_path(hand, goal, WIDE) for hand, goal in goals.items()}
     if _free_together(bench, ways):
         yield bench.segment(ways, wide, arrives=False)
         return
     for hand, goal in goals.items():
         fingers = {hand: wide[hand]} if hand in wide else {}
-        yield bench.segment({hand: bench.way(hand, goal, WIDE)}, fingers, arrives=False)
+        yield bench.segment({hand: bench.free_path(hand, goal, WIDE)}, fingers, arrives=False)
 
 
 def _check_fingers(bench: Bench, taken: Sequence[Taken]) -> None:

@@ -191,5 +191,5 @@ def clear_of(bench: Bench, one: tuple[Hand, Array], other: tuple[Hand, Array]) -
     far open as they are yet.
     """
     (hand, joints), (beside, its_joints) = one, other
-    there = bench.imagined(hand, joints, max(WIDE, hand.opening), None)
+    there = bench.posed_qpos(hand, joints, max(WIDE, hand.opening), None)
     return bench.obstacles.touched(there, beside.number, its_joints, max(WIDE, beside.opening)) is None
