@@ -53,7 +53,7 @@ class Pull:
     arch: float
 
 
-def lying(points: Array, rest: Array, thickness: float) -> Array:
+def flat_places(points: Array, rest: Array, thickness: float) -> Array:
     """The places (rows, columns, 2) of a sheet's points if the sheet were flat, fitted to the part on the table, m.
 
     Args:
@@ -67,7 +67,7 @@ def lying(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fitted(points: Array, rest: Array, thickness: float) -> Array:
-    """`lying` for a known side up: a rigid fit in the plane, reweighted for outliers."""
+    """`flat_places` for a known side up: a rigid fit in the plane, reweighted for outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)
@@ -85,8 +85,8 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """The unevenness of a sheet, from 0 for flat to 1; see `lying`."""
-    away = np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1)
+    """The unevenness of a sheet, from 0 for flat to 1; see `flat_places`."""
+    away = np.linalg.norm(flat_places(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / side_of(rest) + height(points) / _HEIGHT_SCALE) / 2
 
 
@@ -95,20 +95,20 @@ def height(points: Array) -> float:
     return float(np.ptp(points[..., 2]))
 
 
-def furthest(points: Array, rest: Array, thickness: float) -> float:
-    """The largest horizontal distance of a point from its place in the flat sheet, m; see `lying`."""
-    return float(np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1).max())
+def max_displacement(points: Array, rest: Array, thickness: float) -> float:
+    """The largest horizontal distance of a point from its place in the flat sheet, m; see `flat_places`."""
+    return float(np.linalg.norm(flat_places(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
-def pulls(points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0) -> Iterator[Pull]:
-    """Pulls at the border of a sheet that may make the sheet flatter; see `lying`.
+def candidate_pulls(points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0) -> Iterator[Pull]:
+    """Pulls at the border of a sheet that may make the sheet flatter; see `flat_places`.
 
     Args:
         spacing: the larger of the distances between neighbouring points, m.
         scale: factor of the length of straightening pulls, and of the height limits of grasped points.
     """
     side, rows, columns = side_of(rest), *points.shape[:2]
-    fitted = lying(points, rest, thickness)
+    fitted = flat_places(points, rest, thickness)
     border = [
         (row, column)
         for row in range(rows)

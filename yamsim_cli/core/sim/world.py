@@ -188,7 +188,7 @@ class SimWorld:
             return False
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
-    def lifters(self, thing: str) -> frozenset[str]:
+    def hands_beneath(self, thing: str) -> frozenset[str]:
         """The sides of the hands with a finger under a cloth, which would lift the cloth."""
         contact = self._data.contact
         flexes = self._cloths[thing].contacts

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...geometry.se3 import Array
-from ...geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
+from ...geometry.smoothing import Point, Pull, candidate_pulls, height, max_displacement, side_of, unevenness
 from ...goals.cast import Cast
 from ...types import Cause
 from ..base import Skill
@@ -116,15 +116,20 @@ def _is_flat(bench: Bench, thing: str, layers: float, displacement: float) -> bo
     """Whether a cloth lies flat; see `flatten_cloth`."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
     level = height(points) + cloth.thickness <= layers * cloth.thickness
-    return level and furthest(points, cloth.rest, cloth.thickness) <= displacement * side_of(cloth.rest)
+    return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * side_of(cloth.rest)
 
 
 def _best_pull(bench: Bench, thing: str, missed: Sequence[Array], scale: float = 1.0) -> _PlannedPull | None:
-    """The pull with the flattest simulated result; None if no pull makes the cloth flatter. `scale`: see `pulls`."""
+    """The pull with the flattest simulated result; None if no pull makes the cloth flatter.
+
+    Args:
+        missed: places (3,) of missed points, near which no pull is tried.
+        scale: see `candidate_pulls`.
+    """
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
     thickness = cloth.thickness
     best: _PlannedPull | None = None
-    for pull in pulls(points, cloth.rest, thickness, cloth.spacing, scale):
+    for pull in candidate_pulls(points, cloth.rest, thickness, cloth.spacing, scale):
         if any(np.linalg.norm(points[point] - place) < _MISSED_RADIUS for point in pull.points for place in missed):
             continue
         grasps = next(

@@ -28,7 +28,7 @@ class Fold(Skill):
 
     Attributes:
         thing: a role, which cloth plays.
-        how: which way.
+        how: kind of fold.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)

@@ -76,8 +76,8 @@ def carry(
         yield rest(bench)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in opened}, opened, arrives=False)
     # A hand that pulled a single layer is above the cloth, unless a finger came to be under the edge.
-    lifters = bench.world.lifters(thing)
-    under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in lifters]
+    beneath = bench.world.hands_beneath(thing)
+    under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in beneath]
     if under:
         yield bench.segment({grasp.hand: _withdrawal(bench, grasp) for grasp in under}, arrives=False)
     up = {}
