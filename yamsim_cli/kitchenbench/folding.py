@@ -18,10 +18,10 @@ from ..core.geometry.smoothing import Point
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment, SkillFailedError
-from ..core.skills.cloth.flatten import spread
+from ..core.skills.cloth.flatten import flatten_cloth
 from ..core.skills.cloth.hands import carry
-from ..core.skills.cloth.reach import Lay, Taken, at, reached
-from ..core.skills.cloth.slide import SPEED, slid
+from ..core.skills.cloth.reach import PointGrasp, PointPlacement, at_place, reachable_grasps
+from ..core.skills.cloth.slide import SLIDE_SPEED, slide_grasps
 from ..core.skills.moves import idle, recover
 from ..core.types import Cause
 from .places import T_in_world
@@ -77,7 +77,7 @@ class FoldSmall(Skill):
         """See `Skill`."""
         thing = cast.one(self.thing)
         if self.crumpled:
-            yield from spread(bench, thing, _EVEN, _AMISS, _PULLS)
+            yield from flatten_cloth(bench, thing, _EVEN, _AMISS, _PULLS)
         folds = slides = 0
         missed: list[tuple[Point, ...]] = []
         while folds < _MAX_FOLDS:
@@ -95,11 +95,11 @@ class FoldSmall(Skill):
                     # Hands that are still over the cloth block each other.
                     yield from recover(bench)
                     continue
-                slide = slid(bench, thing, _turns(points), partial(self._foldable, bench, thing))
+                slide = slide_grasps(bench, thing, _turns(points), partial(self._foldable, bench, thing))
                 if slide is not None:
-                    yield from carry(bench, thing, slide, arch=0.0, speed=SPEED)
+                    yield from carry(bench, thing, slide, arch=0.0, speed=SLIDE_SPEED)
                     slides += 1
-                    yield from spread(bench, thing, _EVEN, _AMISS, _PULLS_AFTER)
+                    yield from flatten_cloth(bench, thing, _EVEN, _AMISS, _PULLS_AFTER)
                     continue
             if fold is None or grasps is None:
                 break
@@ -140,9 +140,9 @@ class FoldSmall(Skill):
 
 def _reached(
     bench: Bench, thing: str, points: Array, folds: Sequence[Fold]
-) -> tuple[Fold, list[Taken]] | tuple[None, None]:
+) -> tuple[Fold, list[PointGrasp]] | tuple[None, None]:
     """The first fold that hands reach, of a cloth with points (along y, along x, 3), and the grasps for it."""
-    tried = ((fold, reached(bench, thing, fold.lays, points)) for fold in folds)
+    tried = ((fold, reachable_grasps(bench, thing, fold.placements, points)) for fold in folds)
     return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
 
 
@@ -152,7 +152,7 @@ def _turns(points: Array) -> list[float]:
     return [-heading, -1.2 * heading, 0.0]
 
 
-def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
+def _nearer(bench: Bench, thing: str) -> list[PointGrasp] | None:
     """Grasps with which hands pull a cloth nearer by its nearest side; None if it is near, or out of reach."""
     points = bench.world.points(thing)
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
@@ -161,7 +161,9 @@ def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
         shift = np.array([share * min(high[0] - _FAR, low[0] - _NEAR), 0.0, 0.0])
         if shift[0] <= 0:
             break
-        if grasps := reached(bench, thing, [Lay(point, at(points[point] - shift)) for point in ends]):
+        if grasps := reachable_grasps(
+            bench, thing, [PointPlacement(point, at_place(points[point] - shift)) for point in ends]
+        ):
             return grasps
     return None
 
@@ -190,9 +192,9 @@ class Fold:
         return tuple(point for point, _ in self.corners)
 
     @property
-    def lays(self) -> list[Lay]:
-        """The grasped points and their targets, for `reached`."""
-        return [Lay(point, at(to)) for point, to in self.corners]
+    def placements(self) -> list[PointPlacement]:
+        """The grasped points and their targets, for `reachable_grasps`."""
+        return [PointPlacement(point, at_place(to)) for point, to in self.corners]
 
 
 def block_area(points: Array) -> float:

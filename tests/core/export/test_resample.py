@@ -31,7 +31,7 @@ from yamsim_cli.core.export.resample import frame_times, nearest_frames, resampl
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.moments import Moments
+from yamsim_cli.core.sim.moments import StateSampler
 
 TICK, PERIOD = 0.032, 0.064
 
@@ -57,7 +57,7 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     """At every control tick, and the plan's reference is known at each: it is made again from the seed."""
     episode = open_episode(dataset / f"ep_{number:06d}")
     ticks = 2 * episode.record.frames - 1
-    seen = Moments(simulator.scene.model, np.arange(ticks) * TICK)
+    seen = StateSampler(simulator.scene.model, np.arange(ticks) * TICK)
     done = planned(simulator, episode.record.seed, episode.record.attempt)
     plan = all_actions(done.states).joints[:, 0]
     found = resample(simulator, episode, 1 / TICK)

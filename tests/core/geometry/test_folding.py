@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.folding import Fold, outline_area, sheet_area, ways_to_fold
+from yamsim_cli.core.geometry.folding import Fold, fold_plans, outline_area, sheet_area
 
 
 def _exactly(how: Fold, side: int) -> np.ndarray:
@@ -27,7 +27,7 @@ def _exactly(how: Fold, side: int) -> np.ndarray:
 )
 def test_what_lies_on_each_other_does_and_covers_its_share(how: Fold, covered: float, least: float) -> None:
     sheet, apart = _exactly(how, 9), []
-    for way in ways_to_fold(how, 9, 9):
+    for way in fold_plans(how, 9, 9):
         places = [[sheet[layer[:, 0], layer[:, 1]] for layer in pair] for pair in way.layers]
         apart.append(max(float(np.abs(one - other).max()) for one, other in places))
         assert way.covered == pytest.approx(covered)
@@ -42,13 +42,13 @@ def test_what_is_moved_comes_to_lie_where_its_way_says(how: Fold) -> None:
     sheet = _exactly(how, 9)
     apart = [
         max(float(np.abs(sheet[one] - sheet[other]).max()) for move in way.moves for one, other in move)
-        for way in ways_to_fold(how, 9, 9)
+        for way in fold_plans(how, 9, 9)
     ]
     assert min(apart) == pytest.approx(0, abs=1e-12)
 
 
 def test_grids_that_cannot_be_folded_so() -> None:
-    assert not ways_to_fold("diagonal", 7, 9)
-    assert not ways_to_fold("thirds", 7, 10)
-    assert [way.moves[0][0] for way in ways_to_fold("thirds", 7, 9)] == [((0, 0), (0, 4)), ((0, 8), (0, 4))]
-    assert [len(way.layers[0][0]) for way in ways_to_fold("half", 6, 9)] == [27, 27, 24, 24]
+    assert not fold_plans("diagonal", 7, 9)
+    assert not fold_plans("thirds", 7, 10)
+    assert [way.moves[0][0] for way in fold_plans("thirds", 7, 9)] == [((0, 0), (0, 4)), ((0, 8), (0, 4))]
+    assert [len(way.layers[0][0]) for way in fold_plans("half", 6, 9)] == [27, 27, 24, 24]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
-from yamsim_cli.core.geometry.smoothing import furthest, lying, pulls, unevenness
+from yamsim_cli.core.geometry.smoothing import candidate_pulls, flat_places, max_displacement, unevenness
 
 _THICK, _SPACING = 0.005, 0.025
 
@@ -36,16 +36,18 @@ def test_a_flat_sheet_is_even_whichever_side_is_up() -> None:
     for side in (1.0, -1.0):
         points = _placed(_rest() * [1.0, side, 1.0])
         assert unevenness(points, _rest(), _THICK) == pytest.approx(0.0, abs=1e-9)
-        assert np.allclose(lying(points, _rest(), _THICK), points[..., :2])
-        assert not any(pull.arch for pull in pulls(points, _rest(), _THICK, _SPACING))
+        assert np.allclose(flat_places(points, _rest(), _THICK), points[..., :2])
+        assert not any(pull.arch for pull in candidate_pulls(points, _rest(), _THICK, _SPACING))
 
 
 def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
     flat, points = _placed(_rest()), _placed(_folded(_rest()))
     # The corner lies as far from where it belongs as it is from the crease, twice.
-    assert furthest(points, _rest(), _THICK) == pytest.approx(0.1 * np.sqrt(2), abs=2e-3)
+    assert max_displacement(points, _rest(), _THICK) == pytest.approx(0.1 * np.sqrt(2), abs=2e-3)
     assert unevenness(points, _rest(), _THICK) > 0.02
-    unfolding = [pull for pull in pulls(points, _rest(), _THICK, _SPACING) if pull.points == ((8, 8),) and pull.arch]
+    unfolding = [
+        pull for pull in candidate_pulls(points, _rest(), _THICK, _SPACING) if pull.points == ((8, 8),) and pull.arch
+    ]
     assert len(unfolding) == 1
     assert np.allclose(unfolding[0].to[0], flat[8, 8, :2], atol=2e-3)
 
@@ -54,11 +56,11 @@ def test_what_lies_under_another_layer_or_stands_up_is_not_taken() -> None:
     under = _folded(_rest())
     # The same from below: the corner is under the rest, which it lifts.
     under[:, 2] = np.where(under[:, 2] > 0, 0.0, _THICK)
-    taken = {point for pull in pulls(_placed(under), _rest(), _THICK, _SPACING) for point in pull.points}
+    taken = {point for pull in candidate_pulls(_placed(under), _rest(), _THICK, _SPACING) for point in pull.points}
     assert taken and (8, 8) not in taken
     standing = _rest()
     standing[:9, 2] = 0.04
-    taken = {point for pull in pulls(_placed(standing), _rest(), _THICK, _SPACING) for point in pull.points}
+    taken = {point for pull in candidate_pulls(_placed(standing), _rest(), _THICK, _SPACING) for point in pull.points}
     assert taken and not any(row == 0 for row, _ in taken)
 
 
@@ -70,7 +72,7 @@ def test_bold_pulls_go_farther() -> None:
     ways = [
         max(
             float(np.linalg.norm(to - points[point][:2]))
-            for pull in pulls(points, _rest(), _THICK, _SPACING, bold)
+            for pull in candidate_pulls(points, _rest(), _THICK, _SPACING, bold)
             if not pull.arch
             for point, to in zip(pull.points, pull.to, strict=True)
         )
@@ -81,7 +83,11 @@ def test_bold_pulls_go_farther() -> None:
 
 def test_two_corners_are_drawn_apart_by_a_twentieth_more_than_the_sheet_is_long() -> None:
     points = _placed(_rest() * [0.9, 0.97, 1.0])
-    pairs = [pull for pull in pulls(points, _rest(), _THICK, _SPACING, 3.0) if len(pull.points) == 2 and not pull.arch]
+    pairs = [
+        pull
+        for pull in candidate_pulls(points, _rest(), _THICK, _SPACING, 3.0)
+        if len(pull.points) == 2 and not pull.arch
+    ]
     assert len(pairs) == 6
     for pull in pairs:
         one, other = (_rest().reshape(9, 9, 3)[point] for point in pull.points)

@@ -22,7 +22,7 @@ from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.sheets import crossings
 from yamsim_cli.core.scene.cloth import edges, triangles
 from yamsim_cli.core.sim import cloth as crumple
-from yamsim_cli.core.sim.cloth import led, pulled
+from yamsim_cli.core.sim.cloth import moved_points, simulated_pull
 from yamsim_cli.core.sim.shapes import geom_bounds
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions, Cause
@@ -89,7 +89,7 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
         scene, model = simulator.scene, simulator.scene.model
         world = world_of(scene, data, sides(simulator.config))
         cloth = scene.cloths["napkin"]
-        assert not world.lifters("napkin")
+        assert not world.hands_beneath("napkin")
         # Around the tip that is lowest now.
         tips = [k for k in range(model.ngeom) if "finger_collide" in model.geom(k).name]
         tip = min((geom_bounds(model, data, k)[0][2], k) for k in tips)
@@ -97,7 +97,7 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
             data.qpos[cloth.qpos] = [*(data.geom_xpos[tip[1], :2] + 0.005), tip[0] + over]
             mujoco.mj_forward(model, data)
             assert (data.contact.flex >= 0).any()
-            assert len(world.lifters("napkin")) == expected
+            assert len(world.hands_beneath("napkin")) == expected
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
         cloth, before = scene.cloths["napkin"], data.qpos.copy()
         points = cloth.points(before).reshape(9, 9, 3)
         inwards = points[4, 4] - points[0, 0]
-        after = pulled(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
+        after = simulated_pull(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
         assert np.array_equal(data.qpos, before) and data.time == 0.0
         # The corner lies where it was brought, on the rest; the corner across stays.
         assert np.allclose(after[0, 0, :2], (points[0, 0] + 0.5 * inwards)[:2], atol=0.01)
@@ -123,7 +123,7 @@ def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
         corner, ends = np.array([0]), edges(*cloth.grid)
         at, most = cloth.points(data.qpos)[corner], 0.0
         rest = np.linalg.norm(np.diff(cloth.rest[ends], axis=1)[:, 0], axis=1)
-        with led(model, data, cloth, corner) as lead:
+        with moved_points(model, data, cloth, corner) as lead:
             for _ in range(250):
                 at[:, 2] += 0.3 * model.opt.timestep
                 lead(at)

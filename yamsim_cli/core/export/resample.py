@@ -19,7 +19,7 @@ from ..episode.rules import REPEATED_RULES
 from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
-from ..sim.moments import Moments
+from ..sim.moments import StateSampler
 from ..types import Actions, Attempt, StepState
 from .source import ROUNDING_S
 
@@ -87,7 +87,7 @@ def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resamp
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )
-    seen = Moments(scene.model, moments)
+    seen = StateSampler(scene.model, moments)
     attempt = recorded_attempt(record, start)
     repeat(simulator, attempt, actions, REPEATED_RULES, on_step=seen)
     here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))

@@ -22,8 +22,8 @@ Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class FoldWay:
-    """One fold of a grid of points.
+class FoldPlan:
+    """The moves and the resulting layers of one fold of a grid of points.
 
     Attributes:
         moves: in their order.
@@ -36,7 +36,7 @@ class FoldWay:
     covered: float
 
 
-def ways_to_fold(how: Fold, rows: int, columns: int) -> list[FoldWay]:
+def fold_plans(how: Fold, rows: int, columns: int) -> list[FoldPlan]:
     """All folds of one kind of a grid of points: from each side or corner; empty if the grid does not allow the kind.
 
     `diagonal` needs a square grid. `thirds` needs a side of 3 n + 2 cells: the inner third is one cell shorter.
@@ -45,14 +45,14 @@ def ways_to_fold(how: Fold, rows: int, columns: int) -> list[FoldWay]:
     found = []
     for transposed in (False,) if diagonal else (False, True):
         size = (columns, rows) if transposed else (rows, columns)
-        if (way := _FOLDS[how](*size)) is None:
+        if (plan := _FOLDS[how](*size)) is None:
             continue
         ends = itertools.product((False, True), (False, True) if diagonal else (False,))
-        found += [_mapped(way, size, low, left, transposed) for low, left in ends]
+        found += [_mapped(plan, size, low, left, transposed) for low, left in ends]
     return found
 
 
-def _mapped(way: FoldWay, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldWay:
+def _mapped(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
     """The fold with its rows reversed (`low`), its columns reversed (`left`), or both exchanged."""
 
     def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -64,25 +64,25 @@ def _mapped(way: FoldWay, size: tuple[int, int], low: bool, left: bool, transpos
         row, column = points(np.array([given]))[0]
         return int(row), int(column)
 
-    moves = tuple(tuple((point(one), point(other)) for one, other in move) for move in way.moves)
-    return FoldWay(moves, tuple((points(upper), points(lower)) for upper, lower in way.layers), way.covered)
+    moves = tuple(tuple((point(one), point(other)) for one, other in move) for move in plan.moves)
+    return FoldPlan(moves, tuple((points(upper), points(lower)) for upper, lower in plan.layers), plan.covered)
 
 
-def _half(rows: int, columns: int) -> FoldWay:
+def _half(rows: int, columns: int) -> FoldPlan:
     upper = _grid(range(rows // 2), range(columns))
     first_row_over = tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
-    return FoldWay((first_row_over,), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
+    return FoldPlan((first_row_over,), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
 
 
-def _diagonal(rows: int, columns: int) -> FoldWay | None:
+def _diagonal(rows: int, columns: int) -> FoldPlan | None:
     if rows != columns:
         return None
     upper = _grid(range(rows), range(rows))
     upper = upper[upper.sum(axis=1) < rows - 1]
-    return FoldWay(((((0, 0), (rows - 1, rows - 1)),),), ((upper, rows - 1 - upper[:, ::-1]),), 1 / 2)
+    return FoldPlan(((((0, 0), (rows - 1, rows - 1)),),), ((upper, rows - 1 - upper[:, ::-1]),), 1 / 2)
 
 
-def _thirds(rows: int, columns: int) -> FoldWay | None:
+def _thirds(rows: int, columns: int) -> FoldPlan | None:
     cells = rows - 1
     if cells % 3 != 2:
         return None
@@ -95,7 +95,7 @@ def _thirds(rows: int, columns: int) -> FoldWay | None:
     highest = _grid(range(first + third + 1, rows), range(columns))
     # The middle third, which the first third lies on and the last third covers.
     under = _mirrored(lowest, 2 * first)
-    return FoldWay(
+    return FoldPlan(
         (inside, over),
         (
             (lowest, under),

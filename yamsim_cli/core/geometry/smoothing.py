@@ -13,24 +13,29 @@ from .se3 import Array
 
 Point = tuple[int, int]
 
-_LOW = 0.8  # height over the lowest point below which a point lies on the table, as a share of a layer's thickness
-_OFF = 0.03  # distance from the fit at which a point counts a quarter, as a share of the sheet's side
-_ROUNDS = 10  # reweighted fits
+_ON_TABLE = 0.8  # height over the lowest point below which a point lies on the table, as a share of a layer's thickness
+_FIT_SCALE = 0.03  # distance from the fit at which a point counts a quarter, as a share of the sheet's side
+_FIT_ROUNDS = 10  # reweighted fits
 
 # Distances as shares of the sheet's side.
-_WORTH = 0.05  # least distance of a point from its place that is worth a pull
-_APART = 0.15  # least distance between points that are tried
-_STRAIGHTEN = 0.13  # length of a pull that straightens
+_MIN_DISPLACEMENT = 0.05  # least distance of a point from its place that is worth a pull
+_MIN_SPACING = 0.15  # least distance between points that are tried
+_STRAIGHTENING = 0.13  # length of a pull that straightens
 
 _FOOTPRINT = 0.028  # m, room that a hand with open fingers needs around a point
-_ABOVE = 2.2  # layers, most height of the surroundings over a grasped point
-_LAYERS = 4.5  # layers, most height of a grasped point
-_LAYER, _NEXT = 0.3, 2  # a layer covers a point if it is this share of a thickness higher, and more cells away
-_RIDGE, _UPPER = 2.0, 0.4  # a point stands up above this many layers, and above this share of the greatest height
-_TAUT = 1.05  # most distance of two pulled points, as a share of their distance in the flat sheet
-_MOST = 3  # points tried of each kind
+_MAX_SURROUNDINGS = 2.2  # layers, largest height of the surroundings over a grasped point
+_MAX_GRASP_HEIGHT = 4.5  # layers, largest height of a grasped point
+
+# A layer covers a point if it is this share of a thickness higher, and more than this many cells away.
+_COVERING, _ADJACENT = 0.3, 2
+
+# A point belongs to a ridge above this many layers, and above this share of the sheet's height.
+_RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
+
+_TAUT = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
+_MAX_POINTS = 3  # points tried of each kind
 _ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
-_BADLY = 0.2  # m, height that counts as much as a whole side of displacement
+_HEIGHT_SCALE = 0.2  # m, height that counts as much as a whole side of displacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +53,7 @@ class Pull:
     arch: float
 
 
-def lying(points: Array, rest: Array, thickness: float) -> Array:
+def flat_places(points: Array, rest: Array, thickness: float) -> Array:
     """The places (rows, columns, 2) of a sheet's points if the sheet were flat, fitted to the part on the table, m.
 
     Args:
@@ -62,12 +67,12 @@ def lying(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fitted(points: Array, rest: Array, thickness: float) -> Array:
-    """`lying` for a known side up: a rigid fit in the plane, reweighted for outliers."""
+    """`flat_places` for a known side up: a rigid fit in the plane, reweighted for outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
-    weights = (low < _LOW * thickness).astype(float)
-    off = _OFF * side_of(rest)
-    for _ in range(_ROUNDS):
+    weights = (low < _ON_TABLE * thickness).astype(float)
+    off = _FIT_SCALE * side_of(rest)
+    for _ in range(_FIT_ROUNDS):
         middle, centre = (np.average(at, axis=0, weights=weights) for at in (seen, flat))
         shared = (flat - centre).T @ ((seen - middle) * weights[:, None])
         turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
@@ -80,9 +85,9 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """The unevenness of a sheet, from 0 for flat to 1; see `lying`."""
-    away = np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1)
-    return (float(away.mean()) / side_of(rest) + height(points) / _BADLY) / 2
+    """The unevenness of a sheet, from 0 for flat to 1; see `flat_places`."""
+    away = np.linalg.norm(flat_places(points, rest, thickness) - points[..., :2], axis=-1)
+    return (float(away.mean()) / side_of(rest) + height(points) / _HEIGHT_SCALE) / 2
 
 
 def height(points: Array) -> float:
@@ -90,45 +95,45 @@ def height(points: Array) -> float:
     return float(np.ptp(points[..., 2]))
 
 
-def furthest(points: Array, rest: Array, thickness: float) -> float:
-    """The largest horizontal distance of a point from its place in the flat sheet, m; see `lying`."""
-    return float(np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1).max())
+def max_displacement(points: Array, rest: Array, thickness: float) -> float:
+    """The largest horizontal distance of a point from its place in the flat sheet, m; see `flat_places`."""
+    return float(np.linalg.norm(flat_places(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
-def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: float = 1.0) -> Iterator[Pull]:
-    """Pulls at the border of a sheet that may make the sheet flatter; see `lying`.
+def candidate_pulls(points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0) -> Iterator[Pull]:
+    """Pulls at the border of a sheet that may make the sheet flatter; see `flat_places`.
 
     Args:
         spacing: the larger of the distances between neighbouring points, m.
-        bold: factor of the length of straightening pulls, and of the height limits of grasped points.
+        scale: factor of the length of straightening pulls, and of the height limits of grasped points.
     """
     side, rows, columns = side_of(rest), *points.shape[:2]
-    fitted = lying(points, rest, thickness)
+    fitted = flat_places(points, rest, thickness)
     border = [
         (row, column)
         for row in range(rows)
         for column in range(columns)
         if (row in (0, rows - 1) or column in (0, columns - 1))
-        and _free(points, (row, column), spacing, bold * thickness, thickness)
+        and _free(points, (row, column), spacing, scale * thickness, thickness)
     ]
     # Unfold: one or two displaced points are brought to their places.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
     wrong = _spread(points, sorted(border, key=lambda point: -off[point]), side)
-    wrong = [point for point in wrong if off[point] > _WORTH * side]
+    wrong = [point for point in wrong if off[point] > _MIN_DISPLACEMENT * side]
     for count in (1, 2):
         for some in itertools.combinations(wrong, count):
             yield Pull(some, tuple(fitted[point] for point in some), _ARCH)
     # Straighten: a point beside a ridge is pulled away from the ridge, or two corners away from the middle.
-    high = points[points[..., 2] - points[..., 2].min() > max(_RIDGE * thickness, _UPPER * height(points))]
+    high = points[points[..., 2] - points[..., 2].min() > max(_RIDGE_LAYERS * thickness, _RIDGE_SHARE * height(points))]
     if len(high):
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
         for point in _spread(points, beside, side):
-            yield Pull((point,), (_away(points[point][:2], ridge, bold * side),), 0.0)
+            yield Pull((point,), (_away(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
-        to = tuple(_away(points[point][:2], middle, bold * side) for point in pair)
+        to = tuple(_away(points[point][:2], middle, scale * side) for point in pair)
         yield Pull(pair, _no_farther(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
@@ -145,26 +150,26 @@ def _free(points: Array, point: Point, spacing: float, high: float, thickness: f
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
     over = points[..., 2] - place[2]
     rows, columns = np.indices(points.shape[:2])
-    other = np.maximum(abs(rows - point[0]), abs(columns - point[1])) > _NEXT
-    covered = (other & (away < spacing) & (over > _LAYER * thickness)).any()
-    hemmed = (over[away < _FOOTPRINT] > _ABOVE * high).any()
-    return not (covered or hemmed) and float(place[2]) - lowest < _LAYERS * high
+    other = np.maximum(abs(rows - point[0]), abs(columns - point[1])) > _ADJACENT
+    covered = (other & (away < spacing) & (over > _COVERING * thickness)).any()
+    hemmed = (over[away < _FOOTPRINT] > _MAX_SURROUNDINGS * high).any()
+    return not (covered or hemmed) and float(place[2]) - lowest < _MAX_GRASP_HEIGHT * high
 
 
 def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
     """The first few points that are apart from each other."""
     chosen: list[Point] = []
     for point in ordered:
-        if all(np.linalg.norm(points[point] - points[other]) > _APART * side for other in chosen):
+        if all(np.linalg.norm(points[point] - points[other]) > _MIN_SPACING * side for other in chosen):
             chosen.append(point)
-        if len(chosen) == _MOST:
+        if len(chosen) == _MAX_POINTS:
             break
     return chosen
 
 
 def _away(place: Array, other: Array, side: float) -> Array:
-    way = place - other
-    return place + _STRAIGHTEN * side * way / max(float(np.linalg.norm(way)), 1e-9)
+    offset = place - other
+    return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 
 
 def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:

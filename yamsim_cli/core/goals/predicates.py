@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from ..documents.base import OMIT_NONE, Config
 from ..documents.units import Distance, Place, Share
-from ..geometry.folding import Fold, FoldWay, outline_area, sheet_area, ways_to_fold
+from ..geometry.folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
 from ..geometry.se3 import Array, inverse
 from .cast import Cast
 from .measure import Measure, either
@@ -548,7 +548,7 @@ class Folded(_OfEachThing):
         if held := _still_held(world, thing, what):
             return [held]
         points = world.points(thing)
-        ways = ways_to_fold(self.how, *points.shape[:2])
+        ways = fold_plans(self.how, *points.shape[:2])
         if not ways:
             return [either(what, False, "its grid of points does not allow it")]
         folded = min(ways, key=lambda way: _fold_error(points, way))
@@ -599,13 +599,13 @@ def _layer(points: Array, layer: NDArray[np.int_]) -> Array:
     return there
 
 
-def _fold_error(points: Array, way: FoldWay) -> float:
+def _fold_error(points: Array, way: FoldPlan) -> float:
     """The largest distance, seen from above, between points that an exact fold puts onto each other, m."""
     pairs = [(_layer(points, one), _layer(points, other)) for one, other in way.layers]
     return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
 
 
-def _layer_gap(points: Array, way: FoldWay) -> float:
+def _layer_gap(points: Array, way: FoldPlan) -> float:
     """The least height of a layer over the layer below, m; negative where they intersect."""
     higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in way.layers])
     return float(max(higher.min(), -higher.max()))  # folded from below, the layers lie the other way round

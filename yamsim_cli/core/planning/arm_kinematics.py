@@ -1,4 +1,4 @@
-"""Forward kinematics of one bare arm, and inverse kinematics that says when a pose is out of reach."""
+"""Forward kinematics of a bare arm, and inverse kinematics that reports poses out of reach."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from ..errors import SimulationError
 from ..geometry.se3 import Array, pose, rotation_vector
 from .ik import IkSolver
 
-# Iterations of inverse kinematics that does not start near the solution, and may have to cross the workspace.
-_ITERATIONS = 100
-
-# Distance from the wrist to the finger tips, m.
-_HAND = 0.13
+_ITERATIONS = 100  # limit for a search that may start on the other side of the workspace
+_HAND_LENGTH = 0.13  # m, from the wrist to the finger tips, by which an angle counts as a distance
 
 
 class ArmKinematics:
-    """Forward kinematics: where the hand is for given joints.
+    """Computes poses of the hand at given joints.
 
     Args:
         model: a bare arm, see `scene.robot.bare_arm`.
@@ -46,7 +43,7 @@ class ArmKinematics:
 
 @dataclass(frozen=True)
 class Reached:
-    """Where the search for a pose ended: joints (dof,) in rad, and how far from the pose that is, m and rad."""
+    """The result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
 
     joints: Array
     position_error: float
@@ -54,15 +51,15 @@ class Reached:
 
     @property
     def miss(self) -> float:
-        """How far it misses the pose in all, m; an angle counts as a distance at the finger tips."""
-        return self.position_error + _HAND * self.rotation_error
+        """The total error, m; an angle counts as the distance that it makes at the finger tips."""
+        return self.position_error + _HAND_LENGTH * self.rotation_error
 
 
 class OutOfReachError(SimulationError):
     """A pose that the arm does not reach.
 
     Attributes:
-        nearest: the joints that come nearest, and by how much they miss it.
+        nearest: the joints with the smallest total error.
     """
 
     def __init__(self, nearest: Reached, position_tolerance: float, rotation_tolerance: float) -> None:
@@ -82,14 +79,14 @@ def reach(
     position_tolerance: float,
     rotation_tolerance: float,
 ) -> Reached:
-    """The first joints near enough to a pose (4, 4), searched for from one start (dof,) after the other.
+    """The first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
 
     Args:
-        solvers: solvers that run one after the other; each starts where the one before ended.
-        position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad.
+        solvers: run one after the other; each starts at the result of the previous one.
+        position_tolerance, rotation_tolerance: largest errors, m and rad.
 
     Raises:
-        OutOfReachError: no joints are near enough; it holds the nearest ones.
+        OutOfReachError: no joints are within the tolerances; the error holds the nearest ones.
     """
     nearest: Reached | None = None
     for start in starts:

@@ -1,4 +1,4 @@
-"""What planning needs of a scene's arms: inverse kinematics, dynamics, and where they stand at the start."""
+"""Inverse kinematics, dynamics and start positions of a scene's arms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .ik import IkSolver
 
 @dataclass(frozen=True)
 class ArmTools:
-    """An arm's inverse kinematics and dynamics, which planning needs."""
+    """Inverse kinematics and dynamics of one arm."""
 
     ik: IkSolver
     dynamics: ArmDynamics
@@ -35,8 +35,8 @@ def arm_tools(config: RecordConfig, scene: CompiledScene) -> tuple[ArmTools, ...
 
 
 def start_stands(config: RecordConfig) -> tuple[Stand, ...]:
-    """Where the scene's arms stand at the start: those that act over the table, another out of the way at home, its
-    hand high and its fingers closed.
+    """Joints and openings of the scene's arms at the start: acting arms over the table, another arm at home, out of the
+    way with closed fingers.
     """
     robots = [config.rig.arms[number].robot for number in config.rig.recorded]
     return tuple(

@@ -1,4 +1,4 @@
-"""Inverse kinematics in closed form, of arms whose joints 2, 3 and 4 are parallel and whose last two axes intersect.
+"""Inverse kinematics in closed form, for arms with parallel axes 2, 3 and 4 whose last two axes intersect.
 
 The decomposition into subproblems is that of A. J. Elias and J. T. Wen, "IK-Geo: Unified robot inverse kinematics using
 subproblem decomposition" (Mechanism and Machine Theory 209, 2025), for three parallel axes and two that intersect.
@@ -10,8 +10,8 @@ component along `h` as it is. Therefore:
 - q1: `h . R_1^T (R c + t - a_1) = h . (c - a_1)`, at most two angles.
 - q5: `h . R_1^T R h_6 = h . R_5 h_6`, at most two angles.
 - q6: `R_6` turns `R^T R_1 h` into `R_5^T h`.
-- The sum of q2, q3 and q4: what is left of the rotation, `R_1^T R R_6^T R_5^T`, is a turn about `h`.
-- q3 and q2: two links in the plane across `h`, which have to bring joint 4's anchor to a known place: at most two ways.
+- The sum of q2, q3 and q4: the rest of the rotation, `R_1^T R R_6^T R_5^T`, is a turn about `h`.
+- q3 and q2: two links in the plane across `h` bring joint 4's anchor to a known place, with at most two postures.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from ..geometry.se3 import Array, inverse, pose
 Vector = tuple[float, float, float]
 Joints = tuple[float, ...]
 
-_EXACT = 1e-6  # m and rad; a solution whose forward kinematics misses the pose by more is dropped
-_ALIGNED = 1e-9  # rad and m; axes that miss being parallel, or intersecting, by less count as such
-_ROUNDING = 1e-9  # share by which a cosine may exceed 1 from rounding, as it does where two solutions become one
-_FREE = 1e-7  # m or 1; coefficients below leave an angle undetermined, with an error that counts as exact
-_SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad; the angles that are tried where every angle is one
-_BEYOND = 1e-7  # rad; a joint beyond its stop by less, from rounding, counts as at its stop
-_LOOSE = 1e-5  # rad and 1; by how much more `may_reach` allows than `solutions`, far above what rounding makes of it
-_TRIALS = 20  # random poses that have to be solved before an arm counts as one that has a closed solution
-_HAND = 0.13  # m; length of a hand beyond the flange, for how far a joint moves what the arm holds
+_EXACT = 1e-6  # m and rad, largest error of a solution's forward kinematics
+_ALIGNED = 1e-9  # rad and m, largest error of axes that count as parallel, or as intersecting
+_ROUNDING = 1e-9  # excess of a cosine over 1 that counts as rounding, as happens where two solutions meet
+_FREE = 1e-7  # m or 1, size of coefficients below which an angle is undetermined, with an error below `_EXACT`
+_SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that are tried for an undetermined angle
+_STOP_ROUNDING = 1e-7  # rad, excess of a joint over its stop that counts as rounding
+_LOOSE = 1e-5  # rad and 1, by which `may_reach` is more tolerant than `solutions`: far above rounding
+_TRIALS = 20  # random poses that must be solved before an arm counts as having a closed solution
+_HAND_LENGTH = 0.13  # m, beyond the flange, for weights of joints by how far they move a held thing
 
 
 class ClosedFormIk:
-    """All joints that bring a bare arm's flange to a pose. See `closed_form` for which arms it is for.
+    """Finds all joints that bring a bare arm's flange to a pose; for arms that `closed_form` accepts.
 
     Args:
         model: the bare arm, see `scene.robot.bare_arm`, of six hinge joints.
@@ -72,7 +72,7 @@ class ClosedFormIk:
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
         steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
-        self._levers = np.cumsum(steps[::-1])[::-1] + _HAND
+        self._levers = np.cumsum(steps[::-1])[::-1] + _HAND_LENGTH
 
     def pose_of(self, joints: Array) -> Array:
         """Pose (4, 4) of the flange in the base at joints (6,)."""
@@ -83,19 +83,19 @@ class ClosedFormIk:
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
 
-        An empty array says that the arm does not reach the pose. The exception are poses that leave a joint
-        undetermined (the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three):
-        they are solved for 16 of its angles alone.
+        An empty array means that the arm does not reach the pose. The exception are poses that leave a joint
+        undetermined: the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three.
+        For these, only 16 angles of that joint are tried.
         """
         candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
         found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]
         return np.array(found).reshape(-1, self._model.nq)
 
     def may_reach(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Return for which of many poses (n, 4, 4) `solutions` has to be asked, (n,) bool: the arm reaches no other.
+        """Which of many poses (n, 4, 4) `solutions` may solve, (n,) bool: False means out of reach.
 
-        All poses are computed at once, some 30 times as fast as one by one. Rounding differs between processors there,
-        so the answer errs on the side of True.
+        Computing all poses at once is some 30 times as fast as one by one. Its rounding differs between processors, so
+        that borderline poses give True.
 
         Args:
             margin: least distance of every joint from its stops, rad.
@@ -131,7 +131,7 @@ class ClosedFormIk:
         return reached
 
     def _all_within(self, joints: Array, margin: float) -> Array:
-        """Return which angles (n, 6), with any number of whole turns, keep a margin to the stops: (n, 6) bool."""
+        """Which angles (n, 6), with any number of whole turns, keep a margin to the stops, (n, 6) bool."""
         low, high = np.array(self._ranges).T
         low, high = low + margin - _LOOSE, high - margin + _LOOSE
         joints = joints * self._signs
@@ -139,16 +139,19 @@ class ClosedFormIk:
         return within
 
     def nearest(self, solutions: Array, start: Array) -> Array:
-        """The one of some solutions (n, 6), n > 0, to which the joints go from `start` (6,) with the least motion of
-        the hand: each joint's way is weighted by how far from its axis the stretched arm ends.
+        """The solution (6,) of several (n, 6), n > 0, with the least motion of the hand from joints `start` (6,).
+
+        Each joint's motion is weighted by the distance from its axis to the end of the stretched arm.
         """
-        ways = (solutions - start) * self._levers
-        one: Array = solutions[np.argmin(np.einsum("ij,ij->i", ways, ways))]
-        return one
+        weighted = (solutions - start) * self._levers
+        nearest: Array = solutions[np.argmin(np.einsum("ij,ij->i", weighted, weighted))]
+        return nearest
 
     def from_singular(self, joints: Array) -> float:
-        """By how much joints (6,) are off a singular posture, rad: the bend of the elbow, which is 0 where the arm is
-        stretched out, or the angle between the last axis and the three parallel ones, whichever is less.
+        """The distance of joints (6,) from a singular posture, rad.
+
+        It is the smaller one of the elbow's bend, 0 for a stretched arm, and the angle between the last axis and the
+        three parallel ones.
         """
         fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
         x, y, along = _turned(self._h6, self._h5, float(joints[4]))
@@ -183,18 +186,18 @@ class ClosedFormIk:
                         yield from itertools.product(all_q1, *middle, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
-        """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, as seen from joint 2's."""
+        """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, seen from joint 2's anchor."""
         bent = self._upper.conjugate() * self._fore
         rest = (abs(place) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
         for q3 in _solved(bent.real, -bent.imag, rest):
             yield cmath.phase(place) - cmath.phase(self._upper + self._fore * cmath.rect(1.0, q3)), q3
 
     def _turns(self, k: int, angle: float) -> list[float]:
-        """What a joint may stand at for an angle about its axis: with every number of whole turns in its range."""
+        """The positions of a joint within its range for an angle about its axis, with any number of whole turns."""
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
-        first = math.ceil((low - _BEYOND - joint) / math.tau)
-        last = math.floor((high + _BEYOND - joint) / math.tau)
+        first = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
+        last = math.floor((high + _STOP_ROUNDING - joint) / math.tau)
         return [min(max(joint + math.tau * turn, low), high) for turn in range(first, last + 1)]
 
     def _reaches(self, joints: Joints, T: Array) -> bool:
@@ -207,10 +210,10 @@ class ClosedFormIk:
 
 
 def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
-    """A bare arm's inverse kinematics in closed form, verified on random poses; None where it has none that is known.
+    """A bare arm's inverse kinematics in closed form, verified on random poses; None if no closed form is known.
 
-    It has one if it has six hinge joints, of which the axes of 2, 3 and 4 are parallel, pointing either way, and those
-    of 5 and 6 intersect.
+    A closed form is known for arms of six hinge joints, if axes 2, 3 and 4 are parallel or antiparallel and axes 5 and
+    6 intersect.
     """
     if model.nq != 6 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         return None
@@ -234,7 +237,7 @@ def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
 
 
 def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
-    """The angles q with `a cos q + b sin q = c`; samples where every angle is one."""
+    """The angles q with `a cos q + b sin q = c`; samples if every angle is a solution."""
     length = math.hypot(a, b)
     if length < _FREE:
         return _SAMPLES if abs(c) < _FREE else ()
@@ -264,7 +267,7 @@ def _all_turned(v: Array, axis: Array, angles: Array) -> Array:
 
 
 def _skew(axis: Array) -> Array:
-    """Return the matrix (3, 3) whose product with a vector is the cross product of the axis and the vector."""
+    """The matrix (3, 3) whose product with a vector is the cross product of the axis and the vector."""
     x, y, z = axis
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
@@ -276,8 +279,8 @@ def _complex(points: Array) -> Array:
 
 
 def _between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
-    """The angle about a unit axis from one vector to another; samples where they are parallel to the axis."""
-    # Across the axis first: the products of what is short there, near a singular pose, keep their digits.
+    """The angle about a unit axis from one vector to another; samples if both are parallel to the axis."""
+    # Components across the axis come first: near a singular pose they are short, and their products keep precision.
     v, u = _cross(axis, v), _cross(axis, u)
     if max(*map(abs, v), *map(abs, u)) < _FREE:
         return _SAMPLES

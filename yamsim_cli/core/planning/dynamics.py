@@ -1,4 +1,4 @@
-"""Inverse dynamics: the torques that move an arm along a path, which are added to the drives' commands."""
+"""Inverse dynamics: torques that move an arm along a path, for feed-forward commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ArmDynamics:
 
     Args:
         model: the whole arm with its gripper, see `scene.robot.arm_spec`.
-        robot: which one that is.
+        robot: the robot of the model.
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
@@ -24,11 +24,11 @@ class ArmDynamics:
         joints = [model.joint(name) for name in robot.joint_names]
         self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
         self._fingers, self._signs = finger_places(model, robot)
-        # Nothing along a path is touched on purpose; what is, is for the controller to feel.
+        # Torques of contacts are left to the controller: paths do not touch anything on purpose.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Torques (n, dof) in N m in each tick's middle, friction included, gravity as far as it is not compensated.
+        """Torques (n, dof) in N m in the middle of each tick, with friction, and with gravity unless compensated.
 
         Args:
             joints: positions (n + 1, dof) at the ticks' boundaries, rad.
@@ -53,11 +53,11 @@ class ArmDynamics:
         return torques
 
     def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
-        """Torques (n, dof) in N m that bear a weight in the hand.
+        """Torques (n, dof) in N m that support a weight in the hand.
 
         Args:
             joints: positions (n, dof), rad.
-            point: where the weight pulls (3,), in the pinch frame, m.
+            point: point of application (3,) in the pinch frame, m.
             weight: N.
         """
         data, site = self._data, self._model.site("pinch_site").id

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one bare arm: exact where the arm has a closed solution, else by search with mink."""
+"""Inverse kinematics of a bare arm: exact if the arm has a closed solution, else by search with mink."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ..geometry.se3 import Array, inverse, pose, quat_from_rotation
 from .closed_form import closed_form
 from .quick_reach import QuickReach
 
-# The position has priority. Orientation follows as far as the arm can, first heading and then tilt. Where the arm has
-# to lean outwards to reach a place it does so, and the position stays exact to a fraction of a millimetre.
+# The position has priority, then the heading, then the tilt. An arm that must lean outwards to reach a place does so,
+# and the position stays exact to a fraction of a millimetre.
 _POSITION_COST = 10.0
 _TILT_COST = 0.02
 _HEADING_COST = 0.05
 _FOLLOWING = (_TILT_COST, _TILT_COST, _HEADING_COST)
 
-# Levenberg-Marquardt: a step that increases the cost is taken back, and a shorter one is tried. Without that, the
-# iteration diverges where the arm is nearly stretched out, which is over a third of the table.
+# Levenberg-Marquardt: a step that increases the cost is undone, and a shorter step is tried. Without damping, the
+# iteration diverges for a nearly stretched arm, which is over a third of the table.
 _DAMPING_START = 1e-5
 _DAMPING_MIN = 1e-8
 _DAMPING_MAX = 1e4
@@ -30,25 +30,27 @@ _ACCEPTED = 0.2
 _REJECTED = 10.0
 
 _SOLVER = "daqp"
-_CONVERGED = 1e-5
+_CONVERGED = 1e-5  # rad, largest change of a joint in the last step
+_MIN_COST = 1e-14  # 10 nm and a thousandth of a degree, below which rounding makes steps fail
 
-# Cost at which the iteration ends: 10 nm and a thousandth of a degree. From there on, rounding makes steps fail.
-_EXACT = 1e-14
+_MAX_STEP = 0.35  # rad, change of a joint between poses of a path: a farther exact solution may be on another branch
+_MAX_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
 
-# On a path: rad, change of a joint; an exact solution farther away may lie on another branch. And rad; where the search
-# turned the hand less exactly at the pose before, joints would jump to an exact solution.
-_STEP = 0.35
-_LAG = 1e-3
-# rad, off a singular posture; on a path that goes nearer to one, such as to the edge of the reach, exact joints would
-# race and then turn back at once. The search slows them down: its steps begin to differ from exact ones at 0.2 rad.
-_SINGULAR = 0.3
-_FINISHING = 30  # iterations that bring what `QuickReach` found to its pose
+# rad, from a singular posture. On a path that comes nearer, such as to the edge of the reach, exact joints would race
+# and then turn back. The search slows the joints down: its steps differ from exact ones below 0.2 rad.
+_MIN_FROM_SINGULAR = 0.3
+
+_REFINEMENTS = 30  # iterations from a solution of `QuickReach` to the exact pose
 
 
 @dataclass(frozen=True)
 class IkSolution:
-    """Joints (dof,) in rad; what is left of the error, position in m, tilt and heading in rad; and how far the joint
-    that is nearest to one of its stops is from it, rad.
+    """Joints (dof,) in rad, with the errors of the pose.
+
+    Attributes:
+        position_error: m.
+        tilt_error, heading_error: rad.
+        margin: smallest distance of a joint from a stop, rad.
     """
 
     joints: Array
@@ -60,14 +62,14 @@ class IkSolution:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How near inverse kinematics has to come: m, rad, and rad from a joint's stop."""
+    """Largest position error, m, and rotation error, rad, and least distance of joints from their stops, rad."""
 
     position: float
     rotation: float
     margin: float = 0.05
 
     def admits(self, solution: IkSolution) -> bool:
-        """Whether a solution is near enough to its pose, and far enough from its stops."""
+        """Whether a solution is within the tolerance."""
         return (
             solution.position_error <= self.position
             and solution.tilt_error + solution.heading_error <= self.rotation
@@ -78,8 +80,8 @@ class Tolerance:
 class IkSolver:
     """Inverse kinematics within the joint limits.
 
-    An arm that has a closed solution, see `closed_form`, is solved exactly. Where it has none, or does not reach the
-    pose, differential inverse kinematics is iterated to convergence: the hand then leans as far as the pose is missed.
+    An arm with a closed solution, see `closed_form`, is solved exactly. Without one, or for a pose out of reach,
+    differential inverse kinematics is iterated to convergence, and the hand may lean.
 
     Args:
         model: a bare arm with the sites `pinch_site` and `tool`, see `scene.robot.bare_arm`.
@@ -110,13 +112,13 @@ class IkSolver:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the arm has a closed solution, so that a pose without an exact solution is out of its reach."""
+        """Whether the arm has a closed solution, so that a pose without an exact solution is out of reach."""
         return self._closed_form is not None
 
     def hold(self, T_object_in_pinch: Array) -> None:
-        """Solve from now on for the frame of an object held at this pose (4, 4) in the pinch frame.
+        """Set the held frame, for which later calls solve, to a pose (4, 4) in the pinch frame.
 
-        Until the first call, that is the pinch frame itself.
+        Until the first call, the held frame is the pinch frame.
         """
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
@@ -125,60 +127,59 @@ class IkSolver:
         self._T_flange_in_tool = inverse(T)
 
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        """Bring the held frame to a pose (4, 4), wherever the arm is now.
+        """A solution that brings the held frame to a pose (4, 4), or as near as the search gets.
 
         Args:
-            start: joints (dof,), rad; of several exact solutions, the one nearest to them is given.
-            iterations: the most steps of the search where there is no exact solution.
+            start: joints (dof,), rad; of several exact solutions, the nearest to `start` is returned.
+            iterations: limit of the search, which is used if there is no exact solution.
         """
         exact = self._exact(T_tool_in_world, start)
         return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
 
     def follow(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
-        """Bring the held frame to a pose (4, 4) near the one before, on the same branch and without a jump.
+        """A solution for the next pose (4, 4) of the held frame on a path, on the same branch and without a jump.
 
         Args:
-            before: the solution for the pose before, see `at` for the first one.
-            iterations: the most steps of the search where no exact solution follows on the one before.
+            before: the solution for the previous pose, see `at` for the first one.
+            iterations: limit of the search, which is used if no exact solution is near `before`.
         """
         start = before.joints
-        if before.tilt_error + before.heading_error <= _LAG and self._is_regular(start):
+        if before.tilt_error + before.heading_error <= _MAX_LAG and self._is_regular(start):
             exact = self._exact(T_tool_in_world, start)
-            if exact is not None and np.abs(exact.joints - start).max() <= _STEP:
+            if exact is not None and np.abs(exact.joints - start).max() <= _MAX_STEP:
                 return exact
         return self._searched(T_tool_in_world, start, iterations)
 
     def at(self, joints: Array) -> IkSolution:
-        """The solution for the pose that the held frame has at joints (dof,)."""
+        """The solution at joints (dof,), for the pose of the held frame there."""
         return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
     def reach(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
-        """Joints (dof,) that bring the held frame to a pose (4, 4); None where the arm does not reach it.
+        """Joints (dof,) that bring the held frame to a pose (4, 4); None if the arm does not reach the pose.
 
         Args:
-            starts: joints (dof,), rad. Of several exact solutions, the one nearest to the first of them is given. An
-                arm without a closed solution is searched from one after the other, and None says that all searches
-                failed.
+            starts: joints (dof,), rad. Of several exact solutions, the nearest to the first start is returned. For an
+                arm without a closed solution, a search runs from each start in turn until one succeeds.
         """
         if self._closed_form is not None:
             exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
             return None if exact is None else exact.joints
         for start in starts:
             if (near := self._quick.solve(T_tool_in_world, start)) is not None:
-                solution = self._searched(T_tool_in_world, near, _FINISHING)
+                solution = self._searched(T_tool_in_world, near, _REFINEMENTS)
                 if tolerance.admits(solution):
                     return solution.joints
         return None
 
     def may_reach(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
-        """Return for which of many poses (n, 4, 4) `reach` may find joints, (n,) bool: it finds none for the others."""
+        """Which of many poses (n, 4, 4) `reach` may find joints for, (n,) bool; for the others it finds none."""
         if self._closed_form is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
         return self._closed_form.may_reach(T_flange_in_base, tolerance.margin)
 
     def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
-        """The exact solution nearest to joints `start` (dof,) that keeps a margin, rad, to every stop."""
+        """The exact solution nearest to joints `start` (dof,) with at least a margin, rad, from every stop."""
         if self._closed_form is None:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
@@ -190,7 +191,7 @@ class IkSolver:
         return self.at(self._closed_form.nearest(found, start))
 
     def _is_regular(self, joints: Array) -> bool:
-        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _SINGULAR
+        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _MIN_FROM_SINGULAR
 
     def _margin(self, joints: Array) -> float:
         return float(np.minimum(joints - self._low, self._high - joints).min())
@@ -202,13 +203,13 @@ class IkSolver:
         error = task.compute_error(configuration)
         cost, damping = self._cost(error), _DAMPING_START
         for _ in range(iterations):
-            if cost < _EXACT:
+            if cost < _MIN_COST:
                 break
             try:
                 # For a step of one second, the velocity equals the change of the joints.
                 change = mink.solve_ik(configuration, [task], 1.0, _SOLVER, damping=damping, limits=self._limits)
             except mink.NoSolutionFound:
-                # The target is so far away that the solver fails for a step towards it. A shorter step may work.
+                # The solver fails for targets that are too far away. A shorter step may work.
                 damping *= _REJECTED
                 if damping > _DAMPING_MAX:
                     break
@@ -236,7 +237,7 @@ class IkSolver:
         )
 
     def pose_of(self, joints: Array) -> Array:
-        """Where the held frame is (4, 4) in `world` with the arm at `joints` (dof,)."""
+        """Pose (4, 4) in `world` of the held frame with the arm at `joints` (dof,)."""
         self._configuration.update(joints)
         T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
         return self._T_base_in_world @ T

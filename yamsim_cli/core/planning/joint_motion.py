@@ -1,4 +1,4 @@
-"""Motions of one arm in joint space, one reference a control tick."""
+"""Motions of one arm as joint references, one for each control tick."""
 
 from __future__ import annotations
 
@@ -10,48 +10,43 @@ import numpy as np
 from ..geometry.se3 import Array, interpolate_rotation, pose, rotation_vector
 from .ik import IkSolver
 
-# The fastest that a demonstration moves a joint: a share of its motor's no-load speed, and so many rad/s.
-_SPEED_SHARE = 0.55
-_SPEED = 2.2
+_MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed, limit of a joint's speed
+_MAX_SPEED = 2.2  # rad/s, limit of a joint's speed
 
-# A minimum-jerk motion's peak speed, as a multiple of its mean.
-_PEAK = 1.875
-# The same where it does not stop at its ends.
-_PASSING_PEAK = 1.5
+_PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of the mean speed
+_PASSING_PEAK = 1.5  # peak speed of a motion that does not stop at all its points, as a multiple of the mean speed
 
-# Of a hand on a straight line, m/s and rad/s, and the fewest ticks that take it anywhere.
-LINE_SPEED = 0.25
-_LINE_TURN = 1.2
-_FEWEST_TICKS = 6
+LINE_SPEED = 0.25  # m/s, mean speed of a hand on a straight line
+_LINE_TURN_SPEED = 1.2  # rad/s, mean turn of a hand on a straight line
+_MIN_TICKS = 6  # control ticks of the shortest motion
 
-# Farther from its line, or farther from one tick to the next, a hand has left the arm's reach; m and rad.
-_OFF_LINE = 0.004
-_JUMP = 0.35
-_LINE_ITERATIONS = 8
+_MAX_LINE_ERROR = 0.004  # m, from the curve, above which a pose counts as out of reach
+_MAX_JOINT_STEP = 0.35  # rad, change of a joint in a tick above which a pose counts as out of reach
+_LINE_ITERATIONS = 8  # limit of each search for joints on a curve
 
 
 def ease(fraction: float) -> float:
-    """Minimum jerk from 0 to 1."""
+    """The position, 0..1, of a minimum-jerk motion at a fraction, 0..1, of its duration."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
 
 
 def through(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
-    """Joints (n + 1, dof) at the ticks' boundaries of a motion from rest through points to rest, as fast as is fair.
+    """Joints (n + 1, dof) at the ticks' boundaries of a motion from rest through points to rest, within speed limits.
 
     Args:
         points: joints (dof,), the present ones first, rad.
         motor_speed: no-load speed of each joint's motor (dof,), rad/s.
         tick: length of a control tick, s.
     """
-    limit = np.minimum(motor_speed * _SPEED_SHARE, _SPEED)
+    limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
     knots = np.asarray(points)
     peak = _PEAK if len(knots) == 2 else _PASSING_PEAK
     steps = np.diff(knots, axis=0)
-    ticks = [max(_FEWEST_TICKS, math.ceil(float((np.abs(step) / limit).max()) * peak / tick)) for step in steps]
+    ticks = [max(_MIN_TICKS, math.ceil(float((np.abs(step) / limit).max()) * peak / tick)) for step in steps]
     velocities = [np.zeros(knots.shape[1])]
     for k in range(1, len(steps)):
         velocity = (knots[k + 1] - knots[k - 1]) / ((ticks[k - 1] + ticks[k]) * tick)
-        # A joint that turns back at a point stands still there.
+        # A joint that reverses at a point has no speed there.
         velocities.append(np.where(steps[k] * steps[k - 1] > 0, velocity, 0.0))
     velocities.append(np.zeros(knots.shape[1]))
     rows = [knots[0]]
@@ -68,15 +63,15 @@ def through(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
 def straight(
     ik: IkSolver, start: Array, T_tool_in_world: Array, tick: float, speed: float = LINE_SPEED
 ) -> Array | None:
-    """Joints (n + 1, dof) that take the held frame along a straight line to a pose (4, 4), from rest to rest.
+    """Joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
 
     Args:
-        ik: solves for the frame that is to move straight, see `IkSolver.hold`.
+        ik: solves for the held frame, see `IkSolver.hold`.
         start: the present joints (dof,), rad.
-        speed: of the frame, m/s.
+        speed: mean speed of the frame, m/s.
 
     Returns:
-        The motion, or None where the line leaves the arm's reach.
+        The motion, or None if the line leaves the arm's reach.
     """
     T_start = ik.pose_of(start)
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
@@ -86,33 +81,36 @@ def straight(
         position = T_start[:3, 3] + share * (T_tool_in_world[:3, 3] - T_start[:3, 3])
         return pose(position, interpolate_rotation(T_start[:3, :3], T_tool_in_world[:3, :3], share))
 
-    return traced(ik, start, on_line, max(distance / speed, turn / _LINE_TURN), tick)
+    return traced(ik, start, on_line, max(distance / speed, turn / _LINE_TURN_SPEED), tick)
 
 
 def traced(ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float) -> Array | None:
-    """Joints (n + 1, dof) that take the held frame along a curve, from rest to rest.
+    """Joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
 
     Args:
-        ik: solves for the frame that is to move, see `IkSolver.hold`.
+        ik: solves for the held frame, see `IkSolver.hold`.
         start: the present joints (dof,), rad.
-        pose_at: share of the way, 0..1 -> the frame's pose (4, 4) in `world`.
-        seconds: how long it would take at its mean speed.
+        pose_at: share of the curve, 0..1 -> the frame's pose (4, 4) in `world`.
+        seconds: duration at the mean speed.
 
     Returns:
-        The motion, or None where the curve leaves the arm's reach.
+        The motion, or None if the curve leaves the arm's reach.
     """
-    number = max(_FEWEST_TICKS, math.ceil(seconds * _PEAK / tick))
+    number = max(_MIN_TICKS, math.ceil(seconds * _PEAK / tick))
     rows, solution = [start], ik.at(start)
     for step in range(1, number + 1):
         solution = ik.follow(pose_at(ease(step / number)), solution, _LINE_ITERATIONS)
-        if solution.position_error > _OFF_LINE or float(np.abs(solution.joints - rows[-1]).max()) > _JUMP:
+        if (
+            solution.position_error > _MAX_LINE_ERROR
+            or float(np.abs(solution.joints - rows[-1]).max()) > _MAX_JOINT_STEP
+        ):
             return None
         rows.append(solution.joints)
     return np.array(rows)
 
 
 def clear(path: Array, touched: Callable[[Array], str | None], step: float = 0.02) -> bool:
-    """Whether nothing is touched along a motion (n + 1, dof), looked at every `step` rad."""
+    """Whether nothing is touched along a motion (n + 1, dof), checked every `step` rad."""
     last = path[0]
     for joints in (*path[1:-1], path[-1]):
         if joints is not path[-1] and float(np.abs(joints - last).max()) < step:

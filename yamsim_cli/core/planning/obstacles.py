@@ -1,4 +1,4 @@
-"""What an arm, and the thing in its hand, would touch at given joints, everything else standing where it stands."""
+"""Collision checks of an arm and the thing in its hand at given joints, in a scene that is otherwise still."""
 
 from __future__ import annotations
 
@@ -14,31 +14,25 @@ from ..geometry.se3 import Array, pose, quat_from_rotation
 from ..goals.world import TABLE
 from ..scene.compiled import Ids, SceneArm
 
-# How far an arm stays away from what it must not touch, and what it carries from everything else, m.
-_ARM_DISTANCE = 0.004
-_THING_DISTANCE = 0.003
+_ARM_DISTANCE = 0.004  # m, least distance of an arm from everything else
+_THING_DISTANCE = 0.003  # m, least distance of a carried thing from everything else
+_FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into the thing that they hold: contacts are soft in physics
 
-# Fingers that close on a thing may come as near as this, and no nearer, m. Contacts are soft in physics.
-_FINGER_DEPTH = 5e-4
+_DESCENT_STEP = 0.004  # m, of a search downwards
+_HALVINGS = 6  # bisections of the last step of a search downwards
 
-# How a thing's way down is searched for what it meets: in steps of so much, m, the last one halved so often.
-_DESCENT = 0.004
-_HALVINGS = 6
-
-# How a thing's way aside is searched, in steps of so much, m. What it lies on is below: there, the contact's normal
-# points up or down by more than this, as a sine.
-_ASIDE = 0.002
-_LEVEL = 0.7
+_LATERAL_STEP = 0.002  # m, of a search sideways
+_SUPPORT = 0.7  # vertical component of a contact's normal, above which the contact is with what the thing lies on
 
 
 @dataclass(frozen=True)
 class Load:
-    """A thing in a hand.
+    """A carried thing.
 
     Attributes:
-        thing: its name.
-        T_thing_in_pinch: its pose (4, 4) in the pinch frame.
-        may_touch: names of things, or `TABLE`, that it may touch on its way.
+        thing: name.
+        T_thing_in_pinch: pose (4, 4) of the thing in the pinch frame.
+        may_touch: names of things, or `TABLE`, that the carried thing may touch.
     """
 
     thing: str
@@ -47,13 +41,13 @@ class Load:
 
 
 class Obstacles:
-    """Looks for contacts in a copy of a scene.
+    """Checks for contacts in a copy of a scene.
 
     Args:
         model: the compiled scene.
-        things: names of the things in it.
+        things: names of the things in the scene.
         fingers: geoms of each arm's fingers, in the order of `arms`.
-        absent: names of bodies that are no obstacles: distractors, which are placed once the motion is known.
+        absent: names of bodies that are no obstacles: distractors, which are placed after planning.
     """
 
     def __init__(
@@ -76,7 +70,7 @@ class Obstacles:
             self._thing_of[root == model.body(name).id] = k
         self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
-        # Cloth gives way to whatever comes.
+        # Cloth is no obstacle.
         self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
         away = np.isin(root, [model.body(name).id for name in absent])
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
@@ -93,45 +87,45 @@ class Obstacles:
         between: str | None = None,
         beside: float | None = None,
     ) -> str | None:
-        """Names of two geoms that come too near each other; None if there are none.
+        """Names of two geoms that are too near to each other; None if there are none.
 
         Args:
             qpos: MuJoCo's positions (nq,) of everything else.
-            arm: which arm moves.
-            joints: where it would be (dof,), rad.
-            opening: of one of its fingers, m.
-            load: what it carries.
-            between: a thing that its fingers are around, which they may come near to.
-            beside: how near its fingers may come to everything else, m; without, as near as the rest of the arm.
+            arm: number of the arm.
+            joints: joints (dof,) of the arm, rad.
+            opening: opening of one finger, m.
+            load: the carried thing.
+            between: a thing between the fingers, which they may touch.
+            beside: least distance of the fingers from everything else, m; by default that of the arm.
         """
         data = self._pose(qpos, arm, joints, opening, load)
         mujoco.mj_collision(self._model, data)
         if not data.ncon:
             return None
         geoms = data.contact.geom
-        near = self._counts(geoms, data.contact.dist, arm, load, between, beside)
+        near = self._forbidden(geoms, data.contact.dist, arm, load, between, beside)
         if not near.any():
             return None
         one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
         return f"{one} and {other}"
 
     def meets_itself(self, arm: int, joints: Array) -> bool:
-        """Whether links of an arm run into each other at given joints (dof,), rad."""
+        """Whether links of an arm collide with each other at given joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
         mujoco.mj_collision(self._model, data)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
         return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
 
     def posed(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None = None) -> Array:
-        """MuJoCo's positions (nq,) with an arm, and what it carries, elsewhere; see `touched`."""
+        """MuJoCo's positions (nq,) with an arm and its load at other joints; see `touched`."""
         positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """The height at which a thing that comes straight down at a pose (4, 4), and turned so, meets something, m.
+        """The height at which a thing that is lowered from a pose (4, 4) meets something, m.
 
         Args:
-            lowest: where the search ends.
+            lowest: limit of the search, m.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         data.qpos[:] = qpos
@@ -151,40 +145,40 @@ class Obstacles:
         high = float(T_in_world[2, 3])
         data.qpos[address + 2] = high
         mujoco.mj_kinematics(self._model, data)
-        free = high - self._drop(data, thing)
-        while high - _DESCENT > free or not meets(high - _DESCENT):
-            high -= _DESCENT
+        free = high - self._clearance_below(data, thing)
+        while high - _DESCENT_STEP > free or not meets(high - _DESCENT_STEP):
+            high -= _DESCENT_STEP
             if high < lowest:
                 return lowest
-        low = high - _DESCENT
+        low = high - _DESCENT_STEP
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             low, high = (middle, high) if meets(middle) else (low, middle)
         return high
 
     def room(self, qpos: Array, thing: str, direction: Array, most: float) -> float:
-        """How far a thing can go along a direction (2,) over what it lies on before it meets something, m.
+        """How far a thing can move along a direction (2,), seen from above, before it meets something, m.
 
         Args:
-            most: where the search ends.
+            most: limit of the search, m.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
-        number, step = self._things.index(thing), direction / np.linalg.norm(direction) * _ASIDE
+        number, step = self._things.index(thing), direction / np.linalg.norm(direction) * _LATERAL_STEP
         data.qpos[:] = qpos
-        for count in range(math.ceil(most / _ASIDE)):
+        for count in range(math.ceil(most / _LATERAL_STEP)):
             data.qpos[address : address + 2] += step
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
             geoms, normals = data.contact.geom, data.contact.frame[:, :3]
             of_thing, of_arm = self._thing_of[geoms] == number, self._arm_of[geoms] >= 0
             meets = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
-            if (meets & (data.contact.dist < 0) & (np.abs(normals[:, 2]) < _LEVEL)).any():
-                return count * _ASIDE
+            if (meets & (data.contact.dist < 0) & (np.abs(normals[:, 2]) < _SUPPORT)).any():
+                return count * _LATERAL_STEP
         return most
 
-    def _drop(self, data: mujoco.MjData, thing: str) -> float:
-        """At least so far a thing can come down before the block around one of its geoms meets that of another, m."""
-        low, high = _blocks(self._model, data)
+    def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
+        """A lower bound of the distance by which a thing can be lowered, from the geoms' bounding boxes, m."""
+        low, high = _bounding_boxes(self._model, data)
         solid, of_thing = self._model.geom_contype != 0, self._thing_of == self._things.index(thing)
         mine, others = np.flatnonzero(solid & of_thing), np.flatnonzero(solid & ~of_thing & (self._arm_of < 0))
         under = ((low[mine, None, :2] < high[None, others, :2]) & (high[mine, None, :2] > low[None, others, :2])).all(2)
@@ -207,7 +201,7 @@ class Obstacles:
             mujoco.mj_kinematics(self._model, data)
         return data
 
-    def _counts(
+    def _forbidden(
         self,
         geoms: Array,
         distances: Array,
@@ -216,10 +210,10 @@ class Obstacles:
         between: str | None,
         beside: float | None,
     ) -> Array:
-        """Which contacts (n,) are of what moves with what it must not touch."""
+        """Which contacts (n,) are forbidden: between the moving arm or its load and something else."""
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
-        # Where both sides move with the hand nothing comes nearer: the model's own exclusions see to the arm's links.
+        # Contacts between two moving parts do not count: load and hand are fixed to each other.
         counts = (of_arm | of_load).any(axis=1) & ~(of_arm | of_load).all(axis=1)
         for name in load.may_touch if load else ():
             other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
@@ -234,8 +228,8 @@ class Obstacles:
         return found
 
 
-def _blocks(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """The lowest and the highest corners (ngeom, 3) in `world` of blocks along its axes that enclose the geoms."""
+def _bounding_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """The lowest and highest corners (ngeom, 3) of the geoms' bounding boxes along the axes of `world`, m."""
     R = data.geom_xmat.reshape(-1, 3, 3)
     middle = data.geom_xpos + np.einsum("gij,gj->gi", R, model.geom_aabb[:, :3])
     reach = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[:, 3:])

@@ -1,4 +1,4 @@
-"""A quick answer to whether an arm without a closed solution reaches a pose: most are out of reach."""
+"""A quick check whether an arm without a closed solution reaches a pose; most poses of a search are out of reach."""
 
 from __future__ import annotations
 
@@ -9,24 +9,20 @@ import numpy as np
 
 from ..geometry.se3 import Array, inverse
 
-# Damped least squares: the damping, the longest step of a joint, rad, and how many steps are made.
-_DAMPED = 1e-3 * np.eye(6)
-_STEP = 0.4
-_STEPS = 40
+_DAMPING = 1e-3 * np.eye(6)  # of the damped least squares
+_MAX_STEP = 0.4  # rad, change of a joint in a step
+_MAX_STEPS = 40
+_LEVER = 0.25  # m, weight of a radian
 
-# A radian counts as much as so many metres.
-_LEVER = 0.25
+# m and rad, errors from which `IkSolver` refines a solution.
+_MAX_POSITION_ERROR = 3e-3
+_MAX_ROTATION_ERROR = math.radians(4.0)
 
-# A pose this near to the wanted one is good enough to be finished by `IkSolver`, m and rad.
-_POSITION = 3e-3
-_ROTATION = math.radians(4.0)
-
-# Where the error shrinks by less than this from one step to the next but one, it has come to its end.
-_STALLED = 0.97
+_STALLED = 0.97  # ratio of the error to that two steps before, above which the search gives up
 
 
 class QuickReach:
-    """Inverse kinematics of the frame that a bare arm holds, without the care that `IkSolver` takes.
+    """Fast inverse kinematics of the frame that a bare arm holds, less exact and less robust than `IkSolver`.
 
     Args:
         model: the bare arm, see `scene.robot.bare_arm`.
@@ -41,35 +37,33 @@ class QuickReach:
         self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
 
     def solve(self, T_tool_in_world: Array, start: Array) -> Array | None:
-        """Joints (dof,) near those that bring the held frame to a pose (4, 4); None where none were found."""
+        """Joints (dof,) near those that bring the held frame to a pose (4, 4); None if none are found."""
         T, joints = self._T_world_in_base @ T_tool_in_world, np.clip(start, self._low, self._high)
         before = (math.inf, math.inf)
-        for _ in range(_STEPS):
+        for _ in range(_MAX_STEPS):
             error = self._error(T, joints)
             away, turn = float(error[:3] @ error[:3]), float(error[3:] @ error[3:])
             size = math.sqrt(away + turn)
-            if away < _POSITION**2 and turn < (_ROTATION * _LEVER) ** 2:
+            if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _LEVER) ** 2:
                 return joints
             if size > _STALLED * before[0]:
                 return None
             before = before[1], size
             J = self._jacobian
-            step = J.T @ np.linalg.solve(J @ J.T + _DAMPED, error)
+            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING, error)
             longest = float(np.abs(step).max())
-            joints = np.minimum(np.maximum(joints + step * min(1.0, _STEP / longest), self._low), self._high)
+            joints = np.minimum(np.maximum(joints + step * min(1.0, _MAX_STEP / longest), self._low), self._high)
         return None
 
     def _error(self, T: Array, joints: Array) -> Array:
-        """What is left to the pose (6,), in the base's frame: m, and rad times the lever. It brings the Jacobian up to
-        date.
-        """
+        """Update the Jacobian, and return the pose's error (6,) in the base's frame: m, and rad times `_LEVER`."""
         model, data = self._model, self._data
         data.qpos[:] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
         self._jacobian[3:] *= _LEVER
-        # Thousands of poses are looked at in an attempt, so this is MuJoCo's arithmetic rather than `geometry.se3`'s.
+        # MuJoCo's arithmetic is faster than that of `geometry.se3`, and an attempt checks thousands of poses.
         turned = T[:3, :3] @ data.site_xmat[self._site].reshape(3, 3).T
         mujoco.mju_mat2Quat(self._quat, turned.ravel())
         mujoco.mju_quat2Vel(self._turn, self._quat, 1.0)

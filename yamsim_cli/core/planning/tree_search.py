@@ -1,4 +1,4 @@
-"""A way around obstacles in joint space, where no simple motion is free: two trees that grow towards each other."""
+"""Paths around obstacles in joint space, by RRT-Connect: two trees grow towards each other."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ import numpy as np
 
 from ..geometry.se3 import Array
 
-# Longest branch, and how finely an edge is looked at, rad.
-_BRANCH = 0.25
-_EDGE_STEP = 0.06
-
-# How many branches are tried, how often towards the other tree, and how often a found way is cut short.
-_BRANCHES = 400
-_TOWARDS_OTHER = 0.3
-_SHORTCUTS = 40
+_MAX_BRANCH = 0.25  # rad, change of a joint along a branch
+_EDGE_STEP = 0.06  # rad, change of a joint between two checks of an edge
+_MAX_BRANCHES = 400  # tried branches, after which the search gives up
+_TOWARDS_OTHER = 0.3  # share of branches that grow towards the other tree
+_SHORTCUTS = 40  # random shortcuts that are tried on a found path
 
 
 @dataclass
@@ -33,24 +30,24 @@ class _Tree:
         self.parents.append(parent)
         return len(self.nodes) - 1
 
-    def way_to_root(self, node: int) -> list[Array]:
-        way = []
+    def path_to_root(self, node: int) -> list[Array]:
+        path = []
         while node >= 0:
-            way.append(self.nodes[node])
+            path.append(self.nodes[node])
             node = self.parents[node]
-        return way
+        return path
 
 
 def search(
     start: Array, goal: Array, bounds: Array, touched: Callable[[Array], str | None], rng: np.random.Generator
 ) -> list[Array] | None:
-    """Points (dof,) in joint space, from start to goal, with free straight edges between them; None if none was found.
+    """Points (dof,) in joint space from start to goal with free straight edges between them; None if none are found.
 
-    Source of the method: Kuffner and LaValle, RRT-Connect, ICRA 2000.
+    The method is that of Kuffner and LaValle, "RRT-Connect", ICRA 2000.
 
     Args:
         bounds: the joints' stops (dof, 2), rad.
-        touched: what is touched at given joints; None where they are free.
+        touched: joints -> what is touched there; None for free joints.
     """
     if touched(goal):
         return None
@@ -60,7 +57,7 @@ def search(
         number = max(1, math.ceil(float(np.abs(other - one).max()) / _EDGE_STEP))
         return not any(touched(one + (other - one) * k / number) for k in range(1, number + 1))
 
-    for number in range(_BRANCHES):
+    for number in range(_MAX_BRANCHES):
         growing, other = trees[number % 2], trees[1 - number % 2]
         aim = (
             other.nodes[int(rng.integers(len(other.nodes)))]
@@ -74,20 +71,20 @@ def search(
         tip = growing.add(new, near)
         met = _connect(other, new, free)
         if met is not None:
-            way = [*growing.way_to_root(tip)[::-1], *other.way_to_root(met)[1:]]
-            return _shortened(way[::-1] if number % 2 else way, free, rng)
+            path = [*growing.path_to_root(tip)[::-1], *other.path_to_root(met)[1:]]
+            return _shortened(path[::-1] if number % 2 else path, free, rng)
     return None
 
 
 def _towards(here: Array, there: Array) -> Array:
     step = there - here
     longest = float(np.abs(step).max())
-    moved: Array = here + step * min(1.0, _BRANCH / longest) if longest else here
+    moved: Array = here + step * min(1.0, _MAX_BRANCH / longest) if longest else here
     return moved
 
 
 def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
-    """Grow a tree straight towards a point; the node at which it arrives, if it does."""
+    """Grow a tree straight towards a point, and return the node there; None if an obstacle is met."""
     node = tree.nearest(joints)
     while True:
         here = tree.nodes[node]
@@ -99,11 +96,11 @@ def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -
         node = tree.add(new, node)
 
 
-def _shortened(way: list[Array], free: Callable[[Array, Array], bool], rng: np.random.Generator) -> list[Array]:
+def _shortened(path: list[Array], free: Callable[[Array, Array], bool], rng: np.random.Generator) -> list[Array]:
     for _ in range(_SHORTCUTS):
-        if len(way) < 3:
+        if len(path) < 3:
             break
-        first, last = sorted(int(k) for k in rng.integers(len(way), size=2))
-        if last - first > 1 and free(way[first], way[last]):
-            way = way[: first + 1] + way[last:]
-    return way
+        first, last = sorted(int(k) for k in rng.integers(len(path), size=2))
+        if last - first > 1 and free(path[first], path[last]):
+            path = path[: first + 1] + path[last:]
+    return path

@@ -1,4 +1,4 @@
-"""Cloth in motion: where it is, and how hands hold it."""
+"""The state of simulated cloth, grips of hands on it, and simulations of cloth whose points move on given paths."""
 
 from __future__ import annotations
 
@@ -16,26 +16,40 @@ from ..scene.cloth import edges, triangles
 from ..scene.compiled import CompiledScene, Kind, SceneCloth
 from .settle import settle
 
-# A hand takes cloth only with fingers that are closed so far, each, and that press at least so hard; it lets go once
-# they are told to open by so much more than they are. m, N, m.
-_CLOSED = 0.006
-_PRESSING = 2.0
-_OPENING = 0.002
+_CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grips cloth
+_MIN_FORCE = 2.0  # N, least force of each finger at which a hand grips cloth
+_RELEASE_OPENING = 0.002  # m, by which a commanded opening must exceed the present one for a release
 
-# Half of how wide and how long a pad is, m. Cloth under the tips, which they press down, is so much farther from them
-# at most than it is thick, m.
-_PAD_WIDTH = 0.0072
-_PAD_LENGTH = 0.0082
-_UNDER = 0.002
-# Where a layer goes through between pads, it is held: looked at in the middle, and at both sides of the pads, m.
+_PAD_WIDTH = 0.0072  # m, half the width of a pad
+_PAD_LENGTH = 0.0082  # m, half the length of a pad
+_BELOW_TIPS = 0.002  # m, distance from the tips, beyond the cloth's thickness, of cloth that closing tips still grip
+
+# m; x and y in the pinch frame of the lines, in the middle and at the edges of a pad, along which layers are found.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
+
+_MOVED_MASS = 1.0  # kg, of points that `moved_points` moves, see there
+
+_LIFT_SPEED = 0.3  # m/s, of the point at which cloth is lifted before it is dropped
+_MIN_LIFT, _MIN_LIFT_SHARE = (
+    0.08,
+    0.3,
+)  # m, and share of half the diagonal; the smaller one is the least height of a lift
+_MAX_HEADING = 0.5  # rad, largest deviation of a lifted point's path from the direction to the middle
+
+# Dropped cloth must look like crumpled fabric, which passes neither through itself nor into the table.
+_MAX_DROPS = 40  # drops, of which the best is used if none is without fault
+_SUNK = 0.5  # thicknesses, depth at which a point counts as sunk into what the cloth lies on
+_MIN_CRUMPLED = 4.0  # layers, least height of crumpled cloth
+_SETTLINGS = 3  # runs of `settle` after a drop: crumpled cloth sinks for longer than other things take to come to rest
+
+_REST_SECONDS = 0.5  # s, simulated after the points of a pull are released
 
 
 class ClothState:
-    """A cloth as it is now.
+    """The present state of a cloth.
 
     Args:
-        cloth: where its points lie in MuJoCo's arrays.
+        cloth: addresses of the points in MuJoCo's arrays.
         data: MuJoCo's state.
     """
 
@@ -44,58 +58,58 @@ class ClothState:
 
     @property
     def addresses(self) -> SceneCloth:
-        """Where its points lie in MuJoCo's arrays."""
+        """The addresses of the points in MuJoCo's arrays."""
         return self._cloth
 
     @property
     def points(self) -> Array:
-        """Where its points (n, 3) are in `world`, m."""
+        """Positions (n, 3) of the points in `world`, m."""
         return self._cloth.points(self._data.qpos)
 
     @property
     def rows(self) -> Array:
-        """The same by rows along its x axis (along y, along x, 3)."""
+        """Positions (along y, along x, 3) of the points in `world`, m, by rows along the cloth's x axis."""
         columns, rows = self._cloth.grid
         return self.points.reshape(rows, columns, 3)
 
     @property
     def pose(self) -> Array:
-        """An upright frame (4, 4) in `world`: in the middle of its points, turned as these are on the whole."""
+        """Pose (4, 4) in `world` of an upright frame in the middle of the points, turned about z as the points are."""
         return self._cloth.pose(self._data.qpos)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """The lowest and the highest corner (3,) of the block along the world's axes that encloses it."""
+        """The lowest and highest corner (3,) of the cloth's bounding box along the axes of `world`, m."""
         points, radius = self.points, self._cloth.radius
         return points.min(axis=0) - radius, points.max(axis=0) + radius
 
     @property
     def block(self) -> Array:
-        """The lowest and highest corner (2, 3) of the block that encloses it in its own frame when it is flat, m."""
+        """The lowest and highest corner (2, 3) of the bounding box of the flat cloth in the cloth's frame, m."""
         rest, radius = self._cloth.rest, self._cloth.radius
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
 
     @property
     def speed(self) -> float:
-        """Of its fastest point, m/s."""
+        """The speed of the fastest point, m/s."""
         return float(np.linalg.norm(self._data.qvel[self._cloth.dof], axis=1).max())
 
     @property
     def contacts(self) -> NDArray[np.bool_]:
-        """Which side of each present contact (n, 2) is this cloth."""
+        """Which sides of the present contacts are this cloth (n, 2)."""
         found: NDArray[np.bool_] = self._data.contact.flex == self._cloth.flex
         return found
 
     def held(self, arm: int) -> bool:
-        """Whether an arm's hand holds any of its points."""
+        """Whether an arm's hand holds a point of the cloth."""
         return bool(self._data.eq_active[self._cloth.grips[arm]].any())
 
 
 class ClothGrips:
-    """How hands take hold of cloth, and let it go: by a constraint, since friction does not hold a grid of points.
+    """Switches the constraints with which hands hold cloth, since friction does not hold a grid of points.
 
-    A hand takes hold where both its fingers touch a cloth, are closed, and press: of each point of it that is between
-    the pads. It lets go when its fingers are told to open.
+    A hand whose closed fingers both touch a cloth and press grips every point between the pads. The hand releases the
+    cloth when its fingers are commanded to open.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
@@ -107,32 +121,32 @@ class ClothGrips:
         ]
 
     def update(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
-        """Whether each arm's hand holds cloth while it is told `ctrl` (nu,) next.
+        """Switch the constraints for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
         Args:
-            data: with poses and contacts as they are now. What holds is switched in it, and where it holds is written
-                into the scene's model.
+            data: with the present poses and contacts. The constraints are switched in `data`, and their anchors are
+                written into the scene's model.
         """
-        return [self._hand(data, number, ctrl) for number in range(len(self._scene.arms))]
+        return [self._update_hand(data, number, ctrl) for number in range(len(self._scene.arms))]
 
-    def _hand(self, data: mujoco.MjData, number: int, ctrl: Array) -> bool:
+    def _update_hand(self, data: mujoco.MjData, number: int, ctrl: Array) -> bool:
         fingers = self._scene.arms[number].fingers
         if fingers is None:
             return False
         opening = float(data.qpos[fingers.qpos[0]] * fingers.sign[0])
-        told = float(ctrl[fingers.ctrl])
+        commanded = float(ctrl[fingers.ctrl])
         held = [cloth for cloth in self._scene.cloths.values() if data.eq_active[cloth.grips[number]].any()]
         if held:
-            if told <= opening + _OPENING:
+            if commanded <= opening + _RELEASE_OPENING:
                 return True
             for cloth in held:
                 data.eq_active[cloth.grips[number]] = False
             return False
-        if opening > _CLOSED or (opening - told) * fingers.gain < 2 * _PRESSING:
+        if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
-        return any(self._take(data, number, cloth) for cloth in self._scene.cloths.values())
+        return any(self._grip(data, number, cloth) for cloth in self._scene.cloths.values())
 
-    def _take(self, data: mujoco.MjData, number: int, cloth: SceneCloth) -> bool:
+    def _grip(self, data: mujoco.MjData, number: int, cloth: SceneCloth) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)
         geoms = data.contact.geom[touching]
         if not all(np.isin(geoms, finger).any() for finger in self._fingers[number]):
@@ -140,42 +154,42 @@ class ClothGrips:
         arm = self._scene.arms[number]
         points = cloth.points(data.qpos)
         site = data.site(f"{arm.prefix}pinch_site")
-        taken = between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
+        gripped = between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
         hand = data.body(arm.flange)
-        for k in taken:
-            # The point's own origin, and where that is in the hand's frame.
+        for k in gripped:
+            # Anchors: the point's origin, and the same place in the hand's frame.
             there = hand.xmat.reshape(3, 3).T @ (points[k] - hand.xpos)
             self._scene.model.eq_data[cloth.grips[number, k], :6] = [0.0, 0.0, 0.0, *there]
             data.eq_active[cloth.grips[number, k]] = True
-        return len(taken) > 0
+        return len(gripped) > 0
 
 
 def between_pads(cloth: SceneCloth, points: Array, T_pinch_in_world: Array) -> NDArray[np.int_]:
-    """The numbers of a cloth's points (n, 3) that a hand takes hold of whose pads close at a pose (4, 4): those between
-    the pads. Where points are farther apart than the pads are wide, a point counts that is nearer than its neighbours.
-    Of a cloth that is held by layers, the nearest point of every layer that goes through between the pads counts too.
+    """The numbers of the points (n, 3) of a cloth that pads grip when they close at a pose (4, 4) of the pinch frame.
+
+    A point between the pads is gripped. If points are farther apart than the pads are wide, a point is gripped that is
+    nearer than its neighbours. Of a cloth that is held by layers, the nearest point of every layer that passes between
+    the pads is gripped too.
     """
     seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
-    deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _UNDER)
+    deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _BELOW_TIPS)
     found = np.flatnonzero(between(seen, max(_PAD_WIDTH, cloth.spacing / 2), deep))
     if cloth.by_layers:
         found = np.union1d(found, nearest_of_layers(seen, triangles(*cloth.grid), _LINES, deep))
     return found
 
 
-# What is led weighs so much, kg. MuJoCo finds how all points move together: a point that weighs a tenth of a gramme
-# would come back to the rest of the cloth instead of taking that along, and cloth would stretch tenfold.
-_HEAVY = 1.0
-
-
 @contextmanager
-def led(
+def moved_points(
     model: mujoco.MjModel, data: mujoco.MjData, cloth: SceneCloth, points: NDArray[np.int_]
 ) -> Iterator[Callable[[Array], None]]:
-    """Lead points of a cloth, by their numbers (n,): each call of what is yielded makes a step of physics, after which
-    they are where it says (n, 3), in `world`, m.
+    """Yield a function that makes a step of physics in which points of a cloth move to given positions (n, 3), m.
 
-    Their masses in the model are others meanwhile.
+    The points have a larger mass in the model meanwhile. MuJoCo solves for all points together: a point of a tenth of a
+    gramme would be drawn back to the cloth instead of taking the cloth along, and the cloth would stretch tenfold.
+
+    Args:
+        points: numbers (n,) of the points that move.
     """
     dof = cloth.dof[points]
     bodies = model.dof_bodyid[dof[:, 0]]
@@ -188,38 +202,25 @@ def led(
         data.qpos[cloth.qpos[points]] = qpos
 
     try:
-        model.body_mass[bodies], model.dof_M0[dof] = _HEAVY, _HEAVY
+        model.body_mass[bodies], model.dof_M0[dof] = _MOVED_MASS, _MOVED_MASS
         yield step
     finally:
         model.body_mass[bodies], model.dof_M0[dof] = masses, inertias
 
 
-# What lifts a point of cloth moves so fast, m/s, and so high at least: by the smaller one of so many m, and so much of
-# the cloth's half diagonal. It misses the way to the middle by so much at most, rad.
-_SPEED = 0.3
-_LOWEST, _OF_SMALL = 0.08, 0.3
-_ASIDE = 0.5
-
-# Fabric does not pass through itself, nor into what it lies on. Cloth that does after it was dropped, by this share of
-# its thickness, or that is not as high as so many layers, is taken anew, so often at most.
-_TRIES = 40
-_SUNK = 0.5
-_CRUMPLED = 4.0
-
-# Crumpled cloth goes on sinking for so many times as long as other things take to come to rest, at most.
-_SETTLINGS = 3
-
-
 def crumpled(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """MuJoCo's positions (nq,) with a cloth at rest that was taken at a point of its outer half, lifted, brought about
-    towards its middle, let down half-way, and dropped; anew until it lies as crumpled fabric can.
+    """MuJoCo's positions (nq,) with a crumpled cloth at rest.
+
+    The cloth is lifted at a point of its outer half, moved roughly towards its middle, lowered to half the height, and
+    dropped. Drops are repeated until the cloth lies as crumpled fabric can.
 
     Args:
         start: MuJoCo's positions (nq,), in which the cloth lies flat.
-        rng: chooses the point, and the way.
-        share: how high it is lifted, of the cloth's half diagonal; it is brought by twice that share of the way.
+        rng: samples the point and the heading.
+        share: height of the lift, as a share of the cloth's half diagonal; the point moves towards the middle by twice
+            this share of its distance.
         timestep: of physics, s.
     """
     lying = scene.cloths[cloth]
@@ -227,10 +228,10 @@ def crumpled(
     lowest = float(lying.points(start)[:, 2].min()) - _SUNK * lying.thickness
     faults: list[int] = []
     tried: list[Array] = []
-    while len(tried) < _TRIES and 0 not in faults:
+    while len(tried) < _MAX_DROPS and 0 not in faults:
         tried.append(_dropped(scene, start, lying, rng, share, timestep))
         points = lying.points(tried[-1])
-        low = float(np.ptp(points[:, 2])) < (_CRUMPLED - 1) * lying.thickness
+        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * lying.thickness
         faults.append(crossings(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
@@ -238,24 +239,24 @@ def crumpled(
 def _dropped(
     scene: CompiledScene, start: Array, lying: SceneCloth, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """The same, once, however it lies."""
+    """MuJoCo's positions (nq,) after one drop; see `crumpled`."""
     points = lying.points(start)
     middle = points.mean(axis=0)
     away = np.linalg.norm(points - middle, axis=1)
     k = int(rng.choice(np.flatnonzero(away > 0.5 * away.max())))
-    heading = rng.uniform(-_ASIDE, _ASIDE)
+    heading = rng.uniform(-_MAX_HEADING, _MAX_HEADING)
     across = 2 * share * rotation_z(heading)[:2, :2] @ (middle - points[k])[:2]
-    up = max(min(_LOWEST, _OF_SMALL * float(away.max())), share * float(away.max()))
-    ways = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
+    up = max(min(_MIN_LIFT, _MIN_LIFT_SHARE * float(away.max())), share * float(away.max()))
+    paths = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     at = points[[k]]
-    with led(scene.model, data, lying, np.array([k])) as lead:
-        for way in ways:
-            steps = max(1, int(np.linalg.norm(way) / _SPEED / timestep))
+    with moved_points(scene.model, data, lying, np.array([k])) as step_to:
+        for path in paths:
+            steps = max(1, int(np.linalg.norm(path) / _LIFT_SPEED / timestep))
             for _ in range(steps):
-                at = at + way / steps
-                lead(at)
+                at = at + path / steps
+                step_to(at)
     dropped = start.copy()
     dropped[lying.qpos] = data.qpos[lying.qpos]
     for _ in range(_SETTLINGS):
@@ -263,40 +264,36 @@ def _dropped(
     return dropped
 
 
-# What is let go comes to rest for so long, s.
-_REST = 0.5
-
-
-def pulled(
+def simulated_pull(
     data: mujoco.MjData,
     model: mujoco.MjModel,
     cloth: SceneCloth,
     patches: Sequence[NDArray[np.int_]],
-    ways: Sequence[Array],
+    paths: Sequence[Array],
     arch: float,
     seconds: float,
 ) -> Array:
-    """Where a cloth's points (along y, along x, 3) would be in `world` if patches of it were taken elsewhere, m.
+    """A cloth's points (along y, along x, 3) in `world` after patches of the cloth are moved and released, m.
 
     Args:
-        data: as everything is now; it stays so.
-        patches: the numbers (n,) of the points that each hand holds.
-        ways: where to each patch is brought from where it is (3,), m.
-        arch: how high it is lifted between, as a share of the way.
-        seconds: how long that takes.
+        data: the present state, which is not changed.
+        patches: the numbers (n,) of the points of each patch.
+        paths: displacement (3,) of each patch, m.
+        arch: height of the path, as a share of the longest horizontal displacement.
+        seconds: duration of the motion.
     """
     imagined = mujoco.MjData(model)
     mujoco.mj_copyData(imagined, model, data)
     points = np.concatenate(patches)
-    way = np.concatenate([np.tile(way, (len(patch), 1)) for patch, way in zip(patches, ways, strict=True)])
-    up = np.array([0.0, 0.0, arch * float(np.linalg.norm(way[:, :2], axis=1).max())])
+    path = np.concatenate([np.tile(path, (len(patch), 1)) for patch, path in zip(patches, paths, strict=True)])
+    up = np.array([0.0, 0.0, arch * float(np.linalg.norm(path[:, :2], axis=1).max())])
     start, timestep = cloth.points(imagined.qpos)[points], model.opt.timestep
     steps = max(1, math.ceil(seconds / timestep))
-    with led(model, imagined, cloth, points) as lead:
+    with moved_points(model, imagined, cloth, points) as step_to:
         for step in range(1, steps + 1):
             share = (1 - math.cos(math.pi * step / steps)) / 2
-            lead(start + share * way + math.sin(math.pi * share) * up)
-    for _ in range(math.ceil(_REST / timestep)):
+            step_to(start + share * path + math.sin(math.pi * share) * up)
+    for _ in range(math.ceil(_REST_SECONDS / timestep)):
         mujoco.mj_step(model, imagined)
     columns, rows = cloth.grid
     return cloth.points(imagined.qpos).reshape(rows, columns, 3)

@@ -1,4 +1,4 @@
-"""The interior of a container: the room that its walls enclose."""
+"""The interior of a container: the space that its walls enclose."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..geometry.columns import columns
 from ..geometry.loft import Surface
 from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 
-_CELLS = 64  # rays along the longer side of a view: 2 mm apart for a mug, 4 mm for a bin
-_AROUND = 8  # horizontal directions; four would call what lies beside a slanted handle enclosed
+_CELLS = 64  # rays along the longer side of a view, 2 mm apart for a mug and 4 mm for a bin
+_AROUND = 8  # horizontal directions; with four, the space beside a slanted handle would count as enclosed
 
 _SIDEWAYS = rotation_from_vector([0.0, -math.pi / 2, 0.0])
 
-# Rotations (views, 3, 3) from a body's frame to frames that have z along the rays: down, up, and all round.
+# Rotations (views, 3, 3) from a body's frame to frames with z along the rays: down, up, and all round.
 _VIEWS = np.array(
     [
         rotation_from_vector([math.pi, 0.0, 0.0]),
@@ -27,16 +27,16 @@ _VIEWS = np.array(
 
 
 class Interior:
-    """The room that one rigid body encloses, in the body's frame.
+    """The space that one rigid body encloses, in the body's frame.
 
     A point lies inside if rays from it hit the body in enough directions:
 
     - downwards and in all of eight horizontal directions, as in a cup, a bin or a drawer; or
-    - downwards, upwards and in one at least of each two opposite horizontal directions, as in a cupboard that is open
+    - downwards, upwards and in at least one of each two opposite horizontal directions, as in a cupboard that is open
       at the front.
 
-    So the room under or in the loop of a mug's handle is not inside. The body's own solids count as inside: nothing
-    else can be there. Gaps in walls, such as those between wires, let rays through.
+    So the space under a mug's handle or in its loop is not inside. The body's own solids count as inside, since nothing
+    else can be there. Rays pass through gaps in walls, such as those between wires.
 
     Args:
         surface: of the body.
@@ -47,7 +47,7 @@ class Interior:
         grids = [columns((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
         self._first = np.array([(grid.x[0], grid.y[0]) for grid in grids])
         self._cell = np.array([grid.cell for grid in grids])
-        # Of each view, the last place along each ray where it hits the body; none hits it along the edges.
+        # The last hit along each ray of each view; rays along the edges hit nothing.
         self._reach = np.full((len(grids), *np.max([grid.top.shape for grid in grids], axis=0)), -np.inf)
         for reach, grid in zip(self._reach, grids, strict=True):
             reach[: len(grid.x), : len(grid.y)] = grid.top
@@ -63,7 +63,7 @@ class Interior:
         return held
 
     def _hits(self, points: Array) -> NDArray[np.bool_]:
-        """Whether the body is met from points (n, 3) on along the nearest ray of each view (views, n)."""
+        """Whether the nearest ray of each view hits the body beyond points (n, 3), as (views, n)."""
         x, y, z = (points @ _VIEWS[:, axis].T for axis in range(3))
         _, nx, ny = self._reach.shape
         i = np.clip(np.rint((x - self._first[:, 0]) / self._cell), 0, nx - 1)

@@ -1,4 +1,4 @@
-"""Collects states of a simulation at given times, also between its steps."""
+"""Samples states of a running simulation at given times, also between its steps."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ import numpy as np
 
 from ..geometry.se3 import Array
 
-# Times are sums of steps, and are compared with this tolerance for rounding, s.
-_ROUNDING_S = 1e-9
+_ROUNDING_S = 1e-9  # s, tolerance of comparisons of times, which are sums of steps
 
 
-class Moments:
-    """Collects MuJoCo's positions at given times while a simulation runs; `episode.Episode` takes it as `on_step`.
+class StateSampler:
+    """Stores MuJoCo's positions at given times while a simulation runs, as the `on_step` of `episode.Episode`.
 
-    At the time of a step, it is that step's state, bit for bit. Between two steps, joints and bodies are interpolated.
+    A sample at the time of a step is that step's state, bit for bit. Between two steps, positions are interpolated.
 
     Attributes:
         qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
@@ -32,7 +31,7 @@ class Moments:
         self.qpos = np.full((len(times), model.nq), np.nan)
 
     def __call__(self, data: mujoco.MjData) -> None:
-        """Take in the start, or the state after a step."""
+        """Store the samples up to the present state: the start, or the state after a step."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + _ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1
@@ -41,11 +40,11 @@ class Moments:
     def _at(self, time: float, data: mujoco.MjData) -> Array:
         then, qpos = self._before
         if abs(time - data.time) <= _ROUNDING_S:
-            there: Array = data.qpos.copy()
-            return there
+            present: Array = data.qpos.copy()
+            return present
         if abs(time - then) <= _ROUNDING_S:
             return qpos
-        way, found = np.zeros(self._model.nv), qpos.copy()
-        mujoco.mj_differentiatePos(self._model, way, 1.0, qpos, data.qpos)
-        mujoco.mj_integratePos(self._model, found, way, (time - then) / (data.time - then))
+        velocity, found = np.zeros(self._model.nv), qpos.copy()
+        mujoco.mj_differentiatePos(self._model, velocity, 1.0, qpos, data.qpos)
+        mujoco.mj_integratePos(self._model, found, velocity, (time - then) / (data.time - then))
         return found

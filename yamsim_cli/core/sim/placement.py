@@ -1,4 +1,4 @@
-"""Finds places for distractors: on the table, and clear of everything that moves at any time of an attempt."""
+"""Places for distractors clear of every motion of an attempt, and a check of arms for obstructions."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ..scene.varied_model import VariedModel
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
 
-# Tries for each distractor before it is left out.
-_TRIES = 12
+_MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out
+_OVERLAP = 5e-4  # m, of bodies, below which they only touch
 
 
 class DistractorPlacer:
-    """Finds places for a recording's distractors, in a copy of its scene's model.
+    """Samples places for a recording's distractors, in a copy of the scene's model.
 
     Args:
-        scene: as it was compiled, without any variation yet.
+        scene: compiled, without variations.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
@@ -36,11 +36,10 @@ class DistractorPlacer:
         self._varied = VariedModel(self._model, config.randomization, config.scene)
 
     def places(self, job: EpisodeJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
-        """Distractor -> its place `[x, y, z, yaw]` in `world`, m and rad, sampled from an attempt's numbers.
+        """Distractor -> its place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
-        Distractors stand still and nothing comes near them, so that physics is the same although they are placed last.
-        One for which no free place is found in 12 tries is left out. It would matter only for the pictures, so that the
-        attempt does not fail.
+        Distractors do not move and nothing comes near them, so that they do not change the motion, after which they are
+        placed. A distractor without a free place after 12 tries is left out, since only the pictures would show it.
 
         Args:
             positions: MuJoCo's positions (nq,) at all times of the attempt.
@@ -57,7 +56,7 @@ class DistractorPlacer:
         placed: dict[str, UprightPose] = {}
         discs: list[Array] = []
         for item in (config.objects[k] for k in order):
-            for _ in range(_TRIES):
+            for _ in range(_MAX_TRIES):
                 x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
                 disc = _discs(item, x, y, yaw)
                 if not _on_table(disc, self._table) or any(_gap(disc, other) < config.clearance for other in discs):
@@ -72,13 +71,13 @@ class DistractorPlacer:
         return placed
 
     def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:
-        """Whether nothing that moves comes nearer to a distractor, by MuJoCo's own collision detection."""
+        """Whether everything keeps a distance of `clearance` (m) from a distractor at all `positions` (nq,)."""
         model = self._model
         body = model.body(name)
         mocap = int(body.mocapid[0])
         geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == body.id)
         before = model.geom_margin[geoms].copy(), model.body_margin[body.id].copy()
-        # MuJoCo skips pairs of bodies that are farther apart than the bodies' margins, which it sets when it compiles.
+        # MuJoCo skips pairs of bodies that are farther apart than the bodies' margins, which are set at compilation.
         model.geom_margin[geoms] = model.body_margin[body.id] = clearance
         data.mocap_pos[mocap], data.mocap_quat[mocap] = model.body_pos[body.id], model.body_quat[body.id]
         try:
@@ -111,12 +110,8 @@ def _gap(one: Array, other: Array) -> float:
     return float((apart - one[:, None, 2] - other[None, :, 2]).min())
 
 
-# Overlaps of less than this count as touching, m.
-_TOUCH = 5e-4
-
-
 class Obstruction:
-    """Finds what an arm would run into at other joints. The task's objects do not count, since they can be moved.
+    """Finds collisions of an arm at other joints, except with the task's objects, which can be moved.
 
     Args:
         arm: the arm's number in the scene.
@@ -132,7 +127,7 @@ class Obstruction:
         self._is_object = np.isin(model.body_rootid[model.geom_bodyid], objects)
 
     def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
-        """How deep the arm would be in something else or in itself, m, and in what; 0 and "" if it is free.
+        """The deepest penetration of the arm into anything, m, and the name of what it penetrates; 0 and "" if none.
 
         Args:
             qpos: MuJoCo's positions (nq,) of everything else.
@@ -145,7 +140,7 @@ class Obstruction:
         mujoco.mj_collision(model, data)
         pairs = data.contact.geom
         concerned = (
-            self._is_arm[pairs].any(axis=1) & ~self._is_object[pairs].any(axis=1) & (data.contact.dist < -_TOUCH)
+            self._is_arm[pairs].any(axis=1) & ~self._is_object[pairs].any(axis=1) & (data.contact.dist < -_OVERLAP)
         )
         if not concerned.any():
             return 0.0, ""

@@ -1,4 +1,4 @@
-"""What encoders read of arms: late, with noise, in steps and off by their offsets, where their dynamics say so."""
+"""Readings of arms' encoders, with the delay, noise, resolution and offset of the arms' dynamics."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..types import EpisodeJob
 
 
 def sensed(scene: CompiledScene, data: mujoco.MjData) -> Array | None:
-    """Where the joints and fingers (arms, drives) were when what is read now was measured; None where that is now."""
+    """Delayed positions (arms, drives) of joints and fingers, rad and m; None if no encoder has a delay."""
     if all(arm.sensors is None for arm in scene.arms):
         return None
     return np.array([_seen(scene.model, data, arm) for arm in scene.arms])
 
 
 def readings(scene: CompiledScene, positions: Array, job: EpisodeJob, tick: int) -> Array:
-    """What is read (arms, drives) where joints and fingers are so, rad and m.
+    """Readings (arms, drives) of encoders at given positions, rad and m.
 
     Args:
         positions: of the joints and the left finger (arms, drives), see `sensed`.
-        tick: of control; noise follows from the attempt and this number, and so is the same whoever asks.
+        tick: number of the control tick; the same attempt and tick give the same noise.
     """
     if all(arm.reads_exactly for arm in scene.arms):
         return positions
@@ -46,12 +46,12 @@ def _seen(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) -> Array:
     if arm.sensors is None:
         return now
     kept = np.array([_read(model, data, int(sensor)) for sensor in arm.sensors])
-    # The newest that a sensor keeps is from the step before; what is newer lies between that and now.
+    # The newest kept value is from the step before; a shorter delay is interpolated between that and the present.
     share = min(arm.sensor_delay / model.opt.timestep, 1.0)
     return kept if share == 1.0 else now + share * (kept - now)
 
 
 def _read(model: mujoco.MjModel, data: mujoco.MjData, sensor: int) -> float:
-    """Where a joint was, as long ago as its sensor needs."""
+    """A joint's position, as delayed as its sensor reads it."""
     between, result = int(model.sensor_history[sensor, 1]), np.empty((1, 1))
     return float(mujoco.mj_readSensor(model, data, sensor, data.time, result, between).ravel()[0])

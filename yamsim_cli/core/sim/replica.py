@@ -1,4 +1,4 @@
-"""A copy of the scene that is put into recorded states to read or render them, and is never stepped."""
+"""A copy of the scene that shows recorded states, for reading and rendering, and is never stepped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .cloth import ClothState
 
 
 class Replica:
-    """Joints and poses of one recorded state. Poses are in the robot's base; with two arms, in the left one's."""
+    """Joints and poses of one recorded state. Poses are in the base of the robot, or of the left one of two arms."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -25,10 +25,10 @@ class Replica:
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def show(self, qpos: Array) -> None:
-        """Take on a state (nq,), with the positions of all bodies, cameras and lights."""
+        """Set the state to positions (nq,), and compute the poses of bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos
-        # Mocap bodies are put where the model has them now.
+        # The model's present poses of mocap bodies apply, since variations change them.
         for body in self._fixed:
             number = int(model.body_mocapid[body])
             self.data.mocap_pos[number], self.data.mocap_quat[number] = model.body_pos[body], model.body_quat[body]
@@ -42,7 +42,7 @@ class Replica:
         return np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
 
     def openings(self) -> Array:
-        """Of one finger of each arm (arms,), m; 0 where it has none."""
+        """The opening of one finger of each arm (arms,), m; 0 for an arm without fingers."""
         fingers = [arm.fingers for arm in self.scene.arms]
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
@@ -54,7 +54,7 @@ class Replica:
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
 
     def cloth_points(self) -> dict[str, Array]:
-        """Cloth -> where its points (n, 3) are, m."""
+        """Cloth -> positions (n, 3) of its points, m."""
         T = self._T_world_in_base
         return {name: cloth.points @ T[:3, :3].T + T[:3, 3] for name, cloth in self._cloths.items()}
 
@@ -69,7 +69,7 @@ class Replica:
         return np.array([self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
 
     def intrinsics(self, camera: str, size: tuple[int, int]) -> Intrinsics:
-        """The pinhole camera that images of `size` (width, height) pixels are rendered with."""
+        """Intrinsics of a camera for rendered images of `size` (width, height) pixels."""
         return Intrinsics.from_fovy(*size, math.radians(float(self.scene.model.cam(camera).fovy[0])))
 
     def T_cam_in_base(self, camera: str) -> Array:

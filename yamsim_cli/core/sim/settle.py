@@ -1,4 +1,4 @@
-"""Let the things in a scene come to rest."""
+"""Simulates a scene until its things are at rest."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 
-SETTLE_SECONDS = 2.0  # s, longest time that things get to come to rest
-CHECK_STEPS = 25  # physics steps between two looks at how fast things are
+SETTLE_SECONDS = 2.0  # s, limit of the simulated time
+CHECK_STEPS = 25  # physics steps between two checks of the speeds
 AT_REST = 0.01  # m/s and rad/s, the largest speed of a thing that counts as at rest
 
 
 def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """Return MuJoCo's positions (nq,) once all things have come to rest, the arms being where they were at `start`."""
+    """MuJoCo's positions (nq,) once all things are at rest, with the arms' positions of `start`."""
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     stiff = [np.arange(dof, dof + 6) for dof in scene.object_dof.values()]

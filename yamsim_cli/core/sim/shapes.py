@@ -1,4 +1,4 @@
-"""Where MuJoCo's geoms lie and how much room they take, exactly."""
+"""Bounding boxes, surfaces, corners and volumes of MuJoCo's geoms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GEOM = mujoco.mjtGeom
 
 _MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
 
-_SIDES = 24  # of a circle as a polygon: it errs by less than 1 % of the radius
+_SIDES = 24  # sides of a circle's polygon, whose error is less than 1 % of the radius
 
 
 def geom_bounds(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
@@ -78,10 +78,9 @@ def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
 
 
 def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tuple[Array, float]:
-    """Points (count, 3), spread evenly over the room that geoms of one body take, in the body's frame, and how large
-    that room is, m3.
+    """Points (count, 3) spread evenly over the volume of geoms of one body, in the body's frame, and the volume, m3.
 
-    What several geoms share counts once. The points are the same for the same geoms.
+    Overlaps of geoms count once. The same geoms give the same points.
     """
     placed = [(geom, _pose(model, geom)) for geom in geoms]
     low, high = body_block(model, geoms)
@@ -96,7 +95,7 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tupl
         found.append(points[inside])
         kept += int(inside.sum())
     points, volume = np.concatenate(found)[:count], max(kept, 1) / drawn * float(np.prod(high - low))
-    # A thing of hardly any volume, such as a sheet: its middle has to do.
+    # A body of hardly any volume, such as a sheet, is represented by its middle.
     return (points, volume) if len(points) else (np.array([(low + high) / 2]), volume)
 
 
@@ -128,7 +127,7 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
         case _GEOM.mjGEOM_BOX:
             found = (np.abs(points) <= size).all(axis=1)
         case _:
-            # A mesh collides as its convex hull; its block is what is known of it without more work.
+            # A mesh collides as its convex hull, for which its bounding box is an approximation.
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             found = (np.abs(points - centre) <= half).all(axis=1)
     inside: Array = found
@@ -150,7 +149,7 @@ def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     if kind == _GEOM.mjGEOM_BOX:
         square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2]
         return [np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])]
-    # Others are turned about z: radii and heights from the bottom to the top, which an ellipsoid stretches.
+    # Others are solids of revolution about z: radii and heights from bottom to top, which an ellipsoid stretches.
     if kind == _GEOM.mjGEOM_CYLINDER:
         radii, heights, stretch = np.ones(2), np.array([-1.0, 1.0]), np.array([size[0], size[0], size[1]])
     else:
@@ -173,7 +172,7 @@ def _vertices(model: mujoco.MjModel, geom: int) -> Array:
 
 
 def _halton(start: int, count: int) -> Array:
-    """Evenly spread points (count, 3) of the unit cube: Halton's sequence of the bases 2, 3 and 5, from one on."""
+    """Evenly spread points (count, 3) of the unit cube: Halton's sequence with bases 2, 3 and 5, from `start` on."""
     columns = []
     for base in (2, 3, 5):
         numbers, value, share = np.arange(start + 1, start + count + 1), np.zeros(count), 1.0

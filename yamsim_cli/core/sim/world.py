@@ -1,4 +1,4 @@
-"""What is true in a scene now: the facts that goals and skills ask for, read from MuJoCo's state."""
+"""The facts about a scene that goals and skills use, computed from MuJoCo's state."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ from .cloth import ClothState
 from .interior import Interior
 from .shapes import body_block, body_surface, enclosing, geom_bounds, geom_points
 
-# How finely the volume of a thing is sampled. One point more or less is a thousandth of it.
-_POINTS = 1000
-
-# A finger is under cloth that it pushes so steeply up, as the height of a vector of length 1.
-_UNDER = 0.5
+_VOLUME_POINTS = 1000  # points that sample the volume of a body, so that shares have steps of a thousandth
+_LIFTING = 0.5  # vertical component of a contact's normal, above which a finger counts as under a cloth
 
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a thing: a block in a frame of its own.
+    """A box-shaped part of a thing.
 
     Attributes:
-        thing: what it is part of.
-        T_in_thing: pose (4, 4) of its frame, which lies in the middle of its floor, in the thing's.
-        size: of the block (3,), which stands on the floor, m.
+        thing: name of the whole thing.
+        T_in_thing: pose (4, 4) in the thing's frame of the region's frame, in the middle of the box's floor.
+        size: size (3,) of the box, m.
     """
 
     thing: str
@@ -39,7 +36,7 @@ class Region:
 
     @property
     def corners(self) -> Array:
-        """The lowest and highest corner (2, 3) in its own frame, m."""
+        """The lowest and highest corner (2, 3) in the region's frame, m."""
         x, y, z = self.size
         return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
 
@@ -48,10 +45,10 @@ class SimWorld:
     """The things of a compiled scene, by name; see `goals.world.World`.
 
     Args:
-        things: their names, in order. Each is a body of that name with what hangs on it.
+        things: names, in order. A thing is the body of that name with all its descendants.
         sides: the arms' sides, "left" or "right", in the order of `arms`.
-        regions: name -> a part of a thing that has a name of its own, such as a tray's compartment.
-        cloths: which of the things are cloth, and where their points are.
+        regions: name -> a named part of a thing, such as a tray's compartment.
+        cloths: name -> addresses of the points, of the things that are cloth.
     """
 
     def __init__(
@@ -72,7 +69,7 @@ class SimWorld:
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
         self._numbers = {name: k for k, name in enumerate((*things, TABLE))}
-        # Cloth has no geoms, and contacts say -1 of it, which is the last entry of these.
+        # Cloth has no geoms: its contacts have geom -1, which is the last entry here.
         self._of_geom: Ids = np.full(model.ngeom + 1, -1)
         for name, number in self._numbers.items():
             self._of_geom[self._geoms[name]] = number
@@ -112,13 +109,13 @@ class SimWorld:
         return self._starts[self._known(thing)]
 
     def begin(self) -> None:
-        """Note where things are as an attempt begins, and forget which hands held them before."""
+        """Store the poses of things at the start of an attempt, and clear which hands held them before."""
         self._starts = {name: self.pose(name) for name in self.things}
         self._hands = {name: [] for name in self.things}
         self._handovers = {name: [] for name in self.things}
 
     def bounds(self, thing: str) -> tuple[Array, Array]:
-        """See `World`: exact for primitives and for the vertices of meshes, of what collides."""
+        """See `World`; exact, for the geoms that collide: primitives, and meshes by their vertices."""
         if region := self._regions.get(thing):
             T = self.pose(thing)
             corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _block_corners(region.corners)])
@@ -129,7 +126,7 @@ class SimWorld:
         return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
 
     def parts(self, thing: str) -> Array:
-        """The lowest and the highest corner (n, 2, 3) in `world` of each part of a thing that collides, m."""
+        """The lowest and highest corner (n, 2, 3) in `world` of each geom of a thing that collides, m."""
         geoms = self._geoms[self._known(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
         return np.array([geom_bounds(self._model, self._data, int(geom)) for geom in solid])
@@ -142,13 +139,13 @@ class SimWorld:
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
     def touching(self, one: str, other: str) -> bool:
-        """See `World`; what touches a region's thing touches the region."""
+        """See `World`; a contact with a thing is a contact with all its regions."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
         first, second = (self._in_contact(name) for name in (one, other))
         return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 
     def _in_contact(self, thing: str) -> NDArray[np.bool_]:
-        """Which side of each present contact (n, 2) is a thing."""
+        """Which sides of the present contacts are a thing (n, 2)."""
         if cloth := self._cloths.get(thing):
             return cloth.contacts
         found: NDArray[np.bool_] = self._of_geom[self._data.contact.geom] == self._numbers[self._known(thing)]
@@ -159,18 +156,18 @@ class SimWorld:
         return self._cloths[thing].rows
 
     def cloth(self, thing: str) -> SceneCloth:
-        """Where a cloth's points lie in MuJoCo's arrays."""
+        """The addresses of a cloth's points in MuJoCo's arrays."""
         return self._cloths[thing].addresses
 
     def holders(self, thing: str) -> frozenset[str]:
-        """See `World`; of cloth, the hands whose constraint holds it, and else also the hands whose weld holds it."""
+        """See `World`: cloth is held by a constraint, other things by contacts of both fingers or by a weld."""
         return self.holding()[self._known(thing)]
 
     def holding(self) -> dict[str, frozenset[str]]:
-        """Return the `holders` of every thing, in the order of `things`."""
+        """Thing -> its `holders`, in the order of `things`."""
         pairs = self._data.contact.geom
         things, fingers = self._of_geom[pairs], self._of_finger[pairs]
-        # On which finger (arms, 2) each thing presses: one side of a contact is the thing, the other one the finger.
+        # Which fingers, two for each arm, each thing touches: one side of a contact is the thing, the other the finger.
         pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
         pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
         found = {}
@@ -191,13 +188,13 @@ class SimWorld:
             return False
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
-    def lifters(self, thing: str) -> frozenset[str]:
-        """The sides of the hands that have a finger under a cloth: it would come up with them."""
+    def hands_beneath(self, thing: str) -> frozenset[str]:
+        """The sides of the hands with a finger under a cloth, which would lift the cloth."""
         contact = self._data.contact
         flexes = self._cloths[thing].contacts
         # The normal points from the first side to the second.
         up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
-        lifted = contact.geom[flexes.any(axis=1) & (up > _UNDER)]
+        lifted = contact.geom[flexes.any(axis=1) & (up > _LIFTING)]
         return frozenset(
             side
             for side, fingers in zip(self.sides, self._fingers, strict=True)
@@ -213,15 +210,15 @@ class SimWorld:
         return tuple(self._handovers[self._known(thing)])
 
     def share_inside(self, thing: str, container: str) -> float:
-        """See `World`: of points spread evenly over a thing's primitives, those in the interior."""
+        """See `World`; computed from points spread evenly over the thing's volume."""
         return self._share(thing, lambda points: self.inside(container, points))
 
     def share_in_block(self, thing: str, container: str) -> float:
-        """The share, 0..1, of a thing's volume that lies in the block around a container, see `block`."""
+        """The share, 0..1, of a thing's volume that lies in a container's `block`."""
         return self._share(thing, lambda points: self._in_block(container, points))
 
     def _share(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
-        """The share of a thing's volume of whose points (n, 3) in `world` `held` is true (n,)."""
+        """The share of a thing's volume at whose points (n, 3) in `world` `held` is true (n,)."""
         shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
         return float(np.average(shares, weights=volumes))
 
@@ -232,7 +229,7 @@ class SimWorld:
         return held
 
     def inside(self, container: str, points: Array) -> NDArray[np.bool_]:
-        """Whether points (n, 3) in `world` lie in a container's interior (n,): of a region, in its block."""
+        """Whether points (n, 3) in `world` lie in a container's interior (n,), or in the box of a region."""
         if container in self._regions:
             return self._in_block(container, points)
         held = np.zeros(len(points), bool)
@@ -255,8 +252,9 @@ class SimWorld:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def watch(self) -> None:
-        """Note which hands hold what now, for `passed_to` and `handovers`. When no hand holds a thing and it touches
-        something, `passed_to` is cleared.
+        """Update `passed_to` and `handovers` from the present holders.
+
+        `passed_to` of a thing is cleared when no hand holds the thing and it touches another thing or the table.
         """
         for thing, holders in self.holding().items():
             hands = self._hands[thing]
@@ -279,8 +277,8 @@ class SimWorld:
         return thing
 
     def block(self, thing: str) -> Array:
-        """The lowest and highest corner (2, 3) of the block along a thing's own axes that encloses it, m: all of its
-        bodies, as its joints are now.
+        """The lowest and highest corner (2, 3) of the box along a thing's own axes around all its bodies, m, at the
+        present joints.
         """
         if region := self._regions.get(thing):
             return region.corners
@@ -306,13 +304,13 @@ class SimWorld:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def _filled(self, thing: str) -> Iterator[tuple[Array, float]]:
-        """Points (n, 3) in `world` spread evenly over the volume of each body of a thing, and that volume, m3."""
+        """Points (n, 3) in `world`, spread evenly over the volume of each body of a thing, and the volume, m3."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return
         for body, geoms in self._bodies[self._known(thing)].items():
             if body not in self._volumes:
-                self._volumes[body] = geom_points(self._model, geoms, _POINTS)
+                self._volumes[body] = geom_points(self._model, geoms, _VOLUME_POINTS)
             T, (points, volume) = self._body_pose(body), self._volumes[body]
             yield points @ T[:3, :3].T + T[:3, 3], volume
 
@@ -322,7 +320,7 @@ def _block_corners(block: Array) -> list[Array]:
 
 
 def _finger_geoms(model: mujoco.MjModel, arm: SceneArm) -> tuple[NDArray[np.int_], ...]:
-    """The geoms of each of an arm's fingers, what hangs on them included."""
+    """The geoms of each finger of an arm, with those of its descendants."""
     fingers = []
     for address in () if arm.fingers is None else arm.fingers.qpos:
         joint = int(np.searchsorted(model.jnt_qposadr, address))
@@ -335,9 +333,9 @@ def _finger_geoms(model: mujoco.MjModel, arm: SceneArm) -> tuple[NDArray[np.int_
 
 
 def world_of(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
-    """The things of a scene in a state, by name.
+    """The `SimWorld` of a scene and a state.
 
     Args:
-        sides: of the scene's arms.
+        sides: sides of the scene's arms, "left" or "right".
     """
     return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)

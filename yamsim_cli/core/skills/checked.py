@@ -11,7 +11,7 @@ from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig, check_fingers
 from ..config.things.thing import ObjectConfig
 from ..documents.base import Config, ConflictError
-from ..geometry.folding import ways_to_fold
+from ..geometry.folding import fold_plans
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..goals.contradictions import contradiction
@@ -118,8 +118,8 @@ def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tup
     if arms < skill.hands:
         raise ConflictError(f"to fold cloth {skill.said} takes two arms; use a rig with two, or `diagonal`", path)
     thing = cast.one(skill.thing)
-    for item in next(player.of for role, player in task.things.items() if thing in cast.of(role)):
-        if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
+    for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
+        if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
                 f"the {item.name} cannot be folded {skill.said}: that takes {_GRIDS[skill.how]}, not "
                 f"{' x '.join(map(str, item.cloth.grid))}",

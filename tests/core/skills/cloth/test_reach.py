@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.attempt.simulator import Simulators
-from yamsim_cli.core.skills.cloth.reach import Lay, at, reached
+from yamsim_cli.core.skills.cloth.reach import PointPlacement, at_place, reachable_grasps
 
 
 def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_path: Path) -> None:
@@ -16,14 +16,14 @@ def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_
         bench = bench_at_start(simulators)
         flat = bench.world.points("napkin")
         place, around = flat[4, 8], ([3, 3, 4, 5, 5], [8, 7, 7, 7, 8])
-        alone, all_of_it = (Lay((4, 8), at(place), alone=alone) for alone in (True, False))
-        assert reached(bench, "napkin", [alone], flat) is not None
+        alone, all_of_it = (PointPlacement((4, 8), at_place(place), alone=alone) for alone in (True, False))
+        assert reachable_grasps(bench, "napkin", [alone], flat) is not None
         # The next points come nearer, and up by 1 and then by 4 cm.
         standing = flat.copy()
         standing[around] += 0.3 * (place - flat[around]) + [0.0, 0.0, 0.01]
-        assert reached(bench, "napkin", [alone], standing) is not None
+        assert reachable_grasps(bench, "napkin", [alone], standing) is not None
         standing[around] += [0.0, 0.0, 0.03]
-        assert reached(bench, "napkin", [alone], standing) is None
+        assert reachable_grasps(bench, "napkin", [alone], standing) is None
         # What is folded is taken with all that lies there.
-        assert reached(bench, "napkin", [all_of_it], standing) is not None
+        assert reachable_grasps(bench, "napkin", [all_of_it], standing) is not None
         assert np.array_equal(bench.world.points("napkin"), flat)

@@ -11,8 +11,8 @@ from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.smoothing import height
-from yamsim_cli.core.skills.cloth.hands import outcome
-from yamsim_cli.core.skills.cloth.slide import SPEED, slid
+from yamsim_cli.core.skills.cloth.hands import predicted_points
+from yamsim_cli.core.skills.cloth.slide import SLIDE_SPEED, slide_grasps
 
 
 def _turned(points: Array) -> float:
@@ -31,11 +31,11 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
         def wanted(points: Array) -> bool:
             return abs(_turned(points)) < 4
 
-        taken = slid(bench, "napkin", [np.radians(-turned)], wanted)
-        assert taken is not None and len(taken) == 2 and all(one.lay.alone for one in taken)
-        after = outcome(bench, "napkin", taken, 0.0, SPEED)
+        grasps = slide_grasps(bench, "napkin", [np.radians(-turned)], wanted)
+        assert grasps is not None and len(grasps) == 2 and all(grasp.placement.alone for grasp in grasps)
+        after = predicted_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
         assert wanted(after) and height(after) < 0.01
         # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.
         assert np.ptp(after[..., 0]) < 0.22
         assert after[..., 0].mean() == pytest.approx(points[..., 0].mean() - 0.1, abs=0.02)
-        assert slid(bench, "napkin", [0.0], lambda points: False) is None
+        assert slide_grasps(bench, "napkin", [0.0], lambda points: False) is None

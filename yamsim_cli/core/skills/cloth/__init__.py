@@ -1,1 +1,1 @@
-"""Skills of cloth: which hands reach its points, how they carry these, and what folds, flattens or slides it."""
+"""Skills for cloth: grasp points of a sheet, and fold, flatten or slide the sheet with them."""

@@ -1,4 +1,4 @@
-"""Fold cloth: take it at corners and lay them onto others."""
+"""A skill that folds cloth by moving corners onto other points."""
 
 from __future__ import annotations
 
@@ -7,74 +7,71 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...geometry.folding import Fold as Way
-from ...geometry.folding import Move, ways_to_fold
+from ...geometry.folding import Fold as FoldKind
+from ...geometry.folding import Move, fold_plans
 from ...geometry.se3 import Array
 from ...goals.cast import Cast
 from ...types import Cause
 from ..base import Skill
 from ..bench import Bench, Segment, SkillFailedError
 from .hands import SPEED, carry
-from .reach import Lay, Taken, onto, reached
+from .reach import PointGrasp, PointPlacement, onto_point, reachable_grasps
 
-# Several layers come apart where they are hurried, m/s.
-_SLOWLY = 0.08
-
-# A corner that is laid already is as near to where it belongs, seen from above, m.
-_LAID = 0.02
+_LAYERED_SPEED = 0.08  # m/s, of folds after the first: several layers come apart at a higher speed
+_PLACED = 0.02  # m, horizontal distance from its target below which a corner counts as placed already
 
 
 class Fold(Skill):
-    """Fold cloth that lies flat: in half or in thirds with two hands, along a diagonal with one.
+    """Fold flat cloth: in half or in thirds with two hands, along a diagonal with one.
 
-    What is folded in part already is folded on.
+    A cloth that is partly folded already is folded further.
 
     Attributes:
         thing: a role, which cloth plays.
-        how: which way.
+        how: kind of fold.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
     thing: str
-    how: Way = "half"
+    how: FoldKind = "half"
 
     @property
     def hands(self) -> int:
-        """How many it takes."""
+        """The number of hands that the fold needs."""
         return 1 if self.how == "diagonal" else 2
 
     @property
     def said(self) -> str:
-        """Which way, in words."""
+        """The kind of fold, as a phrase."""
         return {"half": "in half", "diagonal": "along a diagonal", "thirds": "in thirds"}[self.how]
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
         rows, columns = bench.world.points(thing).shape[:2]
-        ways = [way.moves for way in ways_to_fold(self.how, rows, columns)]
-        last = len(ways[0]) - 1
+        plans = [plan.moves for plan in fold_plans(self.how, rows, columns)]
+        last = len(plans[0]) - 1
         for number in range(last + 1):
             points = bench.world.points(thing)
-            ways = [moves for moves in ways if all(_laid(points, move) for move in moves[:number])]
-            if number < last and any(_laid(points, moves[number]) for moves in ways):
+            plans = [moves for moves in plans if all(_is_done(points, move) for move in moves[:number])]
+            if number < last and any(_is_done(points, moves[number]) for moves in plans):
                 continue
-            # Where what comes later lies as it will, or nearly, hands have to reach that too.
-            ways.sort(key=lambda moves: not all(_reached(bench, thing, move) for move in moves[number + 1 :]))
-            taken = next(filter(None, (_reached(bench, thing, moves[number]) for moves in ways)), None)
-            if taken is None:
+            # Plans whose later moves are within reach too come first: later corners hardly move before.
+            plans.sort(key=lambda moves: not all(_grasps(bench, thing, move) for move in moves[number + 1 :]))
+            grasps = next(filter(None, (_grasps(bench, thing, moves[number]) for moves in plans)), None)
+            if grasps is None:
                 raise SkillFailedError(
                     Cause.UNREACHABLE, f"no hands reach corners of the {thing} and where they are to lie"
                 )
-            yield from carry(bench, thing, taken, speed=_SLOWLY if number else SPEED)
+            yield from carry(bench, thing, grasps, speed=_LAYERED_SPEED if number else SPEED)
 
 
-def _reached(bench: Bench, thing: str, move: Move) -> list[Taken] | None:
-    return reached(bench, thing, [Lay(one, onto(other)) for one, other in move])
+def _grasps(bench: Bench, thing: str, move: Move) -> list[PointGrasp] | None:
+    return reachable_grasps(bench, thing, [PointPlacement(one, onto_point(other)) for one, other in move])
 
 
-def _laid(points: Array, move: Move) -> bool:
-    """Whether a move was made already."""
-    return all(np.linalg.norm((points[one] - points[other])[:2]) < _LAID for one, other in move)
+def _is_done(points: Array, move: Move) -> bool:
+    """Whether every corner of a move lies on its target already."""
+    return all(np.linalg.norm((points[one] - points[other])[:2]) < _PLACED for one, other in move)

@@ -1,4 +1,4 @@
-"""Hands on cloth: they take it at points, bring these elsewhere on an arch, and let go; and what would come of that."""
+"""Motions of hands that grasp points of cloth, carry them to their targets on an arch, and release them."""
 
 from __future__ import annotations
 
@@ -10,86 +10,78 @@ from functools import partial
 import numpy as np
 
 from ...geometry.se3 import Array, interpolate_rotation, pose
-from ...sim.cloth import between_pads, pulled
+from ...sim.cloth import between_pads, simulated_pull
 from ...types import Cause
 from ..bench import Bench, Fingers, Segment, SkillFailedError
 from ..hand import Hand
 from ..moves import GRIP_TICKS, idle, rest
-from .reach import APPROACH, TIPS, WIDE, Taken, clear_of
+from .reach import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, clear_of
 
-# Fingers press on cloth so hard, N.
-_FORCE = 20.0
+SPEED = 0.12  # m/s, of a hand with cloth
+ARCH = 0.45  # height of the path of a fold, as a share of its length
 
-# Where it was not there, they feel for it so much lower, m, with fingers that open for so many ticks before.
-_STEP = 0.002
-_DEEPER = (_STEP, 2 * _STEP, 3 * _STEP, 4 * _STEP)
-_OPEN_TICKS = 4
+_FORCE = 20.0  # N, of closed fingers on cloth
 
-# Fingers that were told to open by `WIDE` each are stuck if they are open more than this, m.
-_STUCK = 2 * WIDE
+# m; depths of further grasps after a miss, each in steps of `_DEPTH_STEP`.
+_DEPTH_STEP = 0.002
+_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
+_OPEN_TICKS = 4  # control ticks in which fingers open before a further grasp
 
-# Fingers are closed that are open less than this each, m: far less than they open before, and more than cloth is thick.
-_SHUT = 0.006
+_STUCK_OPENING = 2 * APPROACH_OPENING  # m, of a finger commanded to `APPROACH_OPENING`, above which it counts as stuck
+_CLOSED_OPENING = 0.006  # m, of a closed finger: more than cloth is thick, and far less than `APPROACH_OPENING`
 
-# A hand that let go is under what it laid, and leaves it by so much, m.
-_OUT = 0.04
-
-#: A fold goes on an arch so high, as a share of its way.
-ARCH = 0.45
-
-#: Of a hand with cloth, m/s.
-SPEED = 0.12
-# So much over where it lies it is let go of, m.
-_OVER = 0.002
-# What is pulled comes up by so much on its way, m: tips that rub on the table hold arms back by 2 to 4 cm.
-_LOW = 0.006
+_WITHDRAWAL = 0.04  # m, of a hand out from under the cloth that it placed
+_DROP_HEIGHT = 0.002  # m, over the target, at which a folded point is released
+_PULL_HEIGHT = 0.006  # m, of a pull over the table: tips that rub on the table hold arms back by 2 to 4 cm
 
 
-def outcome(bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH, speed: float = SPEED) -> Array:
-    """Where a cloth's points (along y, along x, 3) would be if hands took it and brought it elsewhere, m; see `carry`.
+def predicted_points(
+    bench: Bench, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
+) -> Array:
+    """A cloth's points (along y, along x, 3) in `world` after `carry` with the same arguments, m.
 
-    Tried in a simulation beside the real one, in which no hand moves, but what hands would take of it.
+    The points come from a simulation of the cloth without hands, in which the grasped points move on prescribed paths.
     """
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
     patches = []
-    for one in taken:
-        row, column = one.lay.point
-        between = between_pads(cloth, points.reshape(-1, 3), one.T_at)
+    for grasp in grasps:
+        row, column = grasp.placement.point
+        between = between_pads(cloth, points.reshape(-1, 3), grasp.T_at)
         patches.append(np.union1d(between, [row * points.shape[1] + column]))
-    ways = [one.lay.where(points) - points[one.lay.point] for one in taken]
-    seconds = max(float(np.linalg.norm(way[:2])) for way in ways) / speed
-    return pulled(bench.world.data, bench.model, cloth, patches, ways, arch, seconds)
+    paths = [grasp.placement.target(points) - points[grasp.placement.point] for grasp in grasps]
+    seconds = max(float(np.linalg.norm(path[:2])) for path in paths) / speed
+    return simulated_pull(bench.world.data, bench.model, cloth, patches, paths, arch, seconds)
 
 
 def carry(
-    bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH, speed: float = SPEED
+    bench: Bench, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
 ) -> Iterator[Segment]:
-    """Take points of a cloth, bring them where they are to lie, and let go.
+    """Grasp points of a cloth, carry them to their targets, and release them.
 
     Args:
-        arch: how high they are lifted on their way, as a share of it.
+        arch: height of the path, as a share of its length.
         speed: m/s.
 
     Raises:
         SkillFailedError: a hand missed its point, or its fingers do not close.
     """
-    wide = {one.hand: Fingers(WIDE) for one in taken}
-    yield from _approached(bench, taken)
-    _check_fingers(bench, taken)
-    yield bench.segment({one.hand: bench.line(one.hand, one.T_at) for one in taken})
-    yield from _take(bench, thing, taken)
-    missed = [one.hand for one in taken if one.hand.side not in bench.world.holders(thing)]
+    opened = {grasp.hand: Fingers(APPROACH_OPENING) for grasp in grasps}
+    yield from _approached(bench, grasps)
+    _check_fingers(bench, grasps)
+    yield bench.segment({grasp.hand: bench.line(grasp.hand, grasp.T_at) for grasp in grasps})
+    yield from _grasp(bench, thing, grasps)
+    missed = [grasp.hand for grasp in grasps if grasp.hand.side not in bench.world.holders(thing)]
     if not missed:
-        yield bench.segment(_arches(bench, thing, taken, arch, speed))
+        yield bench.segment(_arches(bench, thing, grasps, arch, speed))
         yield rest(bench)
-    yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in wide}, wide, arrives=False)
-    # Hands that pulled a layer alone are on it, but for fingers that came to be under its edge.
-    lifters = bench.world.lifters(thing)
-    under = [] if missed else [one for one in taken if not one.lay.alone or one.hand.side in lifters]
+    yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in opened}, opened, arrives=False)
+    # A hand that pulled a single layer is above the cloth, unless a finger came to be under the edge.
+    beneath = bench.world.hands_beneath(thing)
+    under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in beneath]
     if under:
-        yield bench.segment({one.hand: _withdrawn(bench, one) for one in under}, arrives=False)
+        yield bench.segment({grasp.hand: _withdrawal(bench, grasp) for grasp in under}, arrives=False)
     up = {}
-    for hand in wide:
+    for hand in opened:
         T_up = hand.pinch_at(hand.joints)
         T_up[2, 3] += APPROACH
         up[hand] = bench.line(hand, T_up)
@@ -99,112 +91,117 @@ def carry(
         raise SkillFailedError(Cause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
 
 
-def _approached(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Bring hands to before their points, and those that have none out of the way: at once, where their ways are free
+def _approached(bench: Bench, grasps: Sequence[PointGrasp]) -> Iterator[Segment]:
+    """Move hands to the starts of their approaches, and idle hands out of the way: together, if their paths are clear
     of each other.
     """
-    wide = {one.hand: Fingers(WIDE) for one in taken}
-    goals = {hand: hand.ready for hand in idle(bench) if hand not in wide}
-    goals |= {one.hand: one.before for one in taken}
-    ways = {hand: bench.free_path(hand, goal, WIDE) for hand, goal in goals.items()}
-    if _free_together(bench, ways):
-        yield bench.segment(ways, wide, arrives=False)
+    opened = {grasp.hand: Fingers(APPROACH_OPENING) for grasp in grasps}
+    goals = {hand: hand.ready for hand in idle(bench) if hand not in opened}
+    goals |= {grasp.hand: grasp.before for grasp in grasps}
+    paths = {hand: bench.free_path(hand, goal, APPROACH_OPENING) for hand, goal in goals.items()}
+    if _free_together(bench, paths):
+        yield bench.segment(paths, opened, arrives=False)
         return
     for hand, goal in goals.items():
-        fingers = {hand: wide[hand]} if hand in wide else {}
-        yield bench.segment({hand: bench.free_path(hand, goal, WIDE)}, fingers, arrives=False)
+        fingers = {hand: opened[hand]} if hand in opened else {}
+        yield bench.segment({hand: bench.free_path(hand, goal, APPROACH_OPENING)}, fingers, arrives=False)
 
 
-def _check_fingers(bench: Bench, taken: Sequence[Taken]) -> None:
-    """Raise `SkillFailedError` where fingers did not come nearer to each other: so far open they would go through cloth
-    that stands up beside a point, and take it along.
+def _check_fingers(bench: Bench, grasps: Sequence[PointGrasp]) -> None:
+    """Raise `SkillFailedError` if fingers are stuck open.
+
+    Open fingers would push through cloth that stands up beside a point, and grasp it too.
     """
-    for one in taken:
-        if bench.opening(one.hand) > _STUCK:
-            raise SkillFailedError(Cause.SLIPPED, f"the {one.hand.side} hand's fingers do not close")
+    for grasp in grasps:
+        if bench.opening(grasp.hand) > _STUCK_OPENING:
+            raise SkillFailedError(Cause.SLIPPED, f"the {grasp.hand.side} hand's fingers do not close")
 
 
-def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
-    """Whether hands that go their ways (n + 1, dof) at once do not touch each other."""
-    ticks = max(len(way) for way in ways.values())
+def _free_together(bench: Bench, paths: Mapping[Hand, Array]) -> bool:
+    """Whether hands that move on their paths (n + 1, dof) at once do not touch each other."""
+    ticks = max(len(path) for path in paths.values())
     for tick in range(ticks):
-        there = [(hand, way[min(tick, len(way) - 1)]) for hand, way in ways.items()]
+        there = [(hand, path[min(tick, len(path) - 1)]) for hand, path in paths.items()]
         if not all(clear_of(bench, one, other) for one, other in itertools.combinations(there, 2)):
             return False
     return True
 
 
-def _take(bench: Bench, thing: str, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Close hands on their points. They feel for these where nothing was between their fingers: an arm comes to rest a
-    little too high, and what lies hollow gives way to fingers that come down.
+def _grasp(bench: Bench, thing: str, grasps: Sequence[PointGrasp]) -> Iterator[Segment]:
+    """Close hands on their points; hands that miss try again at lower heights.
+
+    A hand misses because its arm comes to rest a little too high, or because hollow cloth gives way to its fingers.
     """
-    yield from _close(bench, taken)
+    yield from _close(bench, grasps)
     points = bench.world.points(thing)
-    room = {one.hand: _room(points, one) for one in taken}
-    for deeper in _DEEPER:
+    limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
+    for depth in _DEPTHS:
         holders = bench.world.holders(thing)
-        felt = [
-            one
-            for one in taken
-            if one.hand.side not in holders and deeper - _STEP < room[one.hand] and _closed(bench, one.hand)
+        retried = [
+            grasp
+            for grasp in grasps
+            if grasp.hand.side not in holders
+            and depth - _DEPTH_STEP < limits[grasp.hand]
+            and _closed(bench, grasp.hand)
         ]
-        if not felt:
+        if not retried:
             return
-        opened = {one.hand: Fingers(WIDE) for one in felt}
+        opened = {grasp.hand: Fingers(APPROACH_OPENING) for grasp in retried}
         yield bench.segment({hand: bench.still(hand, _OPEN_TICKS) for hand in opened}, opened)
         lines = {}
-        for one in felt:
-            lower = one.T_at.copy()
-            lower[2, 3] -= min(deeper, room[one.hand])
-            lines[one.hand] = bench.line(one.hand, lower)
+        for grasp in retried:
+            lower = grasp.T_at.copy()
+            lower[2, 3] -= min(depth, limits[grasp.hand])
+            lines[grasp.hand] = bench.line(grasp.hand, lower)
         yield bench.segment(lines)
-        yield from _close(bench, felt)
+        yield from _close(bench, retried)
 
 
-def _room(points: Array, one: Taken) -> float:
-    """How much lower a hand at its point may feel, m: its tips do not go into what the cloth (along y, along x, 3) lies
-    on.
-    """
-    hollow = float(points[one.lay.point][2] - points[..., 2].min()) if one.lay.alone else 0.0
-    return hollow + TIPS
+def _max_depth(points: Array, grasp: PointGrasp) -> float:
+    """The depth of a further grasp, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
+    hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.alone else 0.0
+    return hollow + TIP_CLEARANCE
 
 
-def _close(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Close hands on what is between their fingers."""
-    closing = {one.hand: Fingers(0.0, _FORCE) for one in taken}
+def _close(bench: Bench, grasps: Sequence[PointGrasp]) -> Iterator[Segment]:
+    """Close hands on the cloth between their fingers."""
+    closing = {grasp.hand: Fingers(0.0, _FORCE) for grasp in grasps}
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest(bench)
 
 
 def _closed(bench: Bench, hand: Hand) -> bool:
-    """Whether fingers that were told to close did: others press cloth down that they do not take."""
-    return bench.opening(hand) < _SHUT
+    """Whether commanded fingers did close; others only press cloth down."""
+    return bench.opening(hand) < _CLOSED_OPENING
 
 
-def _withdrawn(bench: Bench, one: Taken) -> Array:
-    """A hand's motion (n + 1, dof) out from under what it laid: outwards or aside; none where it reaches neither."""
-    for outwards in (one.aside, one.outwards):
-        T = one.hand.pinch_at(one.hand.joints)
-        T[:2, 3] += _OUT * outwards
-        T[2, 3] += _OUT / 4
+def _withdrawal(bench: Bench, grasp: PointGrasp) -> Array:
+    """A hand's motion (n + 1, dof) out from under the cloth, laterally or forward; at rest if neither is reachable."""
+    for direction in (grasp.lateral, grasp.forward):
+        T = grasp.hand.pinch_at(grasp.hand.joints)
+        T[:2, 3] += _WITHDRAWAL * direction
+        T[2, 3] += _WITHDRAWAL / 4
         try:
-            return bench.line(one.hand, T)
+            return bench.line(grasp.hand, T)
         except SkillFailedError:
             continue
-    return bench.still(one.hand, 1)
+    return bench.still(grasp.hand, 1)
 
 
-def _arches(bench: Bench, thing: str, taken: Sequence[Taken], arch: float, speed: float) -> dict[Hand, Array]:
-    """Every hand's motion (n + 1, dof) with its point, from where that is now to where it is to lie."""
+def _arches(bench: Bench, thing: str, grasps: Sequence[PointGrasp], arch: float, speed: float) -> dict[Hand, Array]:
+    """Every hand's motion (n + 1, dof) that carries its point from the present place to the target."""
     points = bench.world.points(thing)
     low, high = bench.world.block(thing)
     ends = {}
-    for one in taken:
-        T_now, point = one.hand.pinch_at(one.hand.joints), points[one.lay.point]
+    for grasp in grasps:
+        T_now, point = grasp.hand.pinch_at(grasp.hand.joints), points[grasp.placement.point]
         in_pinch = T_now[:3, :3].T @ (point - T_now[:3, 3])
-        # What is folded comes down from over all that lies there; what is pulled alone stays low.
-        over = np.array([0.0, 0.0, _LOW if one.lay.alone else high[2] - low[2] + _OVER])
-        ends[one.hand] = T_now, pose(one.lay.where(points) + over - one.R_end @ in_pinch, one.R_end)
+        # A folded point comes down onto all layers at the target; a point that is pulled alone stays low.
+        over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.alone else high[2] - low[2] + _DROP_HEIGHT])
+        ends[grasp.hand] = (
+            T_now,
+            pose(grasp.placement.target(points) + over - grasp.R_end @ in_pinch, grasp.R_end),
+        )
     length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
     return {
         hand: bench.curve(hand, partial(_arch, *both, arch * length), length / speed) for hand, both in ends.items()
@@ -212,8 +209,8 @@ def _arches(bench: Bench, thing: str, taken: Sequence[Taken], arch: float, speed
 
 
 def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
-    """A frame (4, 4) on its way over an arch so high, m."""
-    way, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
-    up = way[2] * share + height * math.sin(math.pi * share)
+    """The pose (4, 4) at a share, 0..1, of a path from one pose to another over an arch of a height in m."""
+    path, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
+    up = path[2] * share + height * math.sin(math.pi * share)
     R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)
-    return pose(T_start[:3, 3] + [*(way[:2] * across), up], R)
+    return pose(T_start[:3, 3] + [*(path[:2] * across), up], R)

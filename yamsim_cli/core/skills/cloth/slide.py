@@ -1,4 +1,4 @@
-"""Slide flat cloth to where it is wanted: two hands take corners of it, and pull."""
+"""Grasps with which two hands slide a flat cloth to another place."""
 
 from __future__ import annotations
 
@@ -8,29 +8,26 @@ from collections.abc import Callable, Sequence
 from ...geometry.se3 import Array, rotation_z
 from ...geometry.smoothing import height
 from ..bench import Bench
-from .hands import outcome
-from .reach import Lay, Taken, at, reached
+from .hands import predicted_points
+from .reach import PointGrasp, PointPlacement, at_place, reachable_grasps
 
-# Cloth is slid aside to the middle between the arms, or not, and by these ways to them, m: what is pulled by its nearer
-# side comes along straight.
-_NEARER = (0.1, 0.15, 0.05, 0.0, -0.05)
+SLIDE_SPEED = 0.2  # m/s, of hands that slide cloth
 
-#: Hands that slide cloth move so fast, m/s.
-SPEED = 0.2
+# m, lengths of slides towards the arms, in order of trial: cloth that is pulled by its nearer side follows straight.
+_TOWARDS_ARMS = (0.1, 0.15, 0.05, 0.0, -0.05)
 
-# Cloth may be so much higher than a layer afterwards, m.
-_HIGH = 0.02
-
-# So many slides are tried in a simulation at most.
-_TRIALS = 8
+_MAX_HEIGHT = 0.02  # m, of the highest point over the lowest one after a slide
+_MAX_TRIALS = 8  # slides that are tried in a simulation, each of which takes long
 
 
-def slid(bench: Bench, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]) -> list[Taken] | None:
-    """How two hands slide a flat cloth so that it lies as it is wanted; None where no slide does that.
+def slide_grasps(
+    bench: Bench, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
+) -> list[PointGrasp] | None:
+    """Grasps with which two hands slide a flat cloth until `wanted` is true; None if no slide does that.
 
     Args:
-        turns: by what angles it may be turned meanwhile, rad.
-        wanted: whether it would be good if a cloth's points were at (along y, along x, 3), in `world`, m.
+        turns: angles by which the cloth may be turned, rad.
+        wanted: whether points (along y, along x, 3) in `world`, m, are where the cloth is wanted.
     """
     points, trials = bench.world.points(thing), 0
     rows, columns = points.shape[:2]
@@ -40,23 +37,23 @@ def slid(bench: Bench, thing: str, turns: Sequence[float], wanted: Callable[[Arr
         if not wanted(slide):
             continue
         for pair in pairs:
-            lays = [Lay(corner, at(slide[corner]), alone=True) for corner in pair]
-            if (taken := reached(bench, thing, lays)) is None:
+            placements = [PointPlacement(corner, at_place(slide[corner]), alone=True) for corner in pair]
+            if (grasps := reachable_grasps(bench, thing, placements)) is None:
                 continue
-            after = outcome(bench, thing, taken, 0.0, SPEED)
-            if height(after) < _HIGH and wanted(after):
-                return taken
+            after = predicted_points(bench, thing, grasps, 0.0, SLIDE_SPEED)
+            if height(after) < _MAX_HEIGHT and wanted(after):
+                return grasps
             trials += 1
-            if trials == _TRIALS:
+            if trials == _MAX_TRIALS:
                 return None
     return None
 
 
 def _slides(points: Array, turns: Sequence[float]) -> list[Array]:
-    """Where a cloth's points would lie (along y, along x, 3) after each slide, the better ones first, m."""
+    """The cloth's points (along y, along x, 3) after each slide, in order of preference, m."""
     middle = points.reshape(-1, 3).mean(axis=0)
     slides = []
-    for nearer, turn in itertools.product(_NEARER, turns):
-        for aside in (0.0, -float(middle[1])):
-            slides.append((points - middle) @ rotation_z(turn).T + middle + [-nearer, aside, 0.0])
+    for nearer, turn in itertools.product(_TOWARDS_ARMS, turns):
+        for lateral in (0.0, -float(middle[1])):
+            slides.append((points - middle) @ rotation_z(turn).T + middle + [-nearer, lateral, 0.0])
     return slides
