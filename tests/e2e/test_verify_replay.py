@@ -92,7 +92,7 @@ def test_trials_are_filmed_failures_first(
     config = tmp_path / "small.yaml"
     text = (Path(__file__).parents[2] / "configs" / "record" / "default.yaml").read_text()
     config.write_text(re.sub(r"size_px: \[.*\]", "size_px: [64, 48]", text))
-    batch = ("pickplace", "batch", "--config", config, "--n", "6", "--seed", "2", "--threshold", "0.0044")
+    batch = ("pickplace", "batch", "--config", config, "--n", "6", "--seed", "2", "--threshold", "0.0035")
     run = yamsim(*batch, "--video", tmp_path / "films", "--video-trials", "2", "--json")
     assert run.code == 0, run.err
     failed = [trial["trial"] for trial in run.json["trials"] if not trial["outcome"]["success"]]
@@ -101,7 +101,7 @@ def test_trials_are_filmed_failures_first(
     assert [Path(film["path"]).name for film in run.json["videos"]] == names
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == sorted(names)
     with Simulator(
-        Session(make_config({("task", "goal", "on", "radius"): 0.0044}), locations).without_meshes()
+        Session(make_config({("task", "goal", "on", "radius"): 0.0035}), locations).without_meshes()
     ) as simulator:
         lengths = [len(planned(simulator, 2, number).states) for number in (failed[0], 0)]
     for name, length in zip(names, lengths, strict=True):
