@@ -38,7 +38,7 @@ SCENES: dict[str, tuple[str, str | None, str, bool]] = {
 }
 # Those of them that are replayed: a weld, pads that press, and two arms.
 EPISODES = ("pickplace", "friction", "handover")
-SEED = 7
+SEED = 8
 
 # The most that an episode may differ between MuJoCo 3.3 and 4.0 because their contacts and welds do: rad of the arms'
 # joints, m of objects. An episode succeeds within 0.05 m.

@@ -163,7 +163,7 @@ def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> l
         server = PortalServer(follower, host, port + k if port else 0)
         stack.callback(server.close)
         ports.append(server)
-        note(f"{host}:{server.port}: portal's calls for the {served.sides[k]} arm")
+        note(f"{host}:{server.port}: calls by portal for the {served.sides[k]} arm")
     return ports
 
 
