@@ -271,3 +271,31 @@ def test_the_page_on_architecture_has_the_floors() -> None:
 def test_the_page_on_architecture_names_modules_that_exist() -> None:
     named = set(re.findall(r"`((?:core|commands|flags|terminal)\.[\w.]+)`", ARCHITECTURE))
     assert named and named - set(_modules()) == set()
+
+
+# What other programs start or import: the command, plugins of other tools, and the public API.
+ENTRIES = {
+    *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
+    *("lerobot_camera", "live_station", "main", "raiden_camera"),
+}
+
+
+def test_every_module_is_used() -> None:
+    used = {name for module in _modules() for name in _needs(module)}
+    packages = {module.rpartition(".")[0] for module in _modules()} | {"__init__"}
+    assert set(_modules()) - used - packages - ENTRIES == set()
+
+
+def test_scripts_import_names_that_exist() -> None:
+    """Nothing else looks into shell scripts."""
+    scripts = [path for path in (PACKAGE.parent / "tools").iterdir() if path.suffix in (".py", ".sh")]
+    imports = [
+        (module, name.strip())
+        for path in scripts
+        for module, names in re.findall(r"from yamsim_cli\.([\w.]+) import ([\w, ]+)", path.read_text(encoding="utf-8"))
+        for name in names.split(",")
+    ]
+    assert ("core.gl", "find_backend") in imports
+    assert [
+        (module, name) for module, name in imports if not re.search(rf"\b{name}\b", _file(module).read_text())
+    ] == []

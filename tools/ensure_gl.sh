@@ -30,10 +30,10 @@ renders() {
 import os
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.gl import find_backend
 
 try:
-    choose_backend(os.environ)
+    find_backend(os.environ)
 except ResourceError as error:
     raise SystemExit(str(error)) from None
 END
