@@ -35,6 +35,7 @@ from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.skills.bench import Bench, Fingers
 from yamsim_cli.core.skills.grips import Grip
 from yamsim_cli.core.skills.handover import Handover
+from yamsim_cli.core.skills.insert import Insert
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
 from yamsim_cli.kitchenbench.catalog import thing_of
@@ -44,17 +45,20 @@ from yamsim_cli.kitchenbench.motion import Motion, commanded_opening, commanded_
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import open_base, realize
-from yamsim_cli.kitchenbench.sorting import Slide, Sort
+from yamsim_cli.kitchenbench.sorting import PutBesideTray, Slide, Sort
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
 
 
+def _planning_scene(name: str) -> PlanningScene:
+    realized = realize(build_blueprint(SCENES[name], 0), open_base("64x48", images=False))
+    return PlanningScene(realized, 0, 10)
+
+
 @pytest.fixture
 def expert_bench() -> Iterator[Bench]:
-    scene = SCENES["stack-tight-spacing"]
-    realized = realize(build_blueprint(scene, 0), open_base("64x48", images=False))
-    planning = PlanningScene(realized, 0, 10)
+    planning = _planning_scene("stack-tight-spacing")
     yield planning.bench
     planning.close()
 
@@ -94,6 +98,19 @@ def test_only_what_waits_is_still(expert_bench: Bench) -> None:
     assert is_still(expert_bench.wait(4))
     closing = {hand: Fingers(0.0, 10.0)}
     assert not is_still(expert_bench.segment({hand: expert_bench.still(hand, 10)}, closing))
+
+
+def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
+    planning = _planning_scene("sort-cutlery-balanced-pile")
+    try:
+        bench, roles = planning.bench, planning._simulator.cast
+        assert roles is not None
+        inside = Insert(thing="knife_1", into="compartment_knife").goals(bench, roles, "knife_1")
+        assert inside and bench.world.inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
+        aside = PutBesideTray(thing="knife_1").goals(bench, roles, "knife_1")
+        assert aside and not any(bench.world.inside("tray", T[None, :3, 3]).any() for T in aside)
+    finally:
+        planning.close()
 
 
 def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first() -> None:

@@ -37,7 +37,7 @@ def list_assets(json: Json = False) -> None:
 
     Example: yamsim assets list --json
     """
-    from yamsim_cli.terminal.console import print_json, print_line, print_table
+    from yamsim_cli.terminal.console import print_table
 
     lock, store = _open()
     items = [item for assets in lock.sets.values() for item in _files(assets, store)]
@@ -65,7 +65,7 @@ def fetch(
 
     Example: yamsim assets fetch ycb
     """
-    from yamsim_cli.terminal.console import print_json, print_line, print_table
+    from yamsim_cli.terminal.console import print_table
 
     lock, store = _open()
     report, reduced = _fetch_with_progress(lock, store, names or [])

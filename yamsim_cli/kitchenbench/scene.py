@@ -155,7 +155,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     cast = _cast(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), cast)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
-    start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), task.timing.timestep)
+    start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), task.timing.timestep).qpos
     start = crumpled_start(blueprint, simulator.scene, start, task.timing.timestep)
     offsets = {
         name: round(1000 * float(np.linalg.norm(_place(simulator.scene, start, name) - T[:2, 3])), 2)

@@ -12,8 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z, yaw
 from ..core.goals.cast import Cast
+from ..core.goals.world import TABLE
 from ..core.sim.world import SimWorld
 from ..core.skills.base import Side, Skill, holder_of
 from ..core.skills.bench import Bench, Fingers, Segment, SkillFailedError
@@ -23,15 +24,13 @@ from ..core.skills.insert import Insert
 from ..core.skills.moves import let_go, park_free, recover, rest
 from ..core.skills.pick import Pick
 from ..core.skills.place import HOVER_HEIGHT, Placing, raised
-from ..core.skills.put_aside import PutAside
 from ..core.tasks.casting import gap, outline
 from ..core.types import Cause
 
 _LOG = logging.getLogger("yamsim")
 
 _INSIDE = 0.85  # share of a thing's volume in its compartment; the benchmark requires a little less
-# How often each thing is tried, the try before which it is displaced or slid, and the first try with a handover.
-_TRIES, _DISPLACED, _HANDED = 4, 2, 3
+_TRIES = 4  # count, tries of each thing
 _OUTSIDE = 1.5  # tries by which things outside the tray wait for those inside
 _PARKED = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
 _LIFT = 0.06  # m, at which cutlery that hangs in the fingers clears the tray's wall
@@ -41,6 +40,10 @@ _GRID = 0.02  # m, between the places that are tried in a compartment
 _LOWER = 0.001  # m; a place that is lower by this is better
 _FREE = 0.003  # m; a place with this room to all other things is preferred
 _MAX_PLACES = 12  # that are offered, free and occupied ones each
+_TABLE_GRID = 0.04  # m, between the places on the table that are tried
+_MAX_ASIDE = 0.30  # m, of such a place from where the thing is
+_ASIDE_GAP = 0.015  # m, between a thing on such a place and other things
+
 _UPRIGHT = 0.95  # z of the z axis; a thing above stays upright
 _HANGING = 0.6  # z of the z axis; a thing below stays on its side or on its head
 
@@ -116,14 +119,49 @@ def _along(world: SimWorld, thing: str, T: Array) -> list[Array]:
     A thing on its side or on its head stays so.
     """
     low, high = world.block(thing)
-    now, longest = world.pose(thing)[:3, :3], int(np.argmax(high - low))
+    longest = int(np.argmax(high - low))
     wanted = math.atan2(T[1, 1], T[0, 1])
-    lying = [np.eye(3)] if now[2, 2] > _UPRIGHT else [np.eye(3), now] if now[2, 2] > _HANGING else [now]
     return [
         rotation_z(wanted + turn - math.atan2(R[1, longest], R[0, longest])) @ R
-        for R in lying
+        for R in _attitudes(world, thing)
         for turn in (0.0, math.pi)
     ]
+
+
+def _attitudes(world: SimWorld, thing: str) -> list[Array]:
+    """Rotations (3, 3), up to the heading, in which a thing may be put down; on its side or head it stays so."""
+    now = world.pose(thing)[:3, :3]
+    upright = rotation_z(yaw(world.pose(thing)))
+    return [upright] if now[2, 2] > _UPRIGHT else [upright, now] if now[2, 2] > _HANGING else [now]
+
+
+class PutBesideTray(Placing):
+    """Put a long thing down on a free place of the table, the nearest first.
+
+    Attributes:
+        thing: a role; it is in a hand.
+    """
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        world, (low, high) = bench.world, bench.world.bounds(TABLE)
+        others = [outline(world.block(name), world.pose(name)) for name in world.things if name != thing]
+        block, now = world.block(thing), world.pose(thing)[:2, 3]
+        found = list[tuple[float, Array]]()
+        for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID) for k in (0, 1))):
+            off = math.hypot(x - now[0], y - now[1])
+            if off > _MAX_ASIDE:
+                continue
+            for R, turn in itertools.product(_attitudes(world, thing), (0.0, math.pi / 2, math.pi, -math.pi / 2)):
+                T = pose((x, y, 0.0), rotation_z(turn) @ R)
+                there = outline(block, T)
+                on_table = (there >= low[:2]).all() and (there <= high[:2]).all()
+                if on_table and all(gap(there, other) >= _ASIDE_GAP for other in others):
+                    found.append((off, T))
+        found.sort(key=lambda each: each[0])
+        for _, T in found:
+            T[2, 3] = bench.height_of(thing, T, TABLE) if T is found[0][1] else found[0][1][2, 3]
+        return [T for _, T in found]
 
 
 def _places_between(first: float, last: float) -> Array:
@@ -296,32 +334,37 @@ class Sort(Skill):
         return sorted(names, key=order)
 
     def _calmly(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
-        """By the arm that reaches both; on the second try displaced first, for another grasp; on later tries by a
-        handover.
-        """
+        """By the arm that reaches both; on the second try displaced first; on later tries by a handover."""
         pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=self.into[cast.kinds[name]])
-        if number == _DISPLACED:
-            displace = PutAside(thing=name)
-            yield from pick.run(bench, cast, (displace,))
-            yield from displace.run(bench, cast, ())
-        if number >= _HANDED:
+        if number == 2:
+            yield from _displaced(bench, cast, name, pick)
+        if number > 2:
             yield from _handed(bench, cast, name, pick, put)
         else:
             yield from pick.run(bench, cast, (put,))
         yield from put.run(bench, cast, ())
 
     def _hastily(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
-        """By the arm that reaches both; on the second try slid free first; on later tries by a handover."""
+        """By the arm that reaches both; on the second try slid free first, on the third displaced; then handed over."""
         pick = Grab(thing=name, lift=_LIFT)
         put = PlaceInCompartment(thing=name, into=self.into[cast.kinds[name]], beside=self.things)
-        if number == _DISPLACED:
+        if number == 2:
             with suppress(SkillFailedError):
                 yield from Slide(thing=name).run(bench, cast, (pick,))
-        if number >= _HANDED:
+        if number == 3:
+            yield from _displaced(bench, cast, name, pick)
+        if number > 3:
             yield from _handed(bench, cast, name, pick, put)
         else:
             yield from pick.run(bench, cast, (put,))
         yield from put.run(bench, cast, ())
+
+
+def _displaced(bench: Bench, cast: Cast, name: str, pick: Pick) -> Iterator[Segment]:
+    """Put a thing down elsewhere, where other grips are free."""
+    put_aside = PutBesideTray(thing=name)
+    yield from pick.run(bench, cast, (put_aside,))
+    yield from put_aside.run(bench, cast, ())
 
 
 def _handed(bench: Bench, cast: Cast, name: str, pick: Pick, put: Skill) -> Iterator[Segment]:
@@ -342,7 +385,7 @@ def _put_back(bench: Bench, cast: Cast, name: str) -> Iterator[Segment]:
     if hand is None:
         return
     try:
-        yield from PutAside(thing=name).run(bench, cast, ())
+        yield from PutBesideTray(thing=name).run(bench, cast, ())
     except SkillFailedError:
         T = hand.pinch_at(hand.joints)
         T[2, 3] -= _LIFT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
@@ -14,7 +15,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
 from yamsim_cli.core.planning.dynamics import ArmDynamics
-from yamsim_cli.core.planning.ik import IkSolver
+from yamsim_cli.core.planning.ik import IkSolver, Tolerance
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 
@@ -107,3 +108,19 @@ def test_a_weight_in_the_hand_is_borne_by_every_joint_that_lifts_it(
     (torques,) = dynamics.weight_torques(joints[None], point, weight=5.0)
     lifting = [(height(joints + step) - height(joints - step)) / 2e-6 for step in 1e-6 * np.eye(len(joints))]
     np.testing.assert_allclose(torques, 5.0 * np.array(lifting), atol=1e-6)
+
+
+def test_a_waypoint_may_lean_where_the_pose_itself_is_out_of_reach(ik: IkSolver) -> None:
+    wide, narrow = Tolerance(4e-3, math.radians(6.0)), Tolerance(1.5e-3, math.radians(2.0))
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(200):
+        joints = rng.uniform(LOW + 0.2, HIGH - 0.2)
+        joints[4] = HIGH[4] - narrow.margin + 0.04
+        T = ik.pose_of(joints)
+        if ik.reach(T, [joints], narrow) is None and (leaning := ik.reach(T, [joints], wide)) is not None:
+            found += 1
+            T_there = ik.pose_of(leaning)
+            turned = np.arccos(np.clip((np.trace(T[:3, :3].T @ T_there[:3, :3]) - 1) / 2, -1.0, 1.0))
+            assert np.linalg.norm(T_there[:3, 3] - T[:3, 3]) < 1e-5 and turned <= wide.rotation
+            assert np.minimum(leaning - LOW, HIGH - leaning).min() >= wide.margin
+    assert found >= 5

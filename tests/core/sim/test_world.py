@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -18,6 +18,7 @@ from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.sim.shapes import body_surface
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.skills.bench import Bench
+from yamsim_cli.core.skills.hand import Hand
 from yamsim_cli.core.skills.insert import Insert
 from yamsim_cli.core.types import EpisodeJob
 
@@ -177,6 +178,29 @@ def test_things_are_put_within_the_walls_of_a_round_container(placed: Placed) ->
     goals = Insert(thing="ball", into="bowl").goals(bench, Cast({"ball": ("ball",), "bowl": ("bowl",)}, {}), "ball")
     assert goals
     assert max(float(np.hypot(*(T[:2, 3] - (0.4, 0.0)))) for T in goals) < 0.08
+
+
+def test_a_thing_goes_beside_another_one_in_a_container(placed: Placed) -> None:
+    """It stands on the floor. A thing that leans in the hand may also keep its lean."""
+    placed.put("bin", (0.4, 0.0, 0.0))
+    placed.put("cube", (0.4, 0.0, 0.03))
+    bench = placed.bench()
+    roles = Cast({"ball": ("ball",), "bin": ("bin",)}, {})
+    goals = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
+    assert goals[0][2, 3] < bench.world.bounds("ball")[1][2] - bench.world.bounds("ball")[0][2]
+    placed.put("ball", (0.4, 0.3, 0.1), rotation_from_vector([0.2, 0.0, 0.0]))
+    leaning = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
+    assert len(leaning) == 2 * len(goals) and leaning[-1][2, 2] == pytest.approx(np.cos(0.2))
+
+
+def test_what_has_no_room_in_a_container_is_not_picked_for_it(placed: Placed) -> None:
+    placed.put("bowl", (0.4, 0.0, 0.0))
+    bench = placed.bench()
+    roles = Cast({"box": ("box",), "bowl": ("bowl",)}, {})
+    insert = Insert(thing="box", into="bowl")
+    assert not insert.goals(bench, roles, "box")
+    fault = insert.fault(bench, roles, cast(Hand, None), "box", np.eye(4), np.zeros(6))
+    assert fault == "there is no room for it on or in the bowl"
 
 
 def test_the_volume_of_a_thing_moves_with_its_parts(placed: Placed) -> None:

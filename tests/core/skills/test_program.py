@@ -55,10 +55,10 @@ def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _run(times: int) -> RecoveryLog:
-    diary = RecoveryLog()
-    for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, diary):
+    log = RecoveryLog()
+    for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, log):
         pass
-    return diary
+    return log
 
 
 def test_what_fails_is_tried_again_and_noted() -> None:

@@ -28,6 +28,7 @@ from .expert import sides
 from .simulator import Simulator, Simulators, open_episode
 
 MAX_DRAWS = 20  # count, draws of the start after which an attempt has no start, because the goal already held in each
+_MAX_SPEED = 0.1  # m/s and rad/s, speed of a thing above which another start is drawn; rolling things come below it
 HOLDS_ALREADY = "the goal holds already at the start"
 
 DROP_HEIGHT = 0.5  # m over the table, from which the resting height of each thing is searched
@@ -38,22 +39,27 @@ SPAWN_GAP = 2e-4  # m between a placed thing and its support, so that no contact
 def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
     """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
 
-    The attempt has no start if its things have no room or if its goal holds in every draw, see `no_start`.
+    A draw in which a thing still moves, such as a bottle that rocks, is used only if there is no other. The attempt has
+    no start if its things have no room or if its goal holds in every draw, see `no_start`.
     """
     config, task, cast = simulator.config, simulator.config.task, simulator.cast
     attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, job))
     scene = simulator.varied(attempt)
+    moving: Attempt | None = None
     for number in range(MAX_DRAWS):
         places = draw_places(task, cast, _block_of(simulator), config.table, job, number)
         if isinstance(places, str):
             break
-        start = settle(scene, _placed(simulator, places), task.timing.timestep)
-        start = _crumpled(simulator, start, generator(job, Stream.CRUMPLES, number))
+        settled = settle(scene, _placed(simulator, places), task.timing.timestep)
+        start = _crumpled(simulator, settled.qpos, generator(job, Stream.CRUMPLES, number))
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
             poses = {name: episode.world.pose(name) for name in scene.things}
-            return replace(attempt, layout=Layout(poses, upright=False), start=start)
-    return attempt
+            started = replace(attempt, layout=Layout(poses, upright=False), start=start)
+            if settled.speed <= _MAX_SPEED:
+                return started
+            moving = moving or started
+    return moving or attempt
 
 
 def sampled_places(simulator: Simulator, job: EpisodeJob) -> dict[str, Placed] | str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import mink
 import mujoco
 import numpy as np
 
-from ..geometry.se3 import Array, inverse, pose, quat_from_rotation
+from ..geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_from_vector
 from .closed_form import closed_form
 from .quick_reach import QuickReach
 
@@ -39,6 +40,10 @@ _MAX_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact
 # rad, from a singular posture. On a path that comes nearer, such as to the edge of the reach, exact joints would race
 # and then turn back. The search slows the joints down: its steps differ from exact ones below 0.2 rad.
 _MIN_FROM_SINGULAR = 0.3
+
+# For a pose out of reach and a wide tolerance, `reach` turns the pose by a share of the largest rotation error.
+_MIN_LEANING = math.radians(5.0)  # rad, rotation error that a tolerance must admit: only waypoints do
+_LEANING = 0.95  # share
 
 _REFINEMENTS = 30  # iterations from a solution of `QuickReach` to the exact pose
 
@@ -163,6 +168,8 @@ class IkSolver:
         """
         if self._closed_form is not None:
             exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
+            if exact is None and tolerance.rotation >= _MIN_LEANING:
+                exact = self._leaning(T_tool_in_world, starts[0], tolerance)
             return None if exact is None else exact.joints
         for start in starts:
             if (near := self._quick.solve(T_tool_in_world, start)) is not None:
@@ -189,6 +196,14 @@ class IkSolver:
         if not len(found):
             return None
         return self.at(self._closed_form.nearest(found, start))
+
+    def _leaning(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
+        """An exact solution for a pose (4, 4) turned by about the largest rotation error; None without one."""
+        T_leaning = T_tool_in_world @ _leans(_LEANING * tolerance.rotation)
+        for k in np.flatnonzero(self.may_reach(T_leaning, tolerance)):
+            if (found := self._exact(T_leaning[k], start, tolerance.margin)) is not None:
+                return found
+        return None
 
     def _is_regular(self, joints: Array) -> bool:
         return self._closed_form is not None and self._closed_form.from_singular(joints) >= _MIN_FROM_SINGULAR
@@ -245,3 +260,10 @@ class IkSolver:
     def _cost(self, error: Array) -> float:
         weighted = self._task.cost * error
         return float(weighted @ weighted)
+
+
+@functools.cache
+def _leans(angle: float) -> Array:
+    """Rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
+    axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
+    return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

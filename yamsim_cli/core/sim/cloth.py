@@ -260,7 +260,7 @@ def _dropped(
     dropped = start.copy()
     dropped[lying.qpos] = data.qpos[lying.qpos]
     for _ in range(_SETTLINGS):
-        dropped = settle(scene, dropped, timestep)
+        dropped = settle(scene, dropped, timestep).qpos
     return dropped
 
 

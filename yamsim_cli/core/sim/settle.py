@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
@@ -13,12 +15,24 @@ CHECK_STEPS = 25  # physics steps between two checks of the speeds
 AT_REST = 0.01  # m/s and rad/s, the largest speed of a thing that counts as at rest
 
 
-def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """MuJoCo's positions (nq,) once all things are at rest, with the arms' positions of `start`."""
+class Settled(NamedTuple):
+    """A scene after its things had time to come to rest.
+
+    Attributes:
+        qpos: MuJoCo's positions (nq,).
+        speed: largest speed of a thing that is not cloth, m/s and rad/s.
+    """
+
+    qpos: Array
+    speed: float
+
+
+def settle(scene: CompiledScene, start: Array, timestep: float) -> Settled:
+    """Simulate until all things are at rest or `SETTLE_SECONDS` are over; the arms get their positions of `start`."""
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
-    stiff = [np.arange(dof, dof + 6) for dof in scene.object_dof.values()]
-    dofs = np.concatenate([*stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
+    stiff = np.concatenate([np.zeros(0, int), *(np.arange(dof, dof + 6) for dof in scene.object_dof.values())])
+    dofs = np.concatenate([stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(SETTLE_SECONDS / timestep / CHECK_STEPS)):
         scene.step(data, CHECK_STEPS)
         if float(np.abs(data.qvel[dofs]).max()) < AT_REST:
@@ -28,4 +42,4 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
         settled[arm.joint_qpos] = start[arm.joint_qpos]
         if arm.fingers is not None:
             settled[arm.fingers.qpos] = start[arm.fingers.qpos]
-    return settled
+    return Settled(settled, float(np.abs(data.qvel[stiff]).max(initial=0.0)))

@@ -39,6 +39,10 @@ _MIN_APART = min(apart for apart, _, _ in _MEETINGS)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
 _TURNED_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
 
+# count, giving grips for which `Handover.fault` searches a meeting while nothing moves. A search that finds none takes
+# half a second, and a thing in a pile has hundreds of grips.
+_MAX_SEARCHES = 24
+
 # count, grips whose poses are tested in one call; a call costs as much as 20 separate poses
 _BATCH_SIZE = 64
 
@@ -120,6 +124,9 @@ class Handover(Skill):
         if cast.one(self.thing) != thing or bench.side_of(self.to) == hand.side:
             return None
         taker = next(other for other in bench.hands if other is not hand)
+        searches = bench.cached(("searches", self, hand.side, tuple(ahead)), lambda: itertools.count(1))
+        if next(searches) > _MAX_SEARCHES:
+            return f"no place found where the {taker.side} hand can take it"
         if self._meeting_before(bench, cast, hand, taker, Held(thing, T_thing_in_pinch), ahead) is not None:
             return None
         faults = list(_taking_grips(bench, cast, taker, thing, ahead).faults.values())

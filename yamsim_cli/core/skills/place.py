@@ -86,7 +86,7 @@ class Placing(Skill):
         ahead: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
-        fault = None
+        fault = f"there is no room for it on or in the {self.support(cast)}"
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
         for T_lying in self._ordered_goals(bench, cast, thing, T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
@@ -112,8 +112,9 @@ class Placing(Skill):
         thing = cast.one(self.thing)
         hand = require_holder(bench, thing, "put down")
         held = bench.update_held(hand)
-        fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
+        fault = f"there is no room for the {thing} on or in the {self.support(cast)}"
         for T_lying in self.relaxed(bench, cast)._ordered_goals(bench, cast, thing, held.T_thing_in_pinch):
+            fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
             T_goal = raised(T_lying, self.drop)
             joints = self._over(hand, T_goal @ inverse(held.T_thing_in_pinch))
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
