@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt import sampling
 from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
@@ -29,6 +30,7 @@ from yamsim_cli.core.record.executors import ThisProcess
 from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.settle import settle
 from yamsim_cli.core.sim.world import SimWorld
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
 from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Tolerances
@@ -202,3 +204,18 @@ def test_a_thing_starts_with_the_middle_of_what_it_is_when_open(tmp_path: Path) 
         _, attempt = first_attempt(simulators)
     assert attempt.layout is not None
     assert attempt.layout.T_in_world["cabinet"][0, 3] == pytest.approx(0.48 + 0.08, abs=2e-3)
+
+
+def test_a_start_in_which_a_thing_still_moves_is_drawn_again(
+    simulators: Simulators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulator, calm = first_attempt(simulators)
+    speeds = [1.0, 0.0]
+    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=speeds.pop(0)))
+    again = sampling.sample(simulator, calm.job)
+    assert not speeds and again.layout is not None and calm.layout is not None
+    assert not np.allclose(again.layout.T_in_world["cube"], calm.layout.T_in_world["cube"])
+    # Where things move in every draw, the first one is used.
+    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=1.0))
+    restless = sampling.sample(simulator, calm.job)
+    assert restless.start is not None and np.array_equal(restless.start, calm.start)
