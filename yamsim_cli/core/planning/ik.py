@@ -41,9 +41,7 @@ _MAX_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact
 # and then turn back. The search slows the joints down: its steps differ from exact ones below 0.2 rad.
 _MIN_FROM_SINGULAR = 0.3
 
-# For a pose out of reach and a wide tolerance, `reach` turns the pose by a share of the largest rotation error.
-_MIN_LEANING = math.radians(5.0)  # rad, rotation error that a tolerance must admit: only waypoints do
-_LEANING = 0.95  # share
+_LEANING = 0.95  # share of the largest rotation error by which a hand leans if the pose itself is out of reach
 
 _REFINEMENTS = 30  # iterations from a solution of `QuickReach` to the exact pose
 
@@ -67,11 +65,16 @@ class IkSolution:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Largest position error, m, and rotation error, rad, and least distance of joints from their stops, rad."""
+    """Largest position error, m, and rotation error, rad, and least distance of joints from their stops, rad.
+
+    Attributes:
+        leans: whether the hand may lean by up to `rotation` if the pose itself is out of reach.
+    """
 
     position: float
     rotation: float
     margin: float = 0.05
+    leans: bool = False
 
     def admits(self, solution: IkSolution) -> bool:
         """Whether a solution is within the tolerance."""
@@ -168,7 +171,7 @@ class IkSolver:
         """
         if self._closed_form is not None:
             exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
-            if exact is None and tolerance.rotation >= _MIN_LEANING:
+            if exact is None and tolerance.leans:
                 exact = self._leaning(T_tool_in_world, starts[0], tolerance)
             return None if exact is None else exact.joints
         for start in starts:

@@ -137,19 +137,25 @@ class Bench:
         return hand.held
 
     @contextmanager
-    def reserve(self, margin: float) -> Iterator[None]:
-        """Make `Hand.reach` keep every joint at least this far from its stops, rad, within the context."""
+    def reserve(self, margin: float, leans: bool = False) -> Iterator[None]:
+        """Change what `Hand.reach` finds within the context.
+
+        Args:
+            margin: least distance of every joint from its stops, rad.
+            leans: whether hands may lean at waypoints whose pose is out of reach. Straight motions to and from such
+                waypoints come nearer to the stops, so this is for what cannot be done otherwise.
+        """
         for hand in self.hands:
-            hand.reserve = margin
+            hand.reserve, hand.leans = margin, leans
         try:
             yield
         finally:
             for hand in self.hands:
-                hand.reserve = 0.0
+                hand.reserve, hand.leans = 0.0, False
 
     def cached(self, key: Hashable, make: Callable[[], V]) -> V:
-        """Return `make()`, computed once for each key as long as `qpos` and the reserve stay the same."""
-        key, state = (self.hands[0].reserve, key), self.qpos.tobytes()
+        """Return `make()`, computed once for each key as long as `qpos`, the reserve and the leaning stay the same."""
+        key, state = (self.hands[0].reserve, self.hands[0].leans, key), self.qpos.tobytes()
         if self._cache[0] != state:
             self._cache = (state, {})
         if key not in self._cache[1]:

@@ -14,7 +14,7 @@ from ..planning.ik import IkSolver, Tolerance
 from ..scene.compiled import SceneArm
 
 EXACT = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
-PASSING = Tolerance(4e-3, math.radians(6.0))  # m and rad, at waypoints
+PASSING = Tolerance(4e-3, math.radians(6.0), leans=True)  # m and rad, at waypoints
 
 # rad, distance from the stops that every joint keeps if some grip allows it. Tracking errors and a gripper's load move
 # joints by up to 0.05 rad, and a real arm differs from its model.
@@ -48,6 +48,7 @@ class Hand:
         held: the thing in the hand; None without one.
         failed_grasps: grasps after which the thing could not be brought to its goal.
         reserve: least distance of every joint from its stops in `reach`, rad; see `Bench.reserve`.
+        leans: whether the hand may lean at waypoints in `reach`; see `Bench.reserve`.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class Hand:
         self.magnet = False
         self.held: Held | None = None
         self.failed_grasps: list[Held] = []
-        self.reserve = 0.0
+        self.reserve, self.leans = 0.0, False
 
     def failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
         """Return whether `failed_grasps` has a similar grasp of a thing, by the pinch frame (4, 4) in the thing's."""
@@ -102,4 +103,5 @@ class Hand:
         return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
 
     def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
-        return replace(tolerance, margin=max(tolerance.margin, self.reserve))
+        margin = max(tolerance.margin, self.reserve)
+        return replace(tolerance, margin=margin, leans=tolerance.leans and self.leans)

@@ -102,7 +102,7 @@ class Lift(Skill):
                 continue
             T_up = T_at.copy()
             T_up[2, 3] += self.by
-            if hand.reach(T_up, (at,), PASSING) is None:
+            if hand.reach(T_up, (at,)) is None:
                 continue
             number += 1
             yield hand, grip, before, at

@@ -24,6 +24,9 @@ from .moves import let_go, park_free, take_hold
 # m, lengths of the straight approach; the shorter one is for tight places
 _APPROACHES = (0.09, 0.05)
 
+# Arguments of `Bench.reserve` in the order tried.
+_REACHES = ((RESERVE, False), (0.0, False), (0.0, True))
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -67,10 +70,10 @@ class Pick(Skill):
             return
         places = ahead[0].places(bench, cast, thing) if ahead else ()
         reasons: dict[str, int] = {}
-        for following, reserve in itertools.product(preferences(ahead, bench, cast), (RESERVE, 0.0)):
+        for following, (reserve, leans) in itertools.product(preferences(ahead, bench, cast), _REACHES):
             reasons.clear()
             for hand in self._hands(bench, thing, places):
-                with bench.reserve(reserve):
+                with bench.reserve(reserve, leans):
                     found = self._reached(bench, cast, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free(bench, hand)
@@ -162,7 +165,7 @@ class Pick(Skill):
         """Return what prevents a hand from lifting a thing grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
-        up = hand.reach(T_up, (at,), PASSING)
+        up = hand.reach(T_up, (at,))
         if up is None:
             return f"the {hand.side} arm cannot lift it so"
         load = Load(thing, inverse(grip.T_pinch_in_thing), (TABLE, *bench.world.things))
