@@ -147,21 +147,24 @@ class PutBesideTray(Placing):
         world, (low, high) = bench.world, bench.world.bounds(TABLE)
         others = [outline(world.block(name), world.pose(name)) for name in world.things if name != thing]
         block, now = world.block(thing), world.pose(thing)[:2, 3]
+        turns = (0.0, math.pi / 2, math.pi, -math.pi / 2)
+        rotations = [rotation_z(turn) @ R for R in _attitudes(world, thing) for turn in turns]
         found = list[tuple[float, Array]]()
         for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID) for k in (0, 1))):
             off = math.hypot(x - now[0], y - now[1])
             if off > _MAX_ASIDE:
                 continue
-            for R, turn in itertools.product(_attitudes(world, thing), (0.0, math.pi / 2, math.pi, -math.pi / 2)):
-                T = pose((x, y, 0.0), rotation_z(turn) @ R)
+            for R in rotations:
+                T = pose((x, y, 0.0), R)
                 there = outline(block, T)
                 on_table = (there >= low[:2]).all() and (there <= high[:2]).all()
                 if on_table and all(gap(there, other) >= _ASIDE_GAP for other in others):
                     found.append((off, T))
-        found.sort(key=lambda each: each[0])
-        for _, T in found:
-            T[2, 3] = bench.height_of(thing, T, TABLE) if T is found[0][1] else found[0][1][2, 3]
-        return [T for _, T in found]
+        goals = [T for _, T in sorted(found, key=lambda each: each[0])]
+        height = bench.height_of(thing, goals[0], TABLE) if goals else 0.0
+        for T in goals:
+            T[2, 3] = height
+        return goals
 
 
 def _places_between(first: float, last: float) -> Array:
@@ -338,11 +341,7 @@ class Sort(Skill):
         pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=self.into[cast.kinds[name]])
         if number == 2:
             yield from _displaced(bench, cast, name, pick)
-        if number > 2:
-            yield from _handed(bench, cast, name, pick, put)
-        else:
-            yield from pick.run(bench, cast, (put,))
-        yield from put.run(bench, cast, ())
+        yield from _brought(bench, cast, name, pick, put, handed=number > 2)
 
     def _hastily(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
         """By the arm that reaches both; on the second try slid free first, on the third displaced; then handed over."""
@@ -353,11 +352,7 @@ class Sort(Skill):
                 yield from Slide(thing=name).run(bench, cast, (pick,))
         if number == 3:
             yield from _displaced(bench, cast, name, pick)
-        if number > 3:
-            yield from _handed(bench, cast, name, pick, put)
-        else:
-            yield from pick.run(bench, cast, (put,))
-        yield from put.run(bench, cast, ())
+        yield from _brought(bench, cast, name, pick, put, handed=number > 3)
 
 
 def _displaced(bench: Bench, cast: Cast, name: str, pick: Pick) -> Iterator[Segment]:
@@ -367,10 +362,14 @@ def _displaced(bench: Bench, cast: Cast, name: str, pick: Pick) -> Iterator[Segm
     yield from put_aside.run(bench, cast, ())
 
 
-def _handed(bench: Bench, cast: Cast, name: str, pick: Pick, put: Skill) -> Iterator[Segment]:
+def _brought(bench: Bench, cast: Cast, name: str, pick: Pick, put: Skill, handed: bool) -> Iterator[Segment]:
+    """Pick a thing up and put it down, with or without a handover between."""
     give = Handover(thing=name, height=_MEETING)
-    yield from pick.run(bench, cast, (give, put))
-    yield from give.run(bench, cast, (put,))
+    between = (give,) if handed else ()
+    yield from pick.run(bench, cast, (*between, put))
+    if handed:
+        yield from give.run(bench, cast, (put,))
+    yield from put.run(bench, cast, ())
 
 
 class Grab(Pick):

@@ -1,4 +1,4 @@
-"""Hands remember how they held what they could not put where it was to go."""
+"""Hands remember grasps that failed, and reach as far as the bench allows."""
 
 from __future__ import annotations
 

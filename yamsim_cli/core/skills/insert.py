@@ -92,12 +92,12 @@ def _grid(first: float, last: float, step: float) -> Array:
 
 def _leaning(bench: Bench, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
     """Return upright goals (4, 4) changed to a thing's present lean; none if the thing hardly leans."""
-    R = bench.world.pose(thing)[:3, :3]
-    if R[2, 2] > math.cos(_MAX_LEAN):
+    T_now = bench.world.pose(thing)
+    if T_now[2, 2] > math.cos(_MAX_LEAN):
         return []
     goals = []
     for T_upright in upright:
-        T_goal = pose(T_upright[:3, 3], rotation_z(yaw(T_upright) - yaw(bench.world.pose(thing))) @ R)
+        T_goal = pose(T_upright[:3, 3], rotation_z(yaw(T_upright) - yaw(T_now)) @ T_now[:3, :3])
         T_goal[2, 3] = bench.height_of(thing, T_goal, container)
         goals.append(T_goal)
     return goals

@@ -113,24 +113,29 @@ class Placing(Skill):
         hand = require_holder(bench, thing, "put down")
         held = bench.update_held(hand)
         fault = f"there is no room for the {thing} on or in the {self.support(cast)}"
-        for leans in (False, True):
-            for T_lying in self.relaxed(bench, cast)._ordered_goals(bench, cast, thing, held.T_thing_in_pinch):
-                fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-                T_goal = raised(T_lying, self.drop)
-                T_pinch = T_goal @ inverse(held.T_thing_in_pinch)
-                with bench.reserve(0.0, leans):
-                    joints = self._over(hand, T_pinch)
-                    if joints is None or hand.reach(T_pinch, (joints,), PASSING) is None:
-                        continue
-                try:
-                    path = bench.free_path(hand, joints, load=Load(thing, held.T_thing_in_pinch))
-                except SkillFailedError as error:
-                    fault = str(error)
+        placing = self.relaxed(bench, cast)
+        candidates = (
+            (leans, T_lying)
+            for leans in (False, True)
+            for T_lying in placing._ordered_goals(bench, cast, thing, held.T_thing_in_pinch)
+        )
+        for leans, T_lying in candidates:
+            fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
+            T_goal = raised(T_lying, self.drop)
+            T_pinch = T_goal @ inverse(held.T_thing_in_pinch)
+            with bench.reserve(0.0, leans):
+                joints = self._over(hand, T_pinch)
+                if joints is None or hand.reach(T_pinch, (joints,), PASSING) is None:
                     continue
-                yield bench.segment({hand: path})
-                yield from self._lower(bench, hand, thing, T_goal)
-                self._check(bench, thing, self.support(cast), T_lying)
-                return
+            try:
+                path = bench.free_path(hand, joints, load=Load(thing, held.T_thing_in_pinch))
+            except SkillFailedError as error:
+                fault = str(error)
+                continue
+            yield bench.segment({hand: path})
+            yield from self._lower(bench, hand, thing, T_goal)
+            self._check(bench, thing, self.support(cast), T_lying)
+            return
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
