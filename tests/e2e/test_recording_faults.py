@@ -144,8 +144,10 @@ def test_a_disk_that_turns_bad_loses_nothing(
     assert "continue with --resume" in log
     assert len(log.splitlines()) == 1, log
     assert episodes(files["copy"])
-    broken = [p for p in yamsim("summarize", files["copy"], "--json").json["problems"] if p["file"] != "manifest.json"]
-    assert broken == []
+    # The disk may turn bad between an episode and its line in the ledger, which `--resume` then writes.
+    problems = yamsim("summarize", files["copy"], "--json").json["problems"]
+    assert {problem["file"] for problem in problems} <= {"manifest.json", "attempts.jsonl"}
+    assert all("--resume" in problem["advice"] for problem in problems)
     assert digest(files["result"]) == undisturbed
 
 
