@@ -91,12 +91,12 @@ type: setup-dev ## check types
 	$(PYTHON_BIN) -m mypy
 
 bench: setup-dev gl meshes ## measure speed
-	$(PYTHON_BIN) -m tests.bench
+	$(PYTHON_BIN) -m tools.bench
 
 bench-fiducials: setup-dev gl ## measure how well boards are located, in photos whose truth is known
-	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
-	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.strangers
-	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.intervals
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tools.bench.fiducials
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tools.bench.strangers
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tools.bench.intervals
 
 # Every warning is an error: a link to a page, a heading or a file that is not there among them.
 docs: setup-dev ## make the documentation's site in out/docs, with all its links checked

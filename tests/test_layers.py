@@ -288,7 +288,7 @@ def test_every_module_is_used() -> None:
 
 def test_scripts_import_names_that_exist() -> None:
     """Nothing else looks into shell scripts."""
-    scripts = [path for path in (PACKAGE.parent / "tools").iterdir() if path.suffix in (".py", ".sh")]
+    scripts = [path for path in (PACKAGE.parent / "tools").rglob("*") if path.suffix in (".py", ".sh")]
     imports = [
         (module, name.strip())
         for path in scripts

@@ -236,7 +236,7 @@ def test_things_are_called_after_their_file() -> None:
 @needs_extra
 @pytest.mark.slow
 def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> None:
-    from tests.bench.things import ball_stays_in, hangs, imported
+    from tools.bench.things import ball_stays_in, hangs, imported
 
     masses = []
     for path in write_mugs(tmp_path, segments=48).values():

@@ -61,7 +61,7 @@ class LockedFile(_Frozen):
     """The SHA-256, the size (bytes) and the path inside the set's archive of one mesh file.
 
     Attributes:
-        reduction: the best reduction that `tests/bench/reduction.py` found.
+        reduction: the best reduction that `tools/bench/reduction.py` found.
     """
 
     sha256: Sha256

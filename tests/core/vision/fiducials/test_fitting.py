@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.print_shape import CHI_95, CHI_997, trial
 from tests.damaged_photos import Damage, bowed, enlarged_print, twisted
+from tools.bench.print_shape import CHI_95, CHI_997, trial
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.vision.fiducials.fitting.print_shape import placement_modes
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.intervals import CASES, coverage, farthest, outcomes
 from tests.board_photos import ONE, TWO, facing, photograph
 from tests.random_views import Lens, random_camera, random_view
+from tools.bench.intervals import CASES, coverage, farthest, outcomes
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.board import Board

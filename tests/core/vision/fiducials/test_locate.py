@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.print_shape import photo_of
 from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.damaged_photos import creased, enlarged_print
+from tools.bench.print_shape import photo_of
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel

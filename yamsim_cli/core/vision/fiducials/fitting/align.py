@@ -29,8 +29,8 @@ _MOST_MOTION = 20.0  # px of a `PrintView`, longest motion
 USUAL_SMEAR = Smear(0.9)  # start of a fit where the smear is not known
 
 # Standard deviations with the print's shape and placement marginalized, over those from noise alone. At 1.3, 95 %
-# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tests.bench.print_shape`, seeds
-# below 200, and `tests.bench.filament`); 1.4 leaves a margin.
+# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tools.bench.print_shape`, seeds
+# below 200, and `tools.bench.filament`); 1.4 leaves a margin.
 INFLATION = 1.4
 
 _GROWTH_PX = 4.0  # px, shift of the print for a log of its size of 1, after the distance has compensated most of it

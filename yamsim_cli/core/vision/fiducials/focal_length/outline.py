@@ -32,7 +32,7 @@ from ..markers import Group
 # distribution, in sharp and blurred, small and large photos.
 _LEAST_PX = 0.003
 # Standard deviations over those from noise alone: the print's shape and placement are not marginalized here.
-# Source: `python -m tests.bench.intervals`.
+# Source: `python -m tools.bench.intervals`.
 _INFLATION = 2.0
 _USUAL_BLUR = 0.9  # px, start of a fit
 _FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur, no motion, and the map

@@ -1,6 +1,6 @@
 """What demonstrations are worth: records, trains with LeRobot and evaluates, for several numbers and kinds of them.
 
-    python -m tests.bench.training --python ENV/bin/python [--runs weld:25:3000,weld:200:6000] [--out out/training]
+    python -m tools.bench.training --python ENV/bin/python [--runs weld:25:3000,weld:200:6000] [--out out/training]
 
 ENV has yamsim[lerobot] and lerobot[training]==0.6.1. Every stage is kept in --out, and not done again:
 wall and CPU seconds (of the stage and all its processes), the loss as `lerobot-train` logged it, and `eval`'s report.
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tests import training_recipe as recipe
-from tests.bench.training_plot import plot_training
+from tools.bench.training_plot import plot_training
 
 # As `lerobot-train` logs: `step:1K smpl:16K ... loss:0.123 ...`, which rounds a step's number.
 _LOGGED = re.compile(r"ot_train\.py:\d+ step:\S+ smpl:.* loss:([0-9.]+) ")

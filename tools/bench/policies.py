@@ -1,7 +1,7 @@
 """What asking a policy elsewhere costs: questions with three pictures of 224 x 224, chunks of 30 actions, answered at
 once by a server on this machine, with each protocol.
 
-    python -m tests.bench.policies
+    python -m tools.bench.policies
 """
 
 from __future__ import annotations

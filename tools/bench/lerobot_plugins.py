@@ -1,4 +1,4 @@
-"""How fast LeRobot's plugins are, by a Python that has both of them: `python -m tests.bench.lerobot_plugins`.
+"""How fast LeRobot's plugins are, by a Python that has both of them: `python -m tools.bench.lerobot_plugins`.
 
 Frames a second of an environment and of the robot, and how long one takes: the median, and what 95 % stay below, ms.
 The arms stay where they are.

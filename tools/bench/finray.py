@@ -1,6 +1,6 @@
 """What docs/finray.md says of fin-ray fingers: force against deflection, contact area, and how hard they press.
 
-    python -m tests.bench.finray
+    python -m tools.bench.finray
 
 Prints the tables, and draws docs/images/finray_force.png.
 """

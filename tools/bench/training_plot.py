@@ -17,7 +17,7 @@ Scale = Callable[[float], float]
 
 
 def plot_training(runs: Sequence[dict[str, Any]], log_every: int, path: Path) -> None:
-    """Write the picture of some runs of `tests.bench.training` as SVG."""
+    """Write the picture of some runs of `tools.bench.training` as SVG."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12">',

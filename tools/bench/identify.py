@@ -1,7 +1,7 @@
 """How well `yamsim identify` finds the parameters of arms that move by known ones.
 
-    python -m tests.bench.identify --plants 20
-    python -m tests.bench.identify --plants 0 --bad 20
+    python -m tools.bench.identify --plants 20
+    python -m tools.bench.identify --plants 0 --bad 20
 
 plants arms in a physics of their own (other integrators, steps of 0.5 ms, another law of friction), logs them as a bus
 would (16 bits, jittered times) while they follow `yamsim excite`, and compares what is identified with what was

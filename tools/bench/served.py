@@ -1,6 +1,6 @@
 """How fast a served arm answers other programs' own clients: portal's calls, and chiral's observations with pictures.
 
-    MUJOCO_GL=egl YAMSIM_CHIRAL=CHECKOUT python -m tests.bench.served
+    MUJOCO_GL=egl YAMSIM_CHIRAL=CHECKOUT python -m tools.bench.served
 
 Leave the machine alone meanwhile. Clients run in environments of their own, as `make test-clients` makes them.
 """

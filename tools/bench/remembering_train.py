@@ -1,6 +1,6 @@
 """`lerobot-train` that reads each frame once: the same losses and policies, in less than half the time.
 
-    python tests/bench/remembering_train.py [arguments of lerobot-train]
+    python tools/bench/remembering_train.py [arguments of lerobot-train]
 
 LeRobot reads and converts each frame anew in each epoch, which takes longer than to train a small network on it.
 """

@@ -24,10 +24,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench.error_plot import plot_errors
-from tests.bench.setting import use_gl
 from tests.damaged_photos import Damage, creased, glaring, half_covered, unevenly_lit
 from tests.truth_photos import CAMERA, Photographer, covered, shot_of, spoilt
+from tools.bench.error_plot import plot_errors
+from tools.bench.setting import use_gl
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel

@@ -1,8 +1,8 @@
 """Things from elsewhere, measured: what a mug becomes in six formats, and what each kind of collision costs.
 
-python -m tests.bench.things round-trip
-python -m tests.bench.things collision
-python -m tests.bench.things reading
+python -m tools.bench.things round-trip
+python -m tools.bench.things collision
+python -m tools.bench.things reading
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.bench.setting import use_gl
 from tests.mugs import HEIGHT, RADIUS, WALL, mug, write_mugs
+from tools.bench.setting import use_gl
 
 
 def imported(file: Path, folder: Path, **wishes: Any) -> Any:

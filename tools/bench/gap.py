@@ -1,6 +1,6 @@
 """What `yamsim gap` finds of plants whose difference to the model is known, and what it costs.
 
-python -m tests.bench.gap [--plants N]
+python -m tools.bench.gap [--plants N]
 
 Plants step by 0.5 ms, and the model by 2 ms. Their commands come at jittered times, and joints are measured in steps of
 the maker's CAN messages.

@@ -1,6 +1,6 @@
 """What a physics step costs with each kind of collision: a mug with a ball in it, on a slab.
 
-    python -m tests.bench.touching
+    python -m tools.bench.touching
 
 Needs the extra `import` for convex parts. Nothing here is a test. Leave the machine alone meanwhile.
 """

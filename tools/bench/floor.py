@@ -7,8 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from tests.bench.setting import Stopwatch
 from tests.core.attempts import all_actions
+from tools.bench.setting import Stopwatch
 from yamsim_cli.core.attempt.engine import Simulated, repeat
 from yamsim_cli.core.attempt.payload import frames
 from yamsim_cli.core.attempt.simulator import Simulator

@@ -3,7 +3,7 @@
 MuJoCo's Filament renderer needs Python 3.12 and, without a display, a Vulkan driver in software (on Debian,
 `mesa-vulkan-drivers` and `libvulkan1`). In an environment of that Python with yamsim's packages:
 
-    MUJOCO_GL=egl python -m tests.bench.filament --photos 60 --keep out/bench/filament
+    MUJOCO_GL=egl python -m tools.bench.filament --photos 60 --keep out/bench/filament
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Noise against a running `serve-robot`: 10,000 messages to each port, what its memory does, whether it still answers.
 
-python -m tests.bench.noise [--messages 10000]
+python -m tools.bench.noise [--messages 10000]
 """
 
 from __future__ import annotations

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from tests.bench.floor import floor_seconds
-from tests.bench.pictures import Image, ssim
-from tests.bench.plain import PlainPipeline, plain_setting
-from tests.bench.setting import Stopwatch, setting
 from tests.core.attempts import planned
+from tools.bench.floor import floor_seconds
+from tools.bench.pictures import Image, ssim
+from tools.bench.plain import PlainPipeline, plain_setting
+from tools.bench.setting import Stopwatch, setting
 from yamsim_cli.core.attempt.engine import Simulated
 from yamsim_cli.core.attempt.payload import render
 from yamsim_cli.core.attempt.simulator import Simulator

@@ -1,6 +1,6 @@
 """`make bench`: what the main job costs on this machine, against a plain pipeline and against the least it could cost.
 
-    python -m tests.bench [--episodes N] [--plain-episodes N] [--json FILE]
+    python -m tools.bench [--episodes N] [--plain-episodes N] [--json FILE]
 
 Nothing here is a test: a slow machine fails nothing. Leave the machine alone meanwhile.
 """
@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench.setting import use_gl
+from tools.bench.setting import use_gl
 
 if TYPE_CHECKING:
-    from tests.bench.pipeline import PipelineFigures
+    from tools.bench.pipeline import PipelineFigures
 
 # What the widest table takes.
 _WIDTH = 122
@@ -37,8 +37,8 @@ def main() -> None:
     # As `yamsim record` has it: a worker draws by itself, and there is one for each core.
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
-    from tests.bench.parts import measure_parts
-    from tests.bench.pipeline import alone, measure_pipeline
+    from tools.bench.parts import measure_parts
+    from tools.bench.pipeline import alone, measure_pipeline
 
     console = Console(width=max(_WIDTH, Console().width))
     console.print(f"{os.cpu_count()} cores, {renderer}\n")

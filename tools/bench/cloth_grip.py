@@ -1,6 +1,6 @@
 """Whether a gripper's pads hold cloth by friction alone: closed on a corner that lies, or on an edge between them.
 
-python -m tests.bench.cloth_grip --gripper flexible_4310
+python -m tools.bench.cloth_grip --gripper flexible_4310
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How few faces each mesh can do with: what assets.lock.json says of reductions was found by this.
 
-    python -m tests.bench.reduction [model2.stl ...]
+    python -m tools.bench.reduction [model2.stl ...]
 
 Slow: each try is drawn and measured. The lock takes a file's smallest count, and slivers_mm unless that is 0.1.
 """

@@ -1,6 +1,6 @@
 """The maker's SDK on the simulated arm: how steadily it turns, and how far the arm drifts that nothing but it holds.
 
-    python -m tests.bench.can [--hold 60] [--float 10] [--rig RIG] [--channel CHANNEL]
+    python -m tools.bench.can [--hold 60] [--float 10] [--rig RIG] [--channel CHANNEL]
 
 It runs in an environment of its own, as `make test-clients` makes it. Leave the machine alone meanwhile.
 """

@@ -1,6 +1,6 @@
 """A script that opens a drawer and shuts it, with the arm that a person drives: by friction, from above.
 
-python -m tests.bench.drawer --n 20
+python -m tools.bench.drawer --n 20
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Cloth in figures: folds by a task's expert, or drops and pulls of a cloth by itself.
 
-python -m tests.bench.cloth --fold fold_napkin --n 25
-python -m tests.bench.cloth --shake soft_napkin --n 60
+python -m tools.bench.cloth --fold fold_napkin --n 25
+python -m tools.bench.cloth --shake soft_napkin --n 60
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench.setting import setting
 from tests.core.attempts import all_actions
+from tools.bench.setting import setting
 from yamsim_cli.core.attempt.engine import Simulated
 from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.episode.grasps import attach

@@ -6,9 +6,9 @@ import os
 
 import numpy as np
 
-from tests.bench.setting import median_seconds, setting
 from tests.board_photos import facing, photograph
 from tests.core.attempts import planned
+from tools.bench.setting import median_seconds, setting
 from yamsim_cli.core.attempt.payload import render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config

@@ -1,6 +1,6 @@
 """How small a move of a camera or of a base `yamsim overlay` tells, from photos in which the arms move about.
 
-MUJOCO_GL=egl python -m tests.bench.moved
+MUJOCO_GL=egl python -m tools.bench.moved
 """
 
 from __future__ import annotations
