@@ -290,7 +290,7 @@ def test_scripts_import_names_that_exist() -> None:
     """Nothing else looks into shell scripts."""
     scripts = [path for path in (PACKAGE.parent / "tools").rglob("*") if path.suffix in (".py", ".sh")]
     imports = [
-        (module, name.strip())
+        (module, name.split()[0])
         for path in scripts
         for module, names in re.findall(r"from yamsim_cli\.([\w.]+) import ([\w, ]+)", path.read_text(encoding="utf-8"))
         for name in names.split(",")
