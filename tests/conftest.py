@@ -12,7 +12,8 @@ import pytest
 from tests.known_gl import remember_backend, settle_backend
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 
 settle_backend()
 remember_backend()
@@ -54,3 +55,14 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 @pytest.fixture(scope="session")
 def repository() -> Path:
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def single(locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", "single", locations)
+
+
+@pytest.fixture(scope="session")
+def station(locations: Locations) -> RigConfig:
+    """Two arms."""
+    return load_config(RigConfig, "rigs", "yam_station_linear_4310_d405", locations)

@@ -11,7 +11,7 @@ import numpy as np
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.vision.lens import project_points, rays
+from yamsim_cli.photos.lens import project_points, rays
 
 Grey = np.ndarray
 # From a random generator, a grey picture (height, width), its camera, a board and its pose (4, 4) in the camera frame.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
-from yamsim_cli.core import gl
+from yamsim_cli import gl
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import GlBackend
+from yamsim_cli.gl import GlBackend
 
 # "native" where MuJoCo's own choice is right, "none" where nothing works; and what OpenGL calls itself there.
 NAME, RENDERER = "YAMSIM_TEST_GL", "YAMSIM_TEST_GL_RENDERER"

@@ -9,16 +9,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
-from yamsim_cli.core.documents.document import dump_yaml
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.planning.arm_tools import start_stands
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.expert import sides
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.expert.planning.arm_tools import start_stands
+from yamsim_cli.core.expert.skills.bench import Bench
+from yamsim_cli.core.files.documents.document import dump_yaml
 from yamsim_cli.core.sim.world import world_of
-from yamsim_cli.core.skills.bench import Bench
 from yamsim_cli.core.types import Attempt, EpisodeJob
+from yamsim_cli.opener import Opener
 
 STATION = "yam_station_linear_4310_d405"
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
-from yamsim_cli.core.vision.lens import project_points
+from yamsim_cli.photos.lens import project_points
 
 # Webcams at VGA to phones of 12 megapixels.
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (4032, 3024))

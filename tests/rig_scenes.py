@@ -12,9 +12,9 @@ import numpy as np
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 

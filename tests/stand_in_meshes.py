@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.meshes import box
-from yamsim_cli.core.assets import load_lock
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.assets import load_lock
 
 
 def stand_ins(

@@ -9,8 +9,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from yamsim_cli.core.boards.board_image import board_image
 from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.images.board_image import board_image
 
 Picture = np.ndarray
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import yamsim_cli
-from tests.core.unrendered import frame_count
 from tests.e2e.test_record_summarize import digest
 from tests.pages import snippet
+from tests.unrendered import frame_count
 from yamsim_cli.core.errors import ConfigError, UsageError
 
 pytestmark = pytest.mark.render

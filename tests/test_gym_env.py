@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.attempts import all_actions, planned
+from tests.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
-from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.errors import SimulationError
-from yamsim_cli.core.session import Session
 
 gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
 
 from yamsim_cli.core.config.recording import RecordConfig  # noqa: E402
-from yamsim_cli.core.resources import Locations  # noqa: E402
+from yamsim_cli.core.files.resources import Locations  # noqa: E402
 from yamsim_cli.gym_env import ENV_ID  # noqa: E402
 
 
@@ -132,7 +132,7 @@ def test_joints_of_things_are_told(tmp_path: Path) -> None:
 
 
 def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("yamsim_cli.core.evaluate.stepped.MAX_STARTS", 1)
+    monkeypatch.setattr("yamsim_cli.policies.evaluate.stepped.MAX_STARTS", 1)
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     env = gymnasium.make(ENV_ID, task=str(written(tmp_path, tight)))
     with pytest.raises(SimulationError, match="none of 1 trials from 0 of seed 3 on has a start"):

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.attempts import planned
+from tests.attempts import planned
 from tests.pages import snippet
-from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_vector, rotation_z
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
 from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site
 
 START = np.array([0, 1.85, 1.90, -1.37, 0, 0])

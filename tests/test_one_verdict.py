@@ -16,23 +16,23 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from tests.core.attempts import all_actions
-from tests.core.teleop.tray import Tray
-from yamsim_cli.core.attempt.engine import demonstrate, repeat
-from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators, open_episode
+from tests.attempts import all_actions
+from tests.viewers.teleop.tray import Tray
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.engine import demonstrate, repeat
 from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
-from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.policy_trial import TrialRunner
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.skills.checked import check_config
-from yamsim_cli.core.teleop.driven_scene import DrivenScene
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.expert.skills.checked import check_config
+from yamsim_cli.core.files.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.types import Actions, Attempt, EpisodeJob
+from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
 from yamsim_cli.station import Station, StationSettings
+from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
 
 End = Literal["success", "actor"]
 

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tests.core.attempts import planned
+from tests.attempts import planned
 from yamsim_cli.api import PROGRAM
-from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.session import Session
 from yamsim_cli.station import Station, StationForm, StationSettings
 
 JOINTS = StationSettings(rig="single_linear", grasp="contact", action="joints", fps=30, size=(64, 48))

@@ -12,15 +12,15 @@ import numpy as np
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.compiling import compile_spec
-from yamsim_cli.core.show.compose import at_home
-from yamsim_cli.core.vision.lens import LensWarp, project_points
-from yamsim_cli.core.vision.renderer import SceneRenderer
+from yamsim_cli.photos.lens import LensWarp, project_points
+from yamsim_cli.viewers.show.compose import at_home
 
 # What the checks are made with.
 CAMERA = CameraModel.pinhole(640, 480, 600.0)

@@ -30,7 +30,7 @@ renders() {
 import os
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import find_backend
+from yamsim_cli.gl import find_backend
 
 try:
     find_backend(os.environ)

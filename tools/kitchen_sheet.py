@@ -15,7 +15,7 @@ import numpy as np
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.images.png import encode_png
-from yamsim_cli.core.opener import Opener
+from yamsim_cli.opener import Opener
 
 _TILE, _FINE, _COLUMNS = (200, 150), (800, 600), 6
 _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
@@ -28,8 +28,8 @@ def main() -> None:
     # MuJoCo is imported only once it is settled what draws.
     import mujoco
 
-    from yamsim_cli.core.certify.subject import compiled, grounded_spec, read_subject, with_camera
-    from yamsim_cli.core.vision.renderer import SceneRenderer
+    from yamsim_cli.core.rendering.renderer import SceneRenderer
+    from yamsim_cli.objects.certify.subject import compiled, grounded_spec, read_subject, with_camera
 
     tiles = []
     for name in (name for name in where.config_names("objects") if name.startswith("kitchen_")):

@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image as Pillow
 
 from tools.task_pictures import few_colours, first_success, pictures
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.opener import Opener
 
 _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
 _WHITE = 255
@@ -32,7 +32,7 @@ def _russet(opener: Opener, where: Locations) -> np.ndarray:
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.show.views import render_views, set_up_views
+    from yamsim_cli.viewers.show.views import render_views, set_up_views
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "high", where)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image as Pillow
 
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.opener import Opener
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.attempt.engine import Simulated
-    from yamsim_cli.core.attempt.simulator import Simulator
+    from yamsim_cli.core.episode.engine import Simulated
+    from yamsim_cli.core.episode.simulator import Simulator
 
 # Of the scene camera's picture, px, and what is shown of it: the table between the arms, rows and columns.
 _SIZE, _ROWS, _COLUMNS = "480x360", slice(96, 276), slice(115, 365)
@@ -51,9 +51,9 @@ def main(names: list[str]) -> None:
 @contextmanager
 def first_success(session: Session) -> Iterator[tuple[Simulator, Simulated]]:
     """Give the first success of seed 0, with the simulator that it was made in."""
-    from yamsim_cli.core.attempt.engine import demonstrate
-    from yamsim_cli.core.attempt.sampling import sample
-    from yamsim_cli.core.attempt.simulator import Simulators
+    from yamsim_cli.core.episode.engine import demonstrate
+    from yamsim_cli.core.episode.sampling import sample
+    from yamsim_cli.core.episode.simulator import Simulators
     from yamsim_cli.core.types import EpisodeJob
 
     with Simulators(session) as simulators:
@@ -74,7 +74,7 @@ def pictures(
     Args:
         moments: shares of the attempt's frames, 0 for the first and 1 for the last one.
     """
-    from yamsim_cli.core.attempt.payload import render
+    from yamsim_cli.core.episode.payload import render
 
     shown = [done.states[round(moment * (len(done.states) - 1))].qpos for moment in moments]
     return [render(simulator, done.attempt, qpos, cameras) for qpos in shown]

@@ -10,13 +10,13 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .core.import_thing.named import config_of
-from .core.opener import Opener
 from .kitchen_scenes import task_of
+from .objects.importing.named import config_of
+from .opener import Opener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
-    from .core.record.recorder import RecordReport
+    from .record.recorder import RecordReport
 
 
 def _keyword(setting: str) -> str:
@@ -75,11 +75,11 @@ def record(
     )
 
     from .core.dataset.writing.opening import OpenMode
-    from .core.record.collect import Notifier
-    from .core.record.destination import Output
-    from .core.record.executors import LocalProcesses, ThisProcess
-    from .core.record.recorder import record as run
     from .core.workers.stop import Stop
+    from .record.collect import Notifier
+    from .record.destination import Output
+    from .record.executors import LocalProcesses, ThisProcess
+    from .record.recorder import record as run
 
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
     watch = Notifier(lambda *_: None, lambda text: None)
@@ -120,16 +120,16 @@ def evaluate(
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .core.policies.loading import sees_images
+    from .policies.loading import sees_images
 
     session = PROGRAM.open(
         config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
     )
 
-    from .core.dataset.statistics import THRESHOLDS
-    from .core.evaluate.choice import PolicyChoice
-    from .core.evaluate.evaluation import evaluate as run
-    from .core.evaluate.evaluation import summary
+    from .core.statistics import THRESHOLDS
+    from .policies.evaluate.choice import PolicyChoice
+    from .policies.evaluate.evaluation import evaluate as run
+    from .policies.evaluate.evaluation import summary
 
     choice = PolicyChoice(policy, Path.cwd())
     found = run(session, choice, lambda done, total: None)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from .core.closing import Closing
 from .core.errors import ResourceError, UsageError, suggest
-from .core.serve.sockets import CAMERA_SOCKET, default_folder
+from .real.serve.sockets import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
@@ -163,7 +163,7 @@ def _invalid_answer(folder: str | Path | None) -> ResourceError:
 
 
 class _Connection:
-    """A connection to the server; see `core.serve.cameras` for the protocol."""
+    """A connection to the server; see `real.serve.cameras` for the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
         self.path = _path(folder)

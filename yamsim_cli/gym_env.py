@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from .api import PROGRAM
-from .core.session import Session
+from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
@@ -83,9 +83,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             session = Session(PROGRAM.config(config, where, **given), where)
 
         from .core.episode.rules import EndRule
-        from .core.evaluate.observation import policy_cameras
-        from .core.evaluate.stepped import SteppedTask
-        from .core.policies.base import SCENE, WRIST
+        from .policies.base import SCENE, WRIST
+        from .policies.evaluate.observation import policy_cameras
+        from .policies.evaluate.stepped import SteppedTask
 
         self._task = SteppedTask(session, EndRule(end), max_ticks)
         self._config = session.config
@@ -174,7 +174,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._task.close()
 
     def _observe(self) -> dict[str, NDArray[Any]]:
-        from .core.policies.base import of_arms
+        from .policies.base import of_arms
 
         simulator, episode = self._task.simulator, self._task.episode
         replica, T_base = simulator.replica, simulator.scene.T_base_in_world

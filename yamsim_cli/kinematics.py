@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
 from .core.errors import UsageError, suggest
+from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, reach
+from .core.expert.planning.ik import IkSolver
+from .core.files.resources import Locations
 from .core.geometry.se3 import Array, inverse, pose
-from .core.planning.arm_kinematics import ArmKinematics, OutOfReachError, reach
-from .core.planning.ik import IkSolver
-from .core.resources import Locations
 from .core.robots.stops import beyond_stops
 from .core.scene.robot import bare_arm
 
@@ -121,8 +121,8 @@ class Kinematics:
 
         The same arguments give the same result. Every YAM has a closed solution: of all joints that reach the pose, the
         result is the nearest to `start`, exact to 1e-6 m and rad. If no joints reach the pose, searches find joints
-        within the tolerances. An arm without a closed solution (see `core.planning.closed_form.closed_form`) is only
-        searched, first from `start`.
+        within the tolerances. An arm without a closed solution (see `core.expert.planning.closed_form`) is only
+            searched, first from `start`.
 
         Args:
             start: present joints (dof,), rad; by default home.

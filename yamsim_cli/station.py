@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .core.closing import Closing
+from .core.config.session import Session
 from .core.errors import SimulationError, UsageError
-from .core.session import Session
 from .station_settings import StationForm, StationSettings
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Station(Closing):
     ) -> None:
         from .core.dataset.rows import Rows
         from .core.episode.rules import EndRule
-        from .core.evaluate.stepped import SteppedTask
+        from .policies.evaluate.stepped import SteppedTask
 
         opener = settings.opener
         if pictures:
@@ -134,7 +134,7 @@ class Station(Closing):
         Raises:
             SimulationError: this trial's things have other joints than the task's typical ones.
         """
-        from .core.policies.environment_state import object_pose_keys, state_row
+        from .core.dataset.environment_state import object_pose_keys, state_row
 
         simulator = self._task.simulator
         replica, config = simulator.replica, simulator.config

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .api import PROGRAM
-from .core.opener import Opener
+from .opener import Opener
 
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
@@ -91,8 +91,8 @@ class StationForm:
     @classmethod
     def of_config(cls, config: RecordConfig) -> StationForm:
         """The form of a station with a record config."""
+        from .core.dataset.environment_state import object_pose_keys, state_names
         from .core.dataset.rows import Rows
-        from .core.policies.environment_state import object_pose_keys, state_names
 
         joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
         rows, timing = Rows.of(config), config.task.timing

@@ -5,8 +5,8 @@ import typer
 from typer.testing import CliRunner
 
 from yamsim_cli.commands.boards import PaperSize, boards
-from yamsim_cli.core.boards.sheet import PAPERS
 from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.photos.board_sheet import PAPERS
 
 
 @pytest.fixture

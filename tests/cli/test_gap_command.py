@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.recordings.making import write_csv
+from tests.real.recordings.making import write_csv
 from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.resources import Locations
 
 TIMES = np.arange(0, 3.0, 0.01)
 

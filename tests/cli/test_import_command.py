@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.recordings.making import swinging, write_csv
+from tests.real.recordings.making import swinging, write_csv
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.things.test_fits import block
+from tests.objects.test_fits import block
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def test_overwrite_replaces(tmp_path: Path) -> None:
 
 PORTS = {
     "view": ("view", "--web", "--port"),
-    "serve-policy": ("serve-policy", "--policy", "tests.core.policies.sample_policies:Still", "--port"),
+    "serve-policy": ("serve-policy", "--policy", "tests.policies.sample_policies:Still", "--port"),
 }
 
 

@@ -14,9 +14,9 @@ from tests.board_photos import facing, photograph
 from tests.cli.run_cli import Run, yamsim
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose
-from yamsim_cli.core.resources import Locations
 
 pytestmark = pytest.mark.render
 

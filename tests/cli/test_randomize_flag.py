@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.flags.session import opener
 
 MINE = "{lens_deg: [-1, 1]}"

@@ -55,7 +55,7 @@ def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list
         ("typer", signal.SIGTERM),
         ("yamsim_cli.commands.view", signal.SIGINT),
         ("mujoco._specs", signal.SIGTERM),
-        ("yamsim_cli.core.viewers.rig_page", signal.SIGINT),
+        ("yamsim_cli.viewers.rig_page", signal.SIGINT),
         ("viser", signal.SIGTERM),
     ],
 )

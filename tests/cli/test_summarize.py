@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.dataset.checks.sample import Sample, episode
+from tests.datasets.checks.sample import Sample, episode
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.problem import CODES
 

@@ -11,8 +11,8 @@ from tests.clients.environments import REPOSITORY, Interpreter
 
 TESTS = (
     "tests/core/images/test_video.py",
-    "tests/core/export/test_films.py",
-    "tests/core/export/test_lerobot.py",
+    "tests/export/test_films.py",
+    "tests/export/test_lerobot.py",
 )
 
 

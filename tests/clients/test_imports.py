@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.export.real_datasets import bring_in, with_film
-from tests.core.recordings.foreign import NAMES, PROMPT, START_NS, grey_of, shares
-from tests.core.recordings.making import swinging
+from tests.export.real_datasets import bring_in, with_film
+from tests.real.recordings.foreign import NAMES, PROMPT, START_NS, grey_of, shares
+from tests.real.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_images
-from yamsim_cli.core.export.lerobot import export_real_lerobot
-from yamsim_cli.core.export.raiden import export_real_raiden
-from yamsim_cli.core.export.raiden_schema import RaidenOptions
-from yamsim_cli.core.export.source import open_real_source
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.csv_file import header
-from yamsim_cli.core.recordings.reading import read_motions
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.export.lerobot import export_real_lerobot
+from yamsim_cli.export.raiden import export_real_raiden
+from yamsim_cli.export.raiden_schema import RaidenOptions
+from yamsim_cli.export.source import open_real_source
+from yamsim_cli.real.recordings.csv_file import header
+from yamsim_cli.real.recordings.reading import read_motions
 
 # Seconds; the machine may be busy with other things.
 PATIENCE = 900

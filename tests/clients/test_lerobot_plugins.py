@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import REPOSITORY, SCRIPTS, Interpreter, yamsim_beside
-from tests.core.export.conftest import jpeg
-from tests.core.unrendered import write_dataset
+from tests.export.conftest import jpeg
+from tests.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 
 pytest.importorskip("pyarrow", reason="yamsim[lerobot] is not installed")
 pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 import av
 import pyarrow.parquet
 
-from yamsim_cli.core.export.lerobot import export_lerobot
-from yamsim_cli.core.export.source import open_source
+from yamsim_cli.export.lerobot import export_lerobot
+from yamsim_cli.export.source import open_source
 
 pytestmark = pytest.mark.client_heavy
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.attempts import all_actions, planned
 from tests.clients.environments import Interpreter
-from tests.core.attempts import all_actions, planned
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.compose import at_home, task_start, write_scene
+from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
 
 Client = Callable[[str], Interpreter]
 # The oldest one that can load composed scenes, the last one of the third version, and one between them.

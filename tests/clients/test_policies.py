@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import SCRIPTS, Interpreter, yamsim_beside
-from tests.core.evaluate.test_external_policies import expert_plans
+from tests.policies.evaluate.test_external_policies import expert_plans
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
-from yamsim_cli.core.policies.act import dump_json, load_json
-from yamsim_cli.core.policies.chunks import Chunking
-from yamsim_cli.core.policies.mapped import MappedPolicy, PolicyStation
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.policies.act import dump_json, load_json
+from yamsim_cli.policies.chunks import Chunking
+from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
+from yamsim_cli.policies.mapped import MappedPolicy, PolicyStation
 
 pytestmark = pytest.mark.render
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")

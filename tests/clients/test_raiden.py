@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.rendered import SMALL, write_rendered_dataset
-from tests.core.unrendered import write_dataset
+from tests.rendered import SMALL, write_rendered_dataset
+from tests.unrendered import write_dataset
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.export.raiden import export_raiden
-from yamsim_cli.core.export.raiden_schema import RaidenOptions
-from yamsim_cli.core.export.source import open_source
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel
+from yamsim_cli.export.raiden import export_raiden
+from yamsim_cli.export.raiden_schema import RaidenOptions
+from yamsim_cli.export.source import open_source
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 

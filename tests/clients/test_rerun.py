@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import REPOSITORY, Interpreter
-from tests.core.export.conftest import CAMERAS, jpeg
-from tests.core.unrendered import SIZE, write_dataset
+from tests.export.conftest import CAMERAS, jpeg
+from tests.unrendered import SIZE, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.export.source import Source, open_source
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.export.source import Source, open_source
 
 pytestmark = pytest.mark.client
 
@@ -31,7 +31,7 @@ def source(
 
 @pytest.fixture(scope="module")
 def file(source: Source, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from yamsim_cli.core.export.rrd import export_rerun
+    from yamsim_cli.export.rrd import export_rerun
 
     out = tmp_path_factory.mktemp("rrd") / "out"
     export_rerun(source, out, lambda done, total: None)

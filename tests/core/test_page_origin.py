@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from yamsim_cli.core.page_origin import refusal
-from yamsim_cli.core.policies.remote import pack
-from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.bodies_page import serve_page
-from yamsim_cli.policy_server import PolicyServer
+from yamsim_cli.policies.policy_server import PolicyServer
+from yamsim_cli.policies.remote import pack
+from yamsim_cli.viewers.address import PageAddress
+from yamsim_cli.viewers.bodies_page import serve_page
 
 _WEBSOCKET = {
     "Upgrade": "websocket",

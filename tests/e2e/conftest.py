@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.browser import CHROMEDRIVER, CHROMIUM, Browser, answers, wait_until
-from yamsim_cli.core.files import exclusive_lock
+from yamsim_cli.core.files.writing import exclusive_lock
 
 
 @pytest.fixture

@@ -11,15 +11,15 @@ import pytest
 from tests.core.workers.toy_runners import Toy
 from tests.e2e.recorder import workers_of
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.record.collect import Notifier
-from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.record.executors import LocalProcesses
-from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.processes import WorkerPool
 from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.executors import LocalProcesses
+from yamsim_cli.record.recorder import record
 
 # What 2,000 episodes may add to any one process.
 LIMIT_MB = 50.0

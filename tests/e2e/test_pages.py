@@ -22,18 +22,18 @@ import pytest
 import yaml
 
 from tests.cli.warm import WarmRun, warm_process
-from tests.core.recordings.making import write_csv
-from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
 from tests.mugs import has_import_extra, mug, write_mugs
+from tests.objects.test_fits import block
 from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
+from tests.real.recordings.making import write_csv
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
 from tests.rig_scenes import later, plant, rig_scene, swings
-from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 

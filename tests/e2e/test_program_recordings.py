@@ -10,16 +10,16 @@ import pytest
 
 from tests.e2e.recorder import digest, episodes, run, start, wait_until
 from tests.programs import ONTO_PLATE, written
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.record.collect import Notifier
-from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.record.executors import ThisProcess
-from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.verify import CHECKS, EpisodeVerifier, Tolerances
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.datasets.verify import CHECKS, EpisodeVerifier, Tolerances
+from yamsim_cli.opener import Opener
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.executors import ThisProcess
+from yamsim_cli.record.recorder import record
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 

@@ -18,8 +18,8 @@ import yaml
 
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.pictures import ImageConfig
-from yamsim_cli.core.dataset.writing.space import EpisodeSize
-from yamsim_cli.core.gl import GlBackend
+from yamsim_cli.gl import GlBackend
+from yamsim_cli.record.space import EpisodeSize
 
 pytestmark = pytest.mark.render
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.dataset.checks.sample import Sample, episode
+from tests.datasets.checks.sample import Sample, episode
 from tests.e2e.browser import Browser
 from yamsim_cli.core.config.recording import RecordConfig
 

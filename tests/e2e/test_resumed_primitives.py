@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
+from yamsim_cli.core.config.shown_meshes import PRIMITIVES
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.shown_meshes import PRIMITIVES
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.opener import Opener
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 

@@ -18,21 +18,21 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
-from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.view import task_viewpoint
-from yamsim_cli.core.teleop.driven_scene import DrivenScene
-from yamsim_cli.core.teleop.loop import open_teleop, run_page
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.teleop_page import heading_of
-from yamsim_cli.core.viewers.viewpoint import FOV_DEG
 from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.viewers.address import PageAddress
+from yamsim_cli.viewers.show.view import task_viewpoint
+from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
+from yamsim_cli.viewers.teleop.loop import open_teleop, run_page
+from yamsim_cli.viewers.teleop_page import heading_of
+from yamsim_cli.viewers.viewpoint import FOV_DEG
 
 REPOSITORY = Path(__file__).parents[2]
 

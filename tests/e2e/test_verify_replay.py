@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.attempts import planned
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
-from tests.core.attempts import planned
 from tests.e2e.browser import Browser, wait_until
 from tests.e2e.test_record_summarize import digest, frames
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.lowdim import load_frame
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 

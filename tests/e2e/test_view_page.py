@@ -18,13 +18,13 @@ from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.show.view import live_rig, view_rig
-from yamsim_cli.core.viewers.address import PageAddress
-from yamsim_cli.core.viewers.viewed_scene import LiveRig
-from yamsim_cli.core.viewers.viewpoint import Viewpoint
+from yamsim_cli.viewers.address import PageAddress
+from yamsim_cli.viewers.show.view import live_rig, view_rig
+from yamsim_cli.viewers.viewed_scene import LiveRig
+from yamsim_cli.viewers.viewpoint import Viewpoint
 
 pytestmark = pytest.mark.slow
 
@@ -90,7 +90,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     middle = np.array([*np.mean(list(places.values()), axis=0), 0.0])
     # The picture's right is then world +x, its top world +y. A hair off the vertical, where "up" has no meaning.
     above = Viewpoint(middle, distance=0.75, azimuth_deg=90, elevation_deg=-89.5)
-    monkeypatch.setattr("yamsim_cli.core.show.view.frame_rig", lambda _: above)
+    monkeypatch.setattr("yamsim_cli.viewers.show.view.frame_rig", lambda _: above)
     # Out of the way: arms up and back.
     for k in range(2):
         live.data.ctrl[7 * k : 7 * k + 3] = (0, 0, 0)

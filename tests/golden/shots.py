@@ -17,9 +17,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.show.views import ViewScene, set_up_views
+from yamsim_cli.viewers.show.views import ViewScene, set_up_views
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")

@@ -14,9 +14,9 @@ import pytest
 from tests.golden.shots import RIGS, VIEWS, Shot, centre_faults, faults, save_failure, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.show.views import set_up_views
+from yamsim_cli.viewers.show.views import set_up_views
 
 pytestmark = pytest.mark.render
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from yamsim_cli.core.gl import find_backend
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.gl import find_backend
 
 if __name__ == "__main__":
     os.environ["MUJOCO_GL"] = find_backend(os.environ).name or ""

@@ -30,14 +30,14 @@ from kitchenbench import tasks
 from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 
+from yamsim_cli.core.config.goals.cast import Cast
+from yamsim_cli.core.expert.skills.bench import Bench, Fingers
+from yamsim_cli.core.expert.skills.grips import Grip
+from yamsim_cli.core.expert.skills.handover import Handover
+from yamsim_cli.core.expert.skills.insert import Insert
+from yamsim_cli.core.expert.skills.pick import Pick
+from yamsim_cli.core.expert.skills.place import Place
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
-from yamsim_cli.core.goals.cast import Cast
-from yamsim_cli.core.skills.bench import Bench, Fingers
-from yamsim_cli.core.skills.grips import Grip
-from yamsim_cli.core.skills.handover import Handover
-from yamsim_cli.core.skills.insert import Insert
-from yamsim_cli.core.skills.pick import Pick
-from yamsim_cli.core.skills.place import Place
 from yamsim_cli.kitchenbench.catalog import thing_of
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.judges import KitchenWorld

@@ -18,27 +18,27 @@ from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
-from tests.core.attempts import all_actions
-from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulators
+from tests.attempts import all_actions
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.expert import sides
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.record.collect import Notifier
-from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.record.executors import ThisProcess
-from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.datasets.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.kitchen_scenes import task_of
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
+from yamsim_cli.opener import Opener
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.executors import ThisProcess
+from yamsim_cli.record.recorder import record
 
 SCENE = next(scene for scene in tasks.TASK_FACTORIES["stack"]().scenes if scene.id == "stack-tight-spacing")
 NAME = "kitchenbench/stack/tight-spacing"

@@ -18,19 +18,19 @@ os.environ.setdefault("MUJOCO_GL", "off")
 import mujoco
 import numpy as np
 
-from yamsim_cli.core.attempt.engine import demonstrate, repeat
-from yamsim_cli.core.attempt.sampling import sample
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.episode.engine import demonstrate, repeat
 from yamsim_cli.core.episode.rules import REPEATED_RULES
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.sheets import crossings
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles
 from yamsim_cli.core.sim.cloth import ClothGrips
 from yamsim_cli.core.types import Actions, EpisodeJob, StepState
+from yamsim_cli.opener import Opener
 
 # A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
 _STEPS, _STEP, _LET_GO = 300, 0.004, 225

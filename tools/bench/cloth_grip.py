@@ -16,8 +16,8 @@ import numpy as np
 from tests.hands import hand
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.cloth import add_cloth, rest_points
 
 _CLOTH = "soft_napkin"

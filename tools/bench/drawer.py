@@ -29,9 +29,9 @@ def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
     """A teleop session with a cabinet that faces the arm, its drawer shut."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.recording import RecordConfig
-    from yamsim_cli.core.import_thing.from_file import import_directly
-    from yamsim_cli.core.session import Session
-    from yamsim_cli.core.teleop.driven_scene import DrivenScene
+    from yamsim_cli.core.config.session import Session
+    from yamsim_cli.objects.importing.from_file import import_directly
+    from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
 
     file = folder / "cabinet.sdf"
     file.write_text(cabinet_sdf())
@@ -97,7 +97,7 @@ def open_and_shut(session: Any) -> tuple[float, float]:
 def main(count: int) -> None:
     import os
 
-    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.files.resources import Locations
 
     done = []
     with tempfile.TemporaryDirectory() as scratch:

@@ -30,14 +30,14 @@ from tools.bench.error_plot import plot_errors
 from tools.bench.setting import use_gl
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.core.overlay.arm_poses import find_arms
-from yamsim_cli.core.overlay.lenses import Lens
-from yamsim_cli.core.overlay.photos import Photo
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.locate import locate, locate_together
-from yamsim_cli.core.vision.fiducials.sighting import BoardStatus, Sighting
+from yamsim_cli.photos.fiducials.locate import locate, locate_together
+from yamsim_cli.photos.fiducials.sighting import BoardStatus, Sighting
+from yamsim_cli.photos.overlay.arm_poses import find_arms
+from yamsim_cli.photos.overlay.lenses import Lens
+from yamsim_cli.photos.overlay.photos import Photo
 
 # Poses that are off by more than this are wrong.
 WRONG_DEG, WRONG_MM = 3.0, 15.0

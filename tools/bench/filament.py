@@ -20,11 +20,11 @@ import numpy as np
 from rich.console import Console
 
 from tests.truth_photos import Photographer, shot_of, spoilt
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.locate import locate
-from yamsim_cli.core.vision.fiducials.sighting import Sighting
+from yamsim_cli.photos.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.sighting import Sighting
 
 # Poses off by more than this are wrong, degrees and mm.
 WRONG = (3.0, 15.0)

@@ -7,13 +7,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from tests.core.attempts import all_actions
+from tests.attempts import all_actions
 from tools.bench.setting import Stopwatch
-from yamsim_cli.core.attempt.engine import Simulated, repeat
-from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.episode.engine import Simulated, repeat
+from yamsim_cli.core.episode.payload import frames
 from yamsim_cli.core.episode.rules import EXPERT_RULES
-from yamsim_cli.core.files import publish_directory
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.writing import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg
 
 

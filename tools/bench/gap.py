@@ -17,10 +17,10 @@ import mujoco
 import numpy as np
 
 from tests.rig_scenes import STEP, new_scene, plant, rig_scene, swings
-from yamsim_cli.core.gap.figures import gap_of
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.real.gap.figures import gap_of
 
 _FINE = 0.0005
 # Of 16 bits over 25 rad. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.

@@ -24,10 +24,10 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.identify.excitation import Excitation, excite
-from yamsim_cli.core.identify.identify import Identified, identify
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.real.identify.excitation import Excitation, excite
+from yamsim_cli.real.identify.identify import Identified, identify
 
 # Name -> how far a value may be off, as a share of the true one, or in its own unit.
 _GOALS = {

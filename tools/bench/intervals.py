@@ -25,12 +25,12 @@ from rich.table import Table
 from tests.random_views import Lens, View, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, rotation_vector
-from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
-from yamsim_cli.core.overlay.lenses import Lens as PhotoLens
-from yamsim_cli.core.overlay.lenses import unknown_lens
-from yamsim_cli.core.overlay.photos import Photo
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.photos.overlay.arm_poses import PhotoResult, find_arms
+from yamsim_cli.photos.overlay.lenses import Lens as PhotoLens
+from yamsim_cli.photos.overlay.lenses import unknown_lens
+from yamsim_cli.photos.overlay.photos import Photo
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
 PINHOLE = Lens()

@@ -20,13 +20,13 @@ from tests.rig_photos import JOINTS, Studio, looking
 from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import grey_of
-from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
-from yamsim_cli.core.overlay.lenses import Lens
-from yamsim_cli.core.overlay.moves import Moved, Stillness, find_moves
-from yamsim_cli.core.overlay.photos import Photo
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.photos.overlay.arm_poses import PhotoResult, find_arms
+from yamsim_cli.photos.overlay.lenses import Lens
+from yamsim_cli.photos.overlay.moves import Moved, Stillness, find_moves
+from yamsim_cli.photos.overlay.photos import Photo
 
 PHOTOS = 16
 

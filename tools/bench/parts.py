@@ -6,22 +6,22 @@ import os
 
 import numpy as np
 
+from tests.attempts import planned
 from tests.board_photos import facing, photograph
-from tests.core.attempts import planned
 from tools.bench.setting import median_seconds, setting
-from yamsim_cli.core.attempt.payload import render
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.expert.planning.ik import IkSolver
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.core.planning.ik import IkSolver
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import bare_arm
 from yamsim_cli.core.types import Attempt, EpisodeJob
-from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.locate import locate
 
 _CAMERA = CameraModel.pinhole(640, 480, 600.0)
 _QUALITIES = {"fast": 20, "balanced": 20, "high": 5}

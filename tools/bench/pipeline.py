@@ -14,21 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from tests.core.attempts import planned
+from tests.attempts import planned
 from tools.bench.floor import floor_seconds
 from tools.bench.pictures import Image, ssim
 from tools.bench.plain import PlainPipeline, plain_setting
 from tools.bench.setting import Stopwatch, setting
-from yamsim_cli.core.attempt.engine import Simulated
-from yamsim_cli.core.attempt.payload import render
-from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.record.collect import Notifier
-from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.record.executors import LocalProcesses
-from yamsim_cli.core.record.recorder import record
+from yamsim_cli.core.episode.engine import Simulated
+from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.executors import LocalProcesses
+from yamsim_cli.record.recorder import record
 
 P = ParamSpec("P")
 T = TypeVar("T")

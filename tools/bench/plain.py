@@ -15,14 +15,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.core.attempts import all_actions
+from tests.attempts import all_actions
 from tools.bench.setting import setting
-from yamsim_cli.core.attempt.engine import Simulated
 from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.engine import Simulated
 from yamsim_cli.core.episode.grasps import attach
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import bare_arm
-from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Actions
 
 # Source: MuJoCo 4's XML reference, visual/quality and visual/global, and light/castshadow. Nothing reflects there.

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from tests.core.policies.servers import act_server, openpi_server
+from tests.policies.servers import act_server, openpi_server
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
-from yamsim_cli.core.evaluate.policy_factory import _CONFIGS
-from yamsim_cli.core.policies.act import ActClient
-from yamsim_cli.core.policies.mapped import MappedPolicy, PolicyClient, PolicyStation
-from yamsim_cli.core.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.policies.act import ActClient
+from yamsim_cli.policies.evaluate.policy_factory import _CONFIGS
+from yamsim_cli.policies.mapped import MappedPolicy, PolicyClient, PolicyStation
+from yamsim_cli.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 
 QUESTIONS = 300
 ANSWER = {"actions": np.zeros((30, 14))}

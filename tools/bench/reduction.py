@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 
-from yamsim_cli.core.gl import find_backend
+from yamsim_cli.gl import find_backend
 
 # What is aimed at, a little better than what the tests ask for (0.5 mm and 0.995).
 FARTHEST_MM = 0.475
@@ -24,11 +24,11 @@ def main() -> None:
     os.environ.setdefault("MUJOCO_GL", find_backend(os.environ).name or "")
 
     from tests.silhouettes import Silhouettes, overlap
-    from yamsim_cli.core.assets import AssetStore, Reduction, load_lock
-    from yamsim_cli.core.assets.reduction import cleared, collapsed
+    from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.core.geometry.deviation import deviation
     from yamsim_cli.core.geometry.stl import read_stl
-    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.scene.assets import AssetStore, Reduction, load_lock
+    from yamsim_cli.core.scene.assets.reduction import cleared, collapsed
 
     where = Locations.find(os.environ)
     store = AssetStore(where.assets)

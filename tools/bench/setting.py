@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from yamsim_cli.core.assets import AssetStore, find_reduced, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.gl import find_backend
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.scene.assets import AssetStore, find_reduced, load_lock
+from yamsim_cli.gl import find_backend
 
 
 class Stopwatch:

@@ -14,9 +14,9 @@ from rich.table import Table
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.locate import locate
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 

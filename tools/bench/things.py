@@ -23,10 +23,10 @@ from tools.bench.setting import use_gl
 
 
 def imported(file: Path, folder: Path, **wishes: Any) -> Any:
-    from yamsim_cli.core.import_thing.from_file import import_file
-    from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.thing_files.read import UnitOptions
-    from yamsim_cli.core.things.make import ImportOptions
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.objects.importing.from_file import import_file
+    from yamsim_cli.objects.make import ImportOptions
+    from yamsim_cli.objects.readers.read import UnitOptions
 
     where = replace(Locations.find(os.environ), assets=folder / "assets")
     plain = file.suffix in (".obj", ".ply", ".stl")

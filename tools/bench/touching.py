@@ -16,16 +16,16 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.mugs import mug_mesh
-from yamsim_cli.core.certify.physics_checks import hollow_of
-from yamsim_cli.core.certify.subject import Subject, compiled, grounded_spec, read_subject
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import YamsimError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.import_thing.from_file import import_file
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.thing_files.read import UnitOptions
-from yamsim_cli.core.things.make import ImportOptions
+from yamsim_cli.objects.certify.physics_checks import hollow_of
+from yamsim_cli.objects.certify.subject import Subject, compiled, grounded_spec, read_subject
+from yamsim_cli.objects.importing.from_file import import_file
+from yamsim_cli.objects.make import ImportOptions
+from yamsim_cli.objects.readers.read import UnitOptions
 
 _SECONDS = 1.0
 _SHIPPED = ("025_mug", "024_bowl", "kitchen_cup", "kitchen_bowl", "kitchen_plate", "kitchen_pot", "kitchen_dish_rack")

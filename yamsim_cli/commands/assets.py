@@ -17,12 +17,12 @@ from yamsim_cli.terminal.console import note, print_json, print_line, print_repo
 from yamsim_cli.terminal.tables import Listing
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
-    from yamsim_cli.core.certify.run import Certified
-    from yamsim_cli.core.import_thing.from_file import ImportedFile
-    from yamsim_cli.core.import_thing.ycb import ImportedObject
-    from yamsim_cli.core.thing_files.read import UnitOptions
-    from yamsim_cli.core.things.make import ImportOptions
+    from yamsim_cli.core.scene.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
+    from yamsim_cli.objects.certify.run import Certified
+    from yamsim_cli.objects.importing.from_file import ImportedFile
+    from yamsim_cli.objects.importing.ycb import ImportedObject
+    from yamsim_cli.objects.make import ImportOptions
+    from yamsim_cli.objects.readers.read import UnitOptions
 
 app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
@@ -93,7 +93,7 @@ def fetch(
 
 
 def _open() -> tuple[AssetLock, AssetStore]:
-    from yamsim_cli.core.assets import AssetStore, load_lock
+    from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
     locations = opener.locations()
     return load_lock(locations), AssetStore(locations.assets)
@@ -119,7 +119,7 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
     """Every object that has a config, and the state of its certificate."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.things.thing import ObjectConfig
-    from yamsim_cli.core.things.certificates import find_certificate
+    from yamsim_cli.core.scene.certificates import find_certificate
 
     where = opener.locations()
     found = list[dict[str, Any]]()
@@ -139,7 +139,7 @@ def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
     """The fetched sets, and set -> its reduced meshes, for sets whose meshes could be reduced."""
-    from yamsim_cli.core.assets import default_sources, fetch, make_reduced
+    from yamsim_cli.core.scene.assets import default_sources, fetch, make_reduced
     from yamsim_cli.terminal.fetch_bar import fetch_bar
 
     with fetch_bar() as advance:
@@ -195,7 +195,7 @@ def certify_object(
     certified = _certify(thing)
     found = certified.plain()
     if html:
-        from yamsim_cli.core.certify.report import write_page
+        from yamsim_cli.objects.certify.report import write_page
 
         write_page(certified, html)
         found["html"] = str(html)
@@ -216,11 +216,11 @@ def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> Listing:
 
 def _certify(thing: str) -> Certified:
     """Certify an object by its name or file, and store the certificate."""
-    from yamsim_cli.core.assets import load_lock
-    from yamsim_cli.core.certify.run import certify
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.things.thing import ObjectConfig
-    from yamsim_cli.core.things.certificates import store_certificate
+    from yamsim_cli.core.scene.assets import load_lock
+    from yamsim_cli.core.scene.certificates import store_certificate
+    from yamsim_cli.objects.certify.run import certify
 
     where = opener.locations()
     item = load_config(ObjectConfig, "objects", thing, where)
@@ -234,7 +234,7 @@ def _certify(thing: str) -> Certified:
 
 def _failure(certified: Certified) -> str:
     """One line on the first check that failed, and the number of other failures."""
-    from yamsim_cli.core.certify.run import CHECKS
+    from yamsim_cli.objects.certify.run import CHECKS
 
     code = certified.failed[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
@@ -285,7 +285,7 @@ def import_object(
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
-    from yamsim_cli.core.thing_files import ENDINGS
+    from yamsim_cli.objects.readers import ENDINGS
 
     if Path(source).suffix.lower() not in ENDINGS:
         if name is not None:
@@ -294,9 +294,9 @@ def import_object(
     else:
         if mass is not None and density is not None:
             raise UsageError("--mass and --density: give one of them")
-        from yamsim_cli.core.import_thing.from_file import name_of
-        from yamsim_cli.core.thing_files.read import UnitOptions
-        from yamsim_cli.core.things.make import ImportOptions
+        from yamsim_cli.objects.importing.from_file import name_of
+        from yamsim_cli.objects.make import ImportOptions
+        from yamsim_cli.objects.readers.read import UnitOptions
 
         file = Path(source)
         wishes = ImportOptions(name or name_of(file), mass, density, collision, base, friction)
@@ -319,7 +319,7 @@ def import_object(
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """The import of a YCB object as JSON has it, and in words."""
-    from yamsim_cli.core.import_thing.ycb import import_ycb
+    from yamsim_cli.objects.importing.ycb import import_ycb
 
     made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
     item = _ycb_item(made)
@@ -335,7 +335,7 @@ def _import_file(
     file: Path, told: UnitOptions, wishes: ImportOptions, out: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
     """The import of a file as JSON has it, and in words; guesses are noted on stderr."""
-    from yamsim_cli.core.import_thing.from_file import import_file
+    from yamsim_cli.objects.importing.from_file import import_file
 
     with progress_bar(f"importing {file.name}", "%") as advance:
         imported = import_file(

@@ -14,11 +14,11 @@ from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.boards.sheet import Sheet
+    from yamsim_cli.photos.board_sheet import Sheet
 
 
 class PaperSize(StrEnum):
-    """The papers of `core.boards.sheet`, repeated here so that --help loads no OpenCV."""
+    """The papers of `photos.board_sheet`, repeated here so that --help loads no OpenCV."""
 
     A4 = "A4"
     LETTER = "Letter"
@@ -40,10 +40,10 @@ def boards(
     if out.suffix.lower() not in (".pdf", ".png"):
         raise UsageError(f"--out {out} is not valid: end it in .pdf or .png")
 
-    from yamsim_cli.core.boards.sheet import PAPERS, board_sheet
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.files import write_outputs
+    from yamsim_cli.core.files.writing import write_outputs
+    from yamsim_cli.photos.board_sheet import PAPERS, board_sheet
 
     arms = load_config(RigConfig, "rigs", rig, opener.locations()).arms
     owned = {arm.name: arm.board for arm in arms if arm.board}
@@ -79,7 +79,7 @@ def _file(out: Path, arm: str) -> Path:
 
 def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
     """File to write -> its bytes."""
-    from yamsim_cli.core.boards.sheet import pdf_bytes, png_bytes
+    from yamsim_cli.photos.board_sheet import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":
         return {out: pdf_bytes(list(sheets.values()))}

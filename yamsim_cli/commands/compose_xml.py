@@ -50,10 +50,10 @@ def compose_xml(
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.session import Session
-    from yamsim_cli.core.show.compose import at_home, task_start, write_scene
+    from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
 
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None

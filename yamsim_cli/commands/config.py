@@ -65,7 +65,7 @@ def show(
     Example: yamsim config show tasks pickplace
     """
     from yamsim_cli.core.config.loader import load_config, model_of
-    from yamsim_cli.core.documents.document import dump_yaml
+    from yamsim_cli.core.files.documents.document import dump_yaml
 
     data: dict[str, Any] = load_config(model_of(kind), kind, name, opener.locations()).model_dump(mode="json")
     if json:
@@ -88,7 +88,7 @@ def validate(
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
     from yamsim_cli.core.config.loader import KINDS, model_of, validate_file
-    from yamsim_cli.core.skills.checked import check_config
+    from yamsim_cli.core.expert.skills.checked import check_config
 
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:

@@ -14,7 +14,7 @@ from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_text
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.doctor import HealthCheck
+    from yamsim_cli.doctor import HealthCheck
 
 _STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
@@ -29,7 +29,7 @@ def doctor(
 
     Example: yamsim doctor --out /data/episodes
     """
-    from yamsim_cli.core.doctor import examine, faults
+    from yamsim_cli.doctor import examine, faults
 
     checks = examine(os.environ, opener.locations(), out, (lambda check: None) if json else _print)
     found = faults(checks)

@@ -15,9 +15,9 @@ from yamsim_cli.terminal.console import note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film, films_at
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.evaluate.choice import PolicyChoice
-    from yamsim_cli.core.evaluate.evaluation import Evaluation
-    from yamsim_cli.core.session import Session
+    from yamsim_cli.core.config.session import Session
+    from yamsim_cli.policies.evaluate.choice import PolicyChoice
+    from yamsim_cli.policies.evaluate.evaluation import Evaluation
 
 
 def evaluate(
@@ -125,8 +125,8 @@ def evaluate(
     if video_all and video is None:
         raise UsageError("--video-all is for videos: give --video")
     require_free_reports(out, html, overwrite=overwrite)
-    from yamsim_cli.core.policies.chunks import Chunking, read_latency
-    from yamsim_cli.core.policies.loading import read_arguments, sees_images
+    from yamsim_cli.policies.chunks import Chunking, read_latency
+    from yamsim_cli.policies.loading import read_arguments, sees_images
 
     arguments, chunking = read_arguments(policy_arg or []), Chunking(execute, ensemble, read_latency(latency))
     others = compare or []
@@ -134,9 +134,9 @@ def evaluate(
     session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.rules import EndRule
-    from yamsim_cli.core.evaluate import evaluation
-    from yamsim_cli.core.evaluate.choice import PolicyChoice
-    from yamsim_cli.core.trials import require_success
+    from yamsim_cli.core.episode.trials import require_success
+    from yamsim_cli.policies.evaluate import evaluation
+    from yamsim_cli.policies.evaluate.choice import PolicyChoice
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     known = _read_reports(others, session)
@@ -148,7 +148,7 @@ def evaluate(
         known.get(name) or _evaluate(session, choice.compared_with(name), trial_timeout)[1] for name in others
     ]
     if others:
-        from yamsim_cli.core.evaluate.compare import compare as compare_reports
+        from yamsim_cli.policies.evaluate.compare import compare as compare_reports
 
         report["compared"] = [compare_reports(report, other) for other in compared_reports]
     if films:
@@ -157,7 +157,7 @@ def evaluate(
         )
     write_json_report(report, out)
     if html is not None:
-        from yamsim_cli.core.summarize import write_leaderboard
+        from yamsim_cli.datasets.summarize import write_leaderboard
 
         write_leaderboard([report, *compared_reports], report.get("compared", []), html)
         note(f"The page is in {html}.")
@@ -172,8 +172,8 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     Raises:
         UsageError: a file is no report, or a report of other trials.
     """
-    from yamsim_cli.core.evaluate.compare import read_report, require_same
-    from yamsim_cli.core.trials import what_ran
+    from yamsim_cli.core.episode.trials import what_ran
+    from yamsim_cli.policies.evaluate.compare import read_report, require_same
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():
@@ -183,8 +183,8 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
 
 def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
     """Run a policy's trials while progress is shown, and return the evaluation and its report."""
-    from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.evaluate import evaluation
+    from yamsim_cli.core.statistics import THRESHOLDS
+    from yamsim_cli.policies.evaluate import evaluation
 
     with progress_bar("trials", "trials") as advance:
         found = evaluation.evaluate(session, choice, advance, trial_timeout)

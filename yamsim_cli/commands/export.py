@@ -13,10 +13,10 @@ from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.export.raiden_schema import RaidenOptions
-    from yamsim_cli.core.export.source import ActionSource, RealSource, Source
-    from yamsim_cli.core.export.target import Exported
-    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.export.raiden_schema import RaidenOptions
+    from yamsim_cli.export.source import ActionSource, RealSource, Source
+    from yamsim_cli.export.target import Exported
 
 _MAX_FPS = 500  # frames a second: physics takes as many steps
 
@@ -85,7 +85,7 @@ def raiden(
     Example: yamsim export raiden dataset/ real_layout/
     """
     from yamsim_cli.core.dataset.real import is_real
-    from yamsim_cli.core.export.raiden_schema import RaidenOptions
+    from yamsim_cli.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
@@ -110,9 +110,9 @@ def _simulated_raiden(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.export.raiden import export_raiden
-    from yamsim_cli.core.export.source import open_source
-    from yamsim_cli.core.session import Session
+    from yamsim_cli.core.config.session import Session
+    from yamsim_cli.export.raiden import export_raiden
+    from yamsim_cli.export.source import open_source
 
     source = open_source(dataset, episodes, where)
     if options.renders:
@@ -132,8 +132,8 @@ def _real_raiden(
     """Export real recordings, without rendering."""
     opener.skip_gl()
 
-    from yamsim_cli.core.export.raiden import export_real_raiden
-    from yamsim_cli.core.export.source import open_real_source
+    from yamsim_cli.export.raiden import export_real_raiden
+    from yamsim_cli.export.source import open_real_source
 
     where = opener.locations()
     source = open_real_source(dataset, episodes, where, options.fps)
@@ -164,8 +164,8 @@ def lerobot(
     """
     source = _source(dataset, episodes, fps)
 
-    from yamsim_cli.core.export.lerobot import export_lerobot, export_real_lerobot
-    from yamsim_cli.core.export.source import RealSource
+    from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
+    from yamsim_cli.export.source import RealSource
 
     with progress_bar("exporting", "episodes") as advance:
         if isinstance(source, RealSource):
@@ -204,7 +204,7 @@ def mp4(
     """
     source = _source(dataset, episodes, fps)
 
-    from yamsim_cli.core.export.videos import export_mp4, export_sheet
+    from yamsim_cli.export.videos import export_mp4, export_sheet
 
     with progress_bar("exporting", "episodes") as advance:
         if sheet:
@@ -222,7 +222,7 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
     """
     source = _source(dataset, episodes)
 
-    from yamsim_cli.core.export.rrd import export_rerun
+    from yamsim_cli.export.rrd import export_rerun
 
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, advance, overwrite=overwrite)
@@ -255,7 +255,7 @@ def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> So
     opener.skip_gl()
 
     from yamsim_cli.core.dataset.real import is_real
-    from yamsim_cli.core.export.source import open_real_source, open_source
+    from yamsim_cli.export.source import open_real_source, open_source
 
     where = opener.locations()
     if is_real(dataset):

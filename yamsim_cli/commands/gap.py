@@ -17,11 +17,11 @@ from yamsim_cli.terminal.console import note, print_report, progress_bar
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.gap.figures import Gap
-    from yamsim_cli.core.gap_photos.compare import PhotoRequest
+    from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.core.motion import Motion
-    from yamsim_cli.core.report.gap_page import CaptionedJpeg
-    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.gap_photos.compare import PhotoRequest
+    from yamsim_cli.real.gap.figures import Gap
+    from yamsim_cli.real.gap.gap_page import CaptionedJpeg
 
 
 def gap(
@@ -91,7 +91,7 @@ def gap(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.gap.report import report_of, require_small
+    from yamsim_cli.real.gap.report import report_of, require_small
 
     motions, problems = _read(recordings, settings, where, mapping)
     gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
@@ -99,12 +99,12 @@ def gap(
     report["problems"] = problems
     shown: list[CaptionedJpeg] = []
     if pictures:
-        from yamsim_cli.core.gap_photos.compare import PhotoRequest
+        from yamsim_cli.gap_photos.compare import PhotoRequest
 
         request = PhotoRequest(pictures, model, episode_camera)
         report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
     if html:
-        from yamsim_cli.core.gap.report import write_gap_page
+        from yamsim_cli.real.gap.report import write_gap_page
 
         write_gap_page(report, gaps, shown, html)
         report["html"] = str(html)
@@ -120,8 +120,8 @@ def _read(
     recordings: Sequence[Path], rig: RigConfig, where: Locations, mapping: str | None
 ) -> tuple[list[Motion], list[dict[str, Any]]]:
     """The recorded motions, and their faults as JSON has them, which are noted on stderr."""
-    from yamsim_cli.core.recordings.faults import find_faults, require_units
-    from yamsim_cli.core.recordings.reading import read_motions
+    from yamsim_cli.real.recordings.faults import find_faults, require_units
+    from yamsim_cli.real.recordings.reading import read_motions
 
     motions = read_motions(recordings, rig, where, mapping)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, rig)]
@@ -163,8 +163,8 @@ def _gaps(
     where: Locations,
     part: tuple[float, float],
 ) -> list[Gap]:
-    from yamsim_cli.core.gap.figures import gap_of
     from yamsim_cli.core.scene.build import build_rig_scene
+    from yamsim_cli.real.gap.figures import gap_of
 
     scene = build_rig_scene(rig, surroundings, where)
     gaps = []
@@ -182,8 +182,8 @@ def _photos(
     """The figures of the recordings' photos as plain data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.pictures import RenderConfig
-    from yamsim_cli.core.gap_photos.compare import compare_photos
     from yamsim_cli.core.scene.compose import rig_mesh_sets
+    from yamsim_cli.gap_photos.compare import compare_photos
 
     quality = load_config(RenderConfig, "quality", "fast", where)
     where = opener.find_meshes(where, rig_mesh_sets(rig))

@@ -16,8 +16,8 @@ from yamsim_cli.terminal.tables import Listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.identify.excitation import Excitation
-    from yamsim_cli.core.identify.identify import Identified
+    from yamsim_cli.real.identify.excitation import Excitation
+    from yamsim_cli.real.identify.identify import Identified
 
 
 def excite(
@@ -54,9 +54,9 @@ def excite(
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.files import write_output
-    from yamsim_cli.core.identify.excitation import commands_csv, log_csv
-    from yamsim_cli.core.identify.excitation import excite as run
+    from yamsim_cli.core.files.writing import write_output
+    from yamsim_cli.real.identify.excitation import commands_csv, log_csv
+    from yamsim_cli.real.identify.excitation import excite as run
 
     number = next((k for k, each in enumerate(settings.arms) if each.side == (arm or "right")), 0)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
@@ -139,8 +139,8 @@ def identify(
     name = _revision_name(out)
     opener.skip_gl()
 
-    from yamsim_cli.core.identify.identify import identify as run
-    from yamsim_cli.core.recordings.reading import read_motions
+    from yamsim_cli.real.identify.identify import identify as run
+    from yamsim_cli.real.recordings.reading import read_motions
 
     motions = read_motions(recordings, settings, where)
     others = read_motions(held_out, settings, where) if held_out else []
@@ -167,8 +167,8 @@ def _revision_name(out: Path) -> str:
 
 
 def _write(found: Sequence[Identified], out: Path) -> list[Path]:
-    from yamsim_cli.core.documents.document import dump_yaml
-    from yamsim_cli.core.files import write_outputs
+    from yamsim_cli.core.files.documents.document import dump_yaml
+    from yamsim_cli.core.files.writing import write_outputs
 
     files = [_file(out, one.side, len(found)) for one in found]
     revisions = {

@@ -62,7 +62,7 @@ def import_recording(
     opener.skip_gl()
     settings = opener.rig(rig, where)
 
-    from yamsim_cli.core.import_recording.importing import Corrections, ImportRequest, import_recordings
+    from yamsim_cli.real.import_recording.importing import Corrections, ImportRequest, import_recordings
 
     corrections = Corrections(degrees, swap_arms, gripper, mirror_gripper)
     request = ImportRequest(source, settings, kind, mapping, corrections, out, mode)

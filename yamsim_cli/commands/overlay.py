@@ -16,8 +16,8 @@ from yamsim_cli.terminal.console import note, print_json, print_line, progress_b
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.overlay.overlay_report import OverlayReport
-    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.photos.overlay.overlay_report import OverlayReport
 
 
 def overlay(
@@ -98,12 +98,12 @@ def overlay(
     quality = load_config(RenderConfig, "quality", "fast", where)
     opener.use_gl(where)
 
-    from yamsim_cli.core.overlay.joint_files import load_stands
-    from yamsim_cli.core.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
-    from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.vision.fiducials.sighting import PoseLimits
+    from yamsim_cli.photos.fiducials.sighting import PoseLimits
+    from yamsim_cli.photos.overlay.joint_files import load_stands
+    from yamsim_cli.photos.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
+    from yamsim_cli.photos.overlay.photos import Photo, find_photos, recorded_photos
 
     photos = (
         recorded_photos(episode, episode_camera, settings)
@@ -158,8 +158,8 @@ def _rig(
 
 
 def _print(report: OverlayReport) -> None:
-    from yamsim_cli.core.overlay.moves import describe
-    from yamsim_cli.core.overlay.overlay_report import captions
+    from yamsim_cli.photos.overlay.moves import describe
+    from yamsim_cli.photos.overlay.overlay_report import captions
 
     for result in report.results:
         for caption in captions(result):

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.core.opener import parse_size
 from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Offline, Quality, Revision, RigName, Robot, opener
+from yamsim_cli.opener import parse_size
 from yamsim_cli.terminal.console import print_json, print_line
 
 
@@ -36,7 +36,7 @@ def render_views(
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.show.views import picture_names
+    from yamsim_cli.viewers.show.views import picture_names
 
     require_free("--out", [out / name for name in picture_names()], overwrite=overwrite)
     scene = load_config(SceneConfig, "scenes", "studio", where)
@@ -47,8 +47,8 @@ def render_views(
 
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.show.views import render_views as run
-    from yamsim_cli.core.show.views import set_up_views, write_views
+    from yamsim_cli.viewers.show.views import render_views as run
+    from yamsim_cli.viewers.show.views import set_up_views, write_views
 
     blueprint = Blueprint(settings, scene)
     where = opener.find_meshes(where, mesh_sets(blueprint), render)

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.opener import parse_size
 from yamsim_cli.flags.outputs import Rename
 from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.opener import parse_size
 from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, print_now
 from yamsim_cli.terminal.signals import noted_signals
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import RecordedEpisode, StoredEpisode
-    from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.session import Session
-    from yamsim_cli.core.viewers.address import PageAddress
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.viewers.address import PageAddress
 
 # The report on actions that cannot be repeated.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
@@ -97,7 +97,7 @@ def _film(
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.core.show.replay import film_recorded, film_rendered, shown_again
+    from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, shown_again
 
     if render and isinstance(stored, StoredEpisode):
         session = opener.with_meshes(shown_again(_session(stored, where), size))
@@ -121,7 +121,7 @@ def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAdd
     """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real recording, its arms alone."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.core.show.replay import play, play_real
+    from yamsim_cli.viewers.show.replay import play, play_real
 
     physics = _NO_PHYSICS
 
@@ -144,27 +144,29 @@ def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAdd
     from yamsim_cli.core.dataset.real import real_config
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.real.recordings.reading import read_episode
 
     blueprint = Blueprint(real_config(stored.dataset, where).rig, load_config(SceneConfig, "scenes", "studio", where))
+    motion = read_episode(stored, blueprint.rig)
     where = opener.find_meshes(where, mesh_sets(blueprint))
     with noted_signals() as stopped:
-        play_real(stored, blueprint, where, speed, page, ready, stopped)
+        play_real(stored, motion, blueprint, where, speed, page, ready, stopped)
 
 
 def _session(stored: StoredEpisode, where: Locations) -> Session:
     """The session of the episode's dataset, without meshes."""
+    from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.session import Session
 
     return Session(dataset_config(stored.dataset, where), where)
 
 
 def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
     """The distance between recorded states and those of the actions repeated in physics; null without such actions."""
-    from yamsim_cli.core.show.replay import repeat
+    from yamsim_cli.datasets.verify import repeat_episode
 
     try:
-        found = repeat(stored, _session(stored, where))
+        found = repeat_episode(stored, _session(stored, where))
     except DatasetError as error:
         note(f"Its actions were not repeated: {error}.")
         found = None

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, print_report
 from yamsim_cli.terminal.tables import Listing, print_item, print_items
@@ -35,7 +35,7 @@ def list_robots(json: Json = False) -> None:
 
     Example: yamsim robots list
     """
-    from yamsim_cli.core.robot_catalog import robots_there
+    from yamsim_cli.robot_catalog import robots_there
 
     items = robots_there(opener.locations())
     print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _row, json)
@@ -53,7 +53,7 @@ def show(
 
     Example: yamsim robots show yam_ultra
     """
-    from yamsim_cli.core.robot_catalog import robot_there
+    from yamsim_cli.robot_catalog import robot_there
 
     print_item(robot_there(name, opener.locations()), json, {"meshes": _mesh_states})
 
@@ -68,7 +68,7 @@ def new(
 
     Example: yamsim robots new my_arm --data my_data
     """
-    from yamsim_cli.core.robot_catalog import new_robot
+    from yamsim_cli.robot_catalog import new_robot
 
     where = _locations(data)
     if len(where.data) < 2:
@@ -96,7 +96,7 @@ def check(
     """
     opener.skip_gl()
 
-    from yamsim_cli.core.robot_catalog import check_robot, require_checked
+    from yamsim_cli.robot_catalog import check_robot, require_checked
 
     found = check_robot(name, _locations(data))
     report = {"ok": all(one["ok"] is not False for one in found), "grippers": found}

@@ -24,8 +24,8 @@ def serve_policy(
 
     Example: yamsim serve-policy --policy my_policy.py:MyPolicy --port 8080
     """
-    from yamsim_cli.core.policies.loading import load_policy
-    from yamsim_cli.policy_server import LOOPBACK, PolicyServer
+    from yamsim_cli.policies.loading import load_policy
+    from yamsim_cli.policies.policy_server import LOOPBACK, PolicyServer
 
     # A policy that cannot be loaded is refused before a client connects.
     load_policy(policy, Path.cwd())

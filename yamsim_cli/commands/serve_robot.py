@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.serve.sockets import default_folder
 from yamsim_cli.flags import session as flags
 from yamsim_cli.flags.session import opener, session_settings
+from yamsim_cli.real.serve.sockets import default_folder
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.serve.arms import Served
-    from yamsim_cli.core.serve.can_bus import KernelBus, UnixBus
-    from yamsim_cli.core.serve.loop import Port
-    from yamsim_cli.core.serve.pictures import PictureProcess
-    from yamsim_cli.core.serve.policy_robot import PolicyRobot
-    from yamsim_cli.core.session import Session
+    from yamsim_cli.core.config.session import Session
+    from yamsim_cli.real.serve.arms import Served
+    from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
+    from yamsim_cli.real.serve.loop import Port
+    from yamsim_cli.real.serve.pictures import PictureProcess
+    from yamsim_cli.real.serve.policy_robot import PolicyRobot
 
 # Two frames of 130 bits at 1 Mbit/s and the adapter's path through USB: with seven motors 4 ms, the 250 Hz that the
 # maker's SDK is made for.
@@ -95,15 +95,15 @@ def serve_robot(
 
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
-    from yamsim_cli.core.motors.bus import parse_fault
+    from yamsim_cli.real.motors.bus import parse_fault
 
     faults = [parse_fault(text) for text in fault or ()]
     rig = rig or "yam_v1+linear_4310"
     settings = session_settings(locals())
     session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
-    from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
-    from yamsim_cli.core.serve.loop import ServeLoop
+    from yamsim_cli.real.serve.arms import STARTS, policy_robot, serve_arms
+    from yamsim_cli.real.serve.loop import ServeLoop
 
     if start not in STARTS:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
@@ -144,7 +144,7 @@ def serve_robot(
 
 def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[UnixBus | KernelBus]:
     """A socket for each bus, in a folder; without one, the kernel's."""
-    from yamsim_cli.core.serve.can_bus import KernelBus, UnixBus
+    from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
     for side, bus in zip(served.sides, served.plant.buses, strict=True):
@@ -156,7 +156,7 @@ def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[Unix
 
 
 def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> list[Port]:
-    from yamsim_cli.core.serve.portal import PortalServer
+    from yamsim_cli.real.serve.portal import PortalServer
 
     ports: list[Port] = []
     for k, follower in enumerate(served.followers if port is not None else ()):
@@ -168,8 +168,8 @@ def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> l
 
 
 def _pictures(stack: ExitStack, session: Session, served: Served, fps: float) -> PictureProcess:
-    from yamsim_cli.core.serve.arms import served_cameras
-    from yamsim_cli.core.serve.pictures import PictureProcess
+    from yamsim_cli.real.serve.arms import served_cameras
+    from yamsim_cli.real.serve.pictures import PictureProcess
 
     source = PictureProcess(session, served_cameras(session.config), fps, served.state, time.time_ns)
     stack.callback(source.close)
@@ -177,7 +177,7 @@ def _pictures(stack: ExitStack, session: Session, served: Served, fps: float) ->
 
 
 def _camera_server(stack: ExitStack, folder: Path, source: PictureProcess) -> Port:
-    from yamsim_cli.core.serve.cameras import CameraServer
+    from yamsim_cli.real.serve.cameras import CameraServer
 
     server = CameraServer(folder, source)
     stack.callback(server.close)
@@ -186,7 +186,7 @@ def _camera_server(stack: ExitStack, folder: Path, source: PictureProcess) -> Po
 
 
 def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> Port:
-    from yamsim_cli.core.serve.chiral import ChiralServer
+    from yamsim_cli.real.serve.chiral import ChiralServer
 
     server = ChiralServer(robot, host, port)
     stack.callback(server.close)
@@ -205,7 +205,7 @@ def can_run(
 
     Example: yamsim can-run -- python -m i2rt.robots.motor_chain_robot --channel can0
     """
-    from yamsim_cli.core.serve.can_bus import program_environment
+    from yamsim_cli.real.serve.can_bus import program_environment
 
     where = _bus_folder(folder)
     added = program_environment(os.environ, where)

@@ -38,17 +38,17 @@ def summarize(
     if html:
         require_free("--html", html, overwrite=overwrite)
 
-    from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.dataset.summary import summarize as count
     from yamsim_cli.core.machine import usable_cores
-    from yamsim_cli.core.summarize import survey_dataset
+    from yamsim_cli.core.statistics import THRESHOLDS
+    from yamsim_cli.datasets.summarize import survey_dataset
+    from yamsim_cli.datasets.summary import summarize as count
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
         survey = survey_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
     report = count(survey, thresholds)
     if html:
-        from yamsim_cli.core.summarize import write_report
+        from yamsim_cli.datasets.summarize import write_report
 
         write_report(survey, report, html)
         report["html"] = str(html)

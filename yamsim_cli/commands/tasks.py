@@ -26,7 +26,7 @@ def list_tasks(json: Json = False) -> None:
 
     Example: yamsim tasks list
     """
-    from yamsim_cli.core.task_proof.catalog import tasks_there
+    from yamsim_cli.task_proof.catalog import tasks_there
 
     print_items(tasks_there(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
 
@@ -40,7 +40,7 @@ def show(
 
     Example: yamsim tasks show tower
     """
-    from yamsim_cli.core.task_proof.catalog import task_there
+    from yamsim_cli.task_proof.catalog import task_there
 
     print_item(task_there(name, opener.locations()), json)
 
@@ -55,7 +55,7 @@ def new(
 
     Example: yamsim tasks new my_task
     """
-    from yamsim_cli.core.task_proof.catalog import new_task
+    from yamsim_cli.task_proof.catalog import new_task
 
     path = new_task(name, folder)
     if json:
@@ -93,13 +93,13 @@ def check(
         raise UsageError("--overwrite is for videos: give --video")
     session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
-    from yamsim_cli.core.task_proof.proof import prove, require_proof
+    from yamsim_cli.task_proof.proof import prove, require_proof
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = prove(session, least, advance)
     if films:
-        from yamsim_cli.core.trials import film_trials
+        from yamsim_cli.core.episode.trials import film_trials
 
         report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
     print_report(report, lambda: _table(report), json)

@@ -18,7 +18,7 @@ from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.teleop.loop import TeleopReport
+    from yamsim_cli.viewers.teleop.loop import TeleopReport
 
 _ENDING = "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 
@@ -69,8 +69,8 @@ def teleop(
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
     quiet_page()
 
-    from yamsim_cli.core.teleop.loop import check_page, open_teleop, run_page, run_stream
-    from yamsim_cli.core.teleop.stream import read_stream
+    from yamsim_cli.viewers.teleop.loop import check_page, open_teleop, run_page, run_stream
+    from yamsim_cli.viewers.teleop.stream import read_stream
 
     commands = None if stream is None else read_stream(stream, session.config)
     page = None if commands else page_address(port, host)

@@ -60,8 +60,8 @@ def trials(
     require_free_reports(out, html, overwrite=overwrite)
     session = opener.open(config, renders=video is not None, **session_settings(locals()))
 
-    from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.trials import film_trials, require_success, run_batch
+    from yamsim_cli.core.episode.trials import film_trials, require_success, run_batch
+    from yamsim_cli.core.statistics import THRESHOLDS
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
@@ -70,7 +70,7 @@ def trials(
         report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
     write_json_report(report, out)
     if html:
-        from yamsim_cli.core.summarize import write_trials_page
+        from yamsim_cli.datasets.summarize import write_trials_page
 
         write_trials_page(report, session.config, html)
         report["html"] = str(html)

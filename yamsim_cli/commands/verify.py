@@ -56,8 +56,8 @@ def verify(
     if image_tolerance and not images:
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
+    from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
-    from yamsim_cli.core.session import Session
 
     where = opener.locations()
     chosen = select_episodes(dataset, episodes, sample)
@@ -68,8 +68,8 @@ def verify(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.verify import Tolerances
-    from yamsim_cli.core.verify import verify as run
+    from yamsim_cli.datasets.verify import Tolerances
+    from yamsim_cli.datasets.verify import verify as run
 
     limits = Tolerances(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:

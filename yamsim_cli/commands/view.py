@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.viewers.viewed_scene import LiveRig
-    from yamsim_cli.core.viewers.viewpoint import Viewpoint
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.viewers.viewed_scene import LiveRig
+    from yamsim_cli.viewers.viewpoint import Viewpoint
 
 
 def view(
@@ -71,7 +71,7 @@ def view(
     pictures = page is not None and _can_render(where)
     prepare_viewer(page)
 
-    from yamsim_cli.core.show.view import view_rig
+    from yamsim_cli.viewers.show.view import view_rig
 
     def ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
@@ -100,10 +100,10 @@ def _live(
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.session import Session
-    from yamsim_cli.core.show.view import live_rig, live_task, task_viewpoint
+    from yamsim_cli.viewers.show.view import live_rig, live_task, task_viewpoint
 
     quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", where) if pictures else None
     if isinstance(settings, RecordConfig):

@@ -9,10 +9,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from .config.goals.cast import Cast
+from .config.goals.measure import Measure
+from .config.variation import Variation
 from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
-from .goals.cast import Cast
-from .goals.measure import Measure
-from .variation import Variation
 
 # A pose as records hold it where things need not stand upright: x, y, z in m, and a unit quaternion w, x, y, z.
 FullPose = tuple[float, float, float, float, float, float, float]

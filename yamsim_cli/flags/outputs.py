@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.files import nearest_directory, write_output
+from yamsim_cli.core.files.writing import nearest_directory, write_output
 from yamsim_cli.terminal.console import note
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:
     """Write a report to the file of --out, if given, and say so on stderr."""
     if out is None:
         return
-    from yamsim_cli.core.documents.json_text import json_text
+    from yamsim_cli.core.files.documents.json_text import json_text
 
     write_output(out, json_text(report).encode())
     note(f"Written to {out}.")

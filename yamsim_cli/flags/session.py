@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from yamsim_cli.core.import_thing.named import config_of
-from yamsim_cli.core.opener import Opener
 from yamsim_cli.kitchen_scenes import task_of
+from yamsim_cli.objects.importing.named import config_of
+from yamsim_cli.opener import Opener
 from yamsim_cli.terminal.console import note, note_at_end
 from yamsim_cli.terminal.fetch_bar import fetch_bar
 

@@ -14,7 +14,7 @@ from yamsim_cli.terminal.console import note
 from .session import opener
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.viewers.address import PageAddress
+    from yamsim_cli.viewers.address import PageAddress
 
 _PORT = 8090  # of browser pages, unless --port is given
 
@@ -35,7 +35,7 @@ Host = Annotated[
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
     """The address of a browser page. The user is warned if others can reach the page."""
-    from yamsim_cli.core.viewers.address import LOOPBACK, PageAddress
+    from yamsim_cli.viewers.address import LOOPBACK, PageAddress
 
     address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
     if not address.is_private:

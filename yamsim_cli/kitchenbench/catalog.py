@@ -15,8 +15,8 @@ from ..core.config.scene import Table
 from ..core.config.things.cloth import Cloth, cloth_object
 from ..core.config.things.made import made_object
 from ..core.config.things.thing import ObjectConfig
+from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
-from ..core.resources import Locations
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumpled
 

@@ -22,9 +22,9 @@ from inspect_robots.spaces import StateField, StateSpec
 from kitchenbench.sim import build_blueprint
 
 from .. import __version__
-from ..core.attempt.payload import render
-from ..core.attempt.simulator import Simulator
 from ..core.config.recording import RecordConfig
+from ..core.episode.payload import render
+from ..core.episode.simulator import Simulator
 from ..core.errors import UsageError
 from ..core.types import Attempt, EpisodeJob
 from .judges import Judge, KitchenJudge, OwnJudge

@@ -12,17 +12,17 @@ import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
 
+from ..core.config.goals.cast import Cast
 from ..core.config.things.cloth import Cloth
+from ..core.expert.skills.base import Skill
+from ..core.expert.skills.bench import Bench, Segment, SkillFailedError
+from ..core.expert.skills.cloth.flatten import flatten_cloth
+from ..core.expert.skills.cloth.hands import carry
+from ..core.expert.skills.cloth.reach import PointGrasp, PointPlacement, at_place, reachable_grasps
+from ..core.expert.skills.cloth.slide import SLIDE_SPEED, slide_grasps
+from ..core.expert.skills.moves import idle, recover
 from ..core.geometry.se3 import Array
 from ..core.geometry.smoothing import Point
-from ..core.goals.cast import Cast
-from ..core.skills.base import Skill
-from ..core.skills.bench import Bench, Segment, SkillFailedError
-from ..core.skills.cloth.flatten import flatten_cloth
-from ..core.skills.cloth.hands import carry
-from ..core.skills.cloth.reach import PointGrasp, PointPlacement, at_place, reachable_grasps
-from ..core.skills.cloth.slide import SLIDE_SPEED, slide_grasps
-from ..core.skills.moves import idle, recover
 from ..core.types import Cause
 from .places import T_in_world
 

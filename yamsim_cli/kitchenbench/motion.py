@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..core.attempt.simulator import Simulator
 from ..core.episode.episode import Episode
 from ..core.episode.rules import EndReason
+from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import SceneArm, SceneFingers
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.attempt.sampling import no_start, sample
-from ..core.attempt.simulator import Simulator, open_episode, simulator_for
 from ..core.config.program_task import ProgramTask
+from ..core.config.session import Session
 from ..core.episode.episode import Episode
 from ..core.episode.rules import EndRule, EpisodeRules
+from ..core.episode.sampling import no_start, sample
+from ..core.episode.simulator import Simulator, open_episode, simulator_for
 from ..core.errors import SimulationError
-from ..core.session import Session
-from ..core.skills.base import Skill
-from ..core.skills.program import program_of
+from ..core.expert.skills.base import Skill
+from ..core.expert.skills.program import program_of
 from ..core.types import Attempt, EpisodeJob
 from .scene import TICK_HZ
 

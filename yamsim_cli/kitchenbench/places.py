@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 
-from ..core.attempt.simulator import Simulator
+from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, inverse, pose, rotation_z
+from ..core.scene.casting import gap, outline
 from ..core.sim.world import world_of
-from ..core.tasks.casting import gap, outline
 from .catalog import COMPARTMENT, FOLD
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the middle between the arms' bases, m. Scenes

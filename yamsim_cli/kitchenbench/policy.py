@@ -19,14 +19,14 @@ from inspect_robots import (
 )
 from kitchenbench.sim import build_blueprint
 
+from ..core.config.goals.cast import Cast
+from ..core.expert.planning.arm_tools import start_stands
+from ..core.expert.skills.base import Skill
+from ..core.expert.skills.bench import Bench, Segment, SkillFailedError
+from ..core.expert.skills.moves import park_free
+from ..core.expert.skills.program import RecoveryLog, run_program
 from ..core.geometry.se3 import Array
-from ..core.goals.cast import Cast
-from ..core.planning.arm_tools import start_stands
-from ..core.skills.base import Skill
-from ..core.skills.bench import Bench, Segment, SkillFailedError
-from ..core.skills.moves import park_free
-from ..core.skills.program import RecoveryLog, run_program
-from ..core.tasks.randomness import Stream, generator
+from ..core.scene.randomness import Stream, generator
 from ..core.types import EpisodeJob
 from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
 from .motion import Motion, commanded_share, fingers_of

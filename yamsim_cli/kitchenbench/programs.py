@@ -9,11 +9,11 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
 from ..core.config.things.shapes import RackShape
 from ..core.config.things.thing import ObjectConfig
+from ..core.expert.skills.base import Skill
+from ..core.expert.skills.handover import Handover
+from ..core.expert.skills.pick import Pick
+from ..core.expert.skills.place import Place
 from ..core.geometry.se3 import Array
-from ..core.skills.base import Skill
-from ..core.skills.handover import Handover
-from ..core.skills.pick import Pick
-from ..core.skills.place import Place
 from .catalog import CRUMPLED, in_thirds
 from .folding import FoldSmall, required_area
 from .places import T_in_world

@@ -14,11 +14,11 @@ from kitchenbench.sim import build_blueprint
 from kitchenbench.sim.blueprint import SceneBlueprint
 from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 
+from ..core.config.goals.world import TABLE
 from ..core.config.program_task import PROGRAM
 from ..core.errors import UsageError, suggest
-from ..core.goals.world import TABLE
-from ..core.skills.base import Skill
-from ..core.skills.program import SKILLS
+from ..core.expert.skills.base import Skill
+from ..core.expert.skills.program import SKILLS
 from .places import free_places
 from .programs import program_of
 from .scene import STATION, open_base, realize, table_of

@@ -12,22 +12,22 @@ from typing import Any
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 
-from ..core.attempt.expert import sides
-from ..core.attempt.simulator import Simulator
+from ..core.config.goals.cast import Cast
 from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
+from ..core.config.session import Session
 from ..core.config.things.thing import ObjectConfig
 from ..core.episode.episode import Episode
+from ..core.episode.expert import sides
+from ..core.episode.simulator import Simulator
+from ..core.expert.planning.arm_tools import start_stands
 from ..core.geometry.se3 import Array, pose, rotation_z
-from ..core.goals.cast import Cast
-from ..core.opener import Opener, parse_size
-from ..core.planning.arm_tools import start_stands
 from ..core.scene.compiled import CompiledScene
-from ..core.session import Session
 from ..core.sim.settle import settle
 from ..core.sim.world import Region, SimWorld
 from ..core.types import Layout
+from ..opener import Opener, parse_size
 from .catalog import COMPARTMENT, CRUMPLED, FOLD, SHEETS, crumpled_start, sheet_of, table_for_sheet, thing_of
 from .places import BESIDE, T_in_world, free_places, origin
 

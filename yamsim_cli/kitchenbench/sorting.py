@@ -12,19 +12,19 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..core.config.goals.cast import Cast
+from ..core.config.goals.world import TABLE
+from ..core.expert.skills.base import Side, Skill, holder_of
+from ..core.expert.skills.bench import Bench, Fingers, Segment, SkillFailedError
+from ..core.expert.skills.hand import PASSING, Hand
+from ..core.expert.skills.handover import Handover
+from ..core.expert.skills.insert import Insert
+from ..core.expert.skills.moves import let_go, park_free, recover, rest
+from ..core.expert.skills.pick import Pick
+from ..core.expert.skills.place import HOVER_HEIGHT, Placing, raised
 from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z, yaw
-from ..core.goals.cast import Cast
-from ..core.goals.world import TABLE
+from ..core.scene.casting import gap, outline
 from ..core.sim.world import SimWorld
-from ..core.skills.base import Side, Skill, holder_of
-from ..core.skills.bench import Bench, Fingers, Segment, SkillFailedError
-from ..core.skills.hand import PASSING, Hand
-from ..core.skills.handover import Handover
-from ..core.skills.insert import Insert
-from ..core.skills.moves import let_go, park_free, recover, rest
-from ..core.skills.pick import Pick
-from ..core.skills.place import HOVER_HEIGHT, Placing, raised
-from ..core.tasks.casting import gap, outline
 from ..core.types import Cause
 
 _LOG = logging.getLogger("yamsim")

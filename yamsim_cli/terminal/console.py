@@ -31,7 +31,7 @@ class Advance(Protocol):
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Write one JSON object to stdout."""
-    from yamsim_cli.core.documents.json_text import json_text
+    from yamsim_cli.core.files.documents.json_text import json_text
 
     sys.stdout.write(json_text(data))
 

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.constrain import Constrain
 
 from yamsim_cli.core.dataset.checks.problem import printable
-from yamsim_cli.core.gap.report import spoken
+from yamsim_cli.real.gap.report import spoken
 
 from .tables import Facts, Listing
 

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from yamsim_cli.core.dataset.checks.problem import printable
 from yamsim_cli.core.errors import file_size
-from yamsim_cli.core.report.dataset_page import by_code, problem_counts
+from yamsim_cli.datasets.dataset_page import by_code, problem_counts
 
 from .tables import Facts, Listing
 

@@ -11,23 +11,23 @@ from .tables import Facts
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.core.episode.trials import FilmedTrial, TrialFilms
     from yamsim_cli.core.progress import Progress
-    from yamsim_cli.core.trials import FilmedTrial, TrialFilms
 
 
 def trials_table(report: dict[str, Any]) -> Facts:
-    """The report of `core.trials.run_batch` as a table."""
+    """The report of `core.episode.trials.run_batch` as a table."""
     return Facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> Facts:
-    """The report of `core.evaluate.evaluation.summary` as a table."""
+    """The report of `policies.evaluate.evaluation.summary` as a table."""
     return Facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
 def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
     """The path of a job's films; a path that cannot be used is refused before any trial runs."""
-    from yamsim_cli.core.trials import TrialFilms
+    from yamsim_cli.core.episode.trials import TrialFilms
 
     timing = settings.task.timing
     return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
@@ -42,7 +42,7 @@ def film(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> li
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Rows on the counts of `core.trials.tally`."""
+    """Rows on the counts of `core.episode.trials.tally`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

@@ -8,8 +8,8 @@ import numpy as np
 
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
-from yamsim_cli.core.policies.lerobot import LeRobotClient
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.policies.lerobot import LeRobotClient
 
 folder, observed, out = sys.argv[1:]
 told = np.load(observed)

@@ -16,8 +16,8 @@ import yaml
 from yamsim_cli.core.config.cameras.camera import CameraConfig
 from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.resources import Locations
 
 K = [[610.5, 0.0, 322.25], [0.0, 608.0, 236.75], [0.0, 0.0, 1.0]]
 DISTORTION = [-0.12, 0.05, 0.001, -0.0005, 0.01]

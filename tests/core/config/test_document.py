@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.documents.document import Document, dump_yaml, load_yaml, parse_yaml
 from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.documents.document import Document, dump_yaml, load_yaml, parse_yaml
 
 
 def value_of(text: str):

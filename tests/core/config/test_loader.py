@@ -7,10 +7,10 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.robot_names import families, model_named, revised
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.skills.checked import check_config
+from yamsim_cli.core.expert.skills.checked import check_config
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
 
 SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_names(kind)]
 # Robots are files beside each other, and are written down by their names.

@@ -12,10 +12,10 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.older_tasks import upgrade_task
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.documents.document import dump_yaml, load_yaml
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.skills.checked import check_config
+from yamsim_cli.core.expert.skills.checked import check_config
+from yamsim_cli.core.files.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.files.resources import Locations
 
 TIMING = {"physics_steps_per_tick": 16, "timestep": 0.002, "ticks_per_frame": 2}
 

@@ -13,12 +13,12 @@ from tests.programs import changed, session_of, written
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.planning.arm_tools import start_stands
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.skills.checked import check_config
+from yamsim_cli.core.expert.planning.arm_tools import start_stands
+from yamsim_cli.core.expert.skills.checked import check_config
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.opener import Opener
 
 PICK: dict[str, Any] = {"pick": {"thing": "cube"}}
 

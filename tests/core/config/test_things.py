@@ -13,11 +13,11 @@ from yamsim_cli.core.config.things.made import MADE, made_files
 from yamsim_cli.core.config.things.primitives import Capsule
 from yamsim_cli.core.config.things.shapes import RackShape
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.solid import filling, open_edges
 from yamsim_cli.core.geometry.stl import read_stl
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.things.thing import add_object
 
 # Width, depth and height, cm. Source: KitchenBench 0.6, nominal sizes of its asset classes.

@@ -14,11 +14,11 @@ from pydantic import BaseModel
 from yamsim_cli.core.config.loader import KINDS, load_config, parse_config, validate_file
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.primitives import Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere
-from yamsim_cli.core.documents.base import Config
-from yamsim_cli.core.documents.document import dump_yaml
-from yamsim_cli.core.documents.units import Within
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.documents.base import Config
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.units import Within
+from yamsim_cli.core.files.resources import Locations
 
 Replace = Callable[[str, str, str], str]
 

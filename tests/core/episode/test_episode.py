@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.core.attempts import all_actions, planned, start_of
-from yamsim_cli.core.attempt.engine import Simulated, repeat
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.simulator import Simulator
+from tests.attempts import all_actions, planned, start_of
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.engine import Simulated, repeat
 from yamsim_cli.core.episode.episode import Episode, EpisodeGoal, Played
+from yamsim_cli.core.episode.expert import sides
 from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES, End, EndReason, EndRule, EpisodeRules
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Actions, Cause
 
 HOLD = 8  # control ticks in the 0.25 s for which the goal of `pickplace` has to hold

@@ -10,19 +10,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.core.attempts import start_of
+from tests.attempts import start_of
 from tests.programs import FOLD, first_attempt, session_of
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.expert import sides
 from yamsim_cli.core.episode.grasps import ClothGrasp, FrictionGrasp, WeldGrasp, attach, grasp_of, weld_holds
 from yamsim_cli.core.episode.held import SETTLED_TICKS, HeldThings
 from yamsim_cli.core.episode.rules import MAGNET_REACH, EpisodeRules
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compiled import CompiledScene, SceneArm
-from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import world_of
 
 ON, OFF = [True], [False]

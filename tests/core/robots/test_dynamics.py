@@ -10,9 +10,9 @@ import pytest
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 
 WHERE = Locations.find({})

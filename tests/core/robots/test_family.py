@@ -15,8 +15,8 @@ import pytest
 
 from tests.core.robots.makers_models import ARMS, GRIPPERS, MakersModel, Sample, stored
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel, Gripper
 from yamsim_cli.core.robots.robot import Robot, assemble
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from tests.hands import Grip, finger, grip, hand
 from tests.meshes import volume
 from tests.plane_frame import PlaneFrame, bent, compliance
-from yamsim_cli.core.files import sha256_bytes
+from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.geometry.stl import read_stl
 from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_arms, slip_stiffness
 from yamsim_cli.core.robots.finray.looks import meshes

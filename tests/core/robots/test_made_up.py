@@ -14,7 +14,7 @@ from tests.cli.run_cli import yamsim
 from tests.made_up_robot import ARM, GRIPPER, RIG, write_robot
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.robot import arm_spec
 
 

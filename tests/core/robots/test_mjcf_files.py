@@ -12,7 +12,7 @@ from tests.made_up_robot import ARM, RIG, write_robot
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.mjcf import parse
 from yamsim_cli.core.robots.models import Mjcf
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from tests.core.robots.same_models import figures
-from yamsim_cli.core.assets import load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel, Gripper
 from yamsim_cli.core.robots.robot import Robot, assemble
+from yamsim_cli.core.scene.assets import load_lock
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.session import Session
 
 KEPT = json.loads((Path(__file__).parents[2] / "data" / "robot_models.json").read_text())
 WHERE = Locations.find({})

@@ -10,13 +10,13 @@ import pytest
 
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, pose_from_quat, rotation_vector
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.session import Session
 
 # In the maker's README of each station (SDK 1.3.6): the upper camera in the left base, and a wrist camera on the
 # maker's flange; metres and wxyz, rounded to 3 decimals.

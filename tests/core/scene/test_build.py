@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.core.attempts import start_of
-from yamsim_cli.core.attempt.simulator import Simulator
+from tests.attempts import start_of
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.compose import WELD, mesh_sets
-from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.settle import AT_REST
 
 

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.resources import Locations, Meshes
+from yamsim_cli.core.files.resources import Locations, Meshes
+from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.compose import at_home, task_start
+from yamsim_cli.viewers.show.compose import at_home, task_start
+from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 

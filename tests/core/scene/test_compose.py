@@ -16,13 +16,13 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.scene_files import scene_files, zip_bytes
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.compose import at_home, task_start, write_scene
+from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
+from yamsim_cli.viewers.show.scene_files import scene_files, zip_bytes
 
 RIGS = ("single", "bimanual", "russet")
 MOVE = np.array([0.1, 0.2, 0.3])

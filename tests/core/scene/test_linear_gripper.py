@@ -11,7 +11,7 @@ import pytest
 
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import ArmConfig, RigConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm, finger_places
 
 SIDES = ("left", "right")

@@ -11,9 +11,9 @@ import pytest
 from pydantic import ValidationError
 
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.scene.scene_files import classic_xml
 from yamsim_cli.core.scene.things.joints import motion
 from yamsim_cli.core.scene.things.thing import add_object
+from yamsim_cli.viewers.show.scene_files import classic_xml
 
 INERTIA = {"mass_g": 100, "diagonal": [1e-4, 1e-4, 1e-4], "quat": [1, 0, 0, 0]}
 MESH = {"set": "none", "file": "a.stl", "origin": [0, 0, 0], "rgba": [1, 1, 1, 1]}

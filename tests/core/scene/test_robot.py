@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.assets import AssetStore, load_lock, make_reduced
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.scene.assets import AssetStore, load_lock, make_reduced
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 7))

@@ -12,13 +12,13 @@ import pytest
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import recording_blueprint
 from yamsim_cli.core.scene.compiling import compile_spec
 from yamsim_cli.core.scene.compose import compose
-from yamsim_cli.core.vision.renderer import SceneRenderer
+from yamsim_cli.opener import Opener
 
 SIZE = (160, 120)
 QUALITIES = ("fast", "balanced", "high")

@@ -12,12 +12,12 @@ import pytest
 from tests.meshes import box
 from tests.stand_in_meshes import stand_ins
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.config.shown_meshes import PATTERN, PRIMITIVES, differences, remedy
 from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene, noting_meshes
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.shown_meshes import PATTERN, PRIMITIVES, differences, remedy
 
 Make = Callable[..., RecordConfig]
 ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb_small"

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tests.mugs import HEIGHT, RADIUS, has_import_extra, mug, picture
-from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.import_thing.from_file import ImportedFile, import_file
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.scene.assets import AssetStore, resolve_own
 from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.core.thing_files.read import UnitOptions, read_thing
-from yamsim_cli.core.things.make import ImportOptions
+from yamsim_cli.objects.importing.from_file import ImportedFile, import_file
+from yamsim_cli.objects.make import ImportOptions
+from yamsim_cli.objects.readers.read import UnitOptions, read_thing
+from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -78,7 +78,7 @@ def expected() -> list[Any]:
 
 def test_the_web_page_shows_the_picture(printed: tuple[ImportedFile, Locations]) -> None:
     pytest.importorskip("viser")
-    from yamsim_cli.core.viewers.shapes import textured_mesh
+    from yamsim_cli.viewers.shapes import textured_mesh
 
     model = spec_of(printed).compile()
     geom = model.geom("mug_look").id

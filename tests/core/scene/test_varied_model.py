@@ -7,17 +7,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.config.variation import SurfaceVariation, Variation
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
-from yamsim_cli.core.opener import Opener
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.scene.sampled_variation import sample_variation
 from yamsim_cli.core.scene.varied_model import VariedModel, pattern, scale_masses
-from yamsim_cli.core.session import Session
-from yamsim_cli.core.tasks.sampled_variation import sample_variation
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.variation import SurfaceVariation, Variation
+from yamsim_cli.opener import Opener
 
 THINGS = {"drawer": "cabinet", "onto_napkin": "piece", "lift_tray": "tray"}
 STATISTICS = ("extent", "center", "meaninertia", "meanmass", "meansize")

@@ -10,23 +10,23 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from tests.core.attempts import planned
-from yamsim_cli.core.attempt.simulator import Simulator
+from tests.attempts import planned
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.rules import EndReason
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.compiling import breakdown, keep_warnings_quiet
-from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Cause
 
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.episode.runner import EpisodeRunner
 from yamsim_cli.core.episode.rules import EndReason
-from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.session import Session
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.types import EpisodeJob
 where = Locations.find({})
 config = load_config(RecordConfig, "record", "default", where)

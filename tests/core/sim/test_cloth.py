@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
-from yamsim_cli.core.attempt.engine import demonstrate, repeat
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.payload import frames
-from yamsim_cli.core.attempt.simulator import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
+from yamsim_cli.core.episode.engine import demonstrate, repeat
+from yamsim_cli.core.episode.expert import sides
+from yamsim_cli.core.episode.payload import frames
 from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES
+from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.sheets import crossings

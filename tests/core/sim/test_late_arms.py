@@ -9,7 +9,7 @@ import pytest
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compiled import CompiledScene

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from tests.programs import STATION, changed, session_of
-from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.simulator import Simulator, Simulators
+from yamsim_cli.core.config.goals.cast import Cast
+from yamsim_cli.core.episode.expert import sides
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.expert.planning.arm_tools import start_stands
+from yamsim_cli.core.expert.skills.bench import Bench
+from yamsim_cli.core.expert.skills.hand import Hand
+from yamsim_cli.core.expert.skills.insert import Insert
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from yamsim_cli.core.goals.cast import Cast
-from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.sim.shapes import body_surface
 from yamsim_cli.core.sim.world import SimWorld, world_of
-from yamsim_cli.core.skills.bench import Bench
-from yamsim_cli.core.skills.hand import Hand
-from yamsim_cli.core.skills.insert import Insert
 from yamsim_cli.core.types import EpisodeJob
 
 INERTIA = {"mass_g": 5, "diagonal": [1e-6, 1e-6, 1e-6], "quat": [1, 0, 0, 0]}

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from ..documents.base import Config, ConflictError, Reference
-from ..documents.document import Document, KeyPath, is_setting, parse_yaml
-from ..documents.explain import dotted, explain, explain_conflict, kind_instead, mapped_to, models_in
-from ..documents.units import AS_RECORDED
 from ..errors import ConfigError, UsageError, suggest
-from ..resources import Locations
+from ..files.documents.base import Config, ConflictError, Reference
+from ..files.documents.document import Document, KeyPath, is_setting, parse_yaml
+from ..files.documents.explain import dotted, explain, explain_conflict, kind_instead, mapped_to, models_in
+from ..files.documents.units import AS_RECORDED
+from ..files.resources import Locations
 from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_names

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..documents.base import Config, Name, omit_default
-from ..documents.units import Within
+from ..files.documents.base import Config, Name, omit_default
+from ..files.documents.units import Within
 
 
 class ImageConfig(Config):
@@ -31,7 +31,7 @@ class RenderConfig(Config):
         shadow_lights: the number of the scene's lights that cast shadows. Each renders the scene twice more.
         shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
             smaller radius gives finer shadows.
-        reduced_meshes: whether meshes are shown with fewer faces, see `core.assets.reduction`.
+        reduced_meshes: whether meshes are shown with fewer faces, see `core.scene.assets.reduction`.
         reflections: whether surfaces reflect, which renders the scene once more.
         slices: faces around round primitives.
     """

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from ..documents.base import Config, ConflictError, Name
-from ..documents.units import Within
+from ..files.documents.base import Config, ConflictError, Name
+from ..files.documents.units import Within
 
 # A key in a message of another program, such as `observation.images.top`.
 Key = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
@@ -15,7 +15,7 @@ Dtype = Literal["float32", "float64"]
 Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
-CameraName = Name  # of a camera in `core.policies.base.IMAGES`, or of a station's camera
+CameraName = Name  # of a camera in `policies.base.IMAGES`, or of a station's camera
 Constant = bool | int | float | str
 
 
@@ -69,7 +69,7 @@ class PolicyConfig(Config):
         arms: the order of the arms in the state and in actions; "all" for all arms of a rig, the left one first. Each
             arm has its joints in rad, and then its gripper.
         gripper: "share" for 0 closed .. 1 open, "metres" for the opening of one finger.
-        environment_state: poses of things, see `core.policies.environment_state`; not sent to a checkpoint without this
+        environment_state: poses of things, see `core.dataset.environment_state`; not sent to a checkpoint without this
             input.
         images: key -> picture.
         images_under: key of a mapping with all pictures; if left out, the pictures are at the top of the message.

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
-from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
-from ..documents.units import (
+from ..errors import suggest
+from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
+from ..files.documents.units import (
     Distance,
     Heading,
     HeadingRange,
@@ -22,11 +23,10 @@ from ..documents.units import (
     Within,
     as_recorded,
 )
-from ..errors import suggest
-from ..goals.cast import Cast
-from ..goals.goal import Goal
-from ..goals.predicates import On
-from ..goals.world import TABLE
+from .goals.cast import Cast
+from .goals.goal import Goal
+from .goals.predicates import On
+from .goals.world import TABLE
 from .things.thing import ObjectConfig
 
 PROGRAM = "program"  # the `kind` of tasks
@@ -242,7 +242,7 @@ class ProgramTask(Config):
         language_task: the task's name in the data, with the same placeholders; if left out, `name`.
         goal: the condition of success.
         near_misses: displacements that must not count as success, for `yamsim tasks check`.
-        expert: a list of skills that perform the task, each step of one key; see `core.skills.program`.
+        expert: a list of skills that perform the task, each step of one key; see `core.expert.skills.program`.
         time_limit_s: longest duration of an attempt, s of simulated time.
         start_joints: of the arms at the start, rad; if left out, those of their robot model.
         arms: which of two arms act: all, or only the one that `RecordConfig.arm` names.

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from ..documents.base import OMIT_NONE, Config, ConflictError, Name, Positive, Range, Reference, ordered
-from ..documents.units import ReachRange, Within
+from ..files.documents.base import OMIT_NONE, Config, ConflictError, Name, Positive, Range, Reference, ordered
+from ..files.documents.units import ReachRange, Within
 from .things.thing import ObjectConfig
 
 

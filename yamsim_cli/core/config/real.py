@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Reference
+from ..files.documents.base import Config, ConflictError, Name, Reference
 from .rig import RigConfig
 
 GripperUnit = Literal["metres", "share", "closed_share"]

@@ -8,16 +8,16 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from ..documents.base import OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
-from ..documents.units import as_recorded
+from ..files.documents.base import OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
+from ..files.documents.units import as_recorded
 from ..robots.stops import beyond_stops
-from ..shown_meshes import PATTERN
 from .pictures import ImageConfig, RenderConfig
 from .program_task import GraspKind as GraspKind
 from .program_task import ProgramTask, Start
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
+from .shown_meshes import PATTERN
 from .things.thing import ObjectConfig
 
 SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
@@ -49,8 +49,8 @@ class RecordConfig(Config):
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what varies between episodes besides the starts of things.
         truth: also record ground truth for every image, see `core.dataset.truth_files`.
-        meshes: asset set -> the meshes that are shown, see `core.shown_meshes`. Written by the recorder, whatever a
-            file has; None in datasets without this entry.
+        meshes: asset set -> the meshes that are shown, see `core.config.shown_meshes`. Written by the recorder,
+            whatever a file has; None in datasets without this entry.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
@@ -139,7 +139,7 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # `core.skills.checked` knows the things that the task picks up, and checks them.
+            # `core.expert.skills.checked` knows the things that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
             _check_pads(self.grasp, self.rig, self.acting_arms)

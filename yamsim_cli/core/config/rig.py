@@ -18,8 +18,8 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Reference
-from ..documents.units import Heading, PlacePoint, Within, as_recorded
+from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Reference
+from ..files.documents.units import Heading, PlacePoint, Within, as_recorded
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
 from ..robots.dynamics import Dynamics

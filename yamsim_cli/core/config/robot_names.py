@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from ..documents.document import load_yaml
 from ..errors import ConfigError, suggest
-from ..resources import Locations
+from ..files.documents.document import load_yaml
+from ..files.resources import Locations
 
 ARMS, GRIPPERS = "robots", "grippers"
 

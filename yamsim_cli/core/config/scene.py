@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Rgb, Rgba, Vector
-from ..documents.units import FieldOfView, Place, PlacePoint, Size
+from ..files.documents.base import Config, ConflictError, Name, Rgb, Rgba, Vector
+from ..files.documents.units import FieldOfView, Place, PlacePoint, Size
 from .things.thing import Contact
 
 

@@ -6,7 +6,7 @@ import errno
 import os
 from pathlib import Path
 
-from ..files import nearest_directory, refusal
+from ..files.writing import nearest_directory, refusal
 
 _REMEDIES = {
     errno.EDQUOT: "the quota is used up: free some, or ask for more",

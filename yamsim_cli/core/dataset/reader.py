@@ -14,9 +14,9 @@ from ..config.loader import parse_config
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
 from ..errors import ConfigError, DatasetError, UsageError, counted, ranges
-from ..files import sha256_bytes
+from ..files.resources import Locations
+from ..files.writing import sha256_bytes
 from ..images.image import Image
-from ..resources import Locations
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_forms
 from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from ..config.loader import parse_config
 from ..config.real import RealConfig
-from ..documents.document import parse_yaml
 from ..errors import ConfigError, DatasetError
-from ..resources import Locations
+from ..files.documents.document import parse_yaml
+from ..files.resources import Locations
 from .layout import CONFIG, EPISODE, EPISODE_FORMAT, REAL_FORMAT_VERSION
 from .records import CameraSizes, FilePath, Record
 

@@ -11,14 +11,16 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, WrapSerializer
 
-from ..documents.base import Name
+from ..config.goals.cast import Cast
+from ..config.program_task import ProgramTask
+from ..config.recording import RecordConfig
+from ..config.variation import Variation
 from ..errors import DatasetError
-from ..files import sha256_bytes
+from ..files.documents.base import Name
+from ..files.writing import sha256_bytes
 from ..geometry.se3 import Array, UprightPose
-from ..goals.cast import Cast
 from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, FullPose, Layout, Margins, Outcome
-from ..variation import Variation
-from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
+from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION, PROGRAM_FORMAT_VERSION
 
 # Path of a file inside its episode. No part begins with a dot, so that no path leads out of the episode.
 FilePath = Annotated[
@@ -205,7 +207,7 @@ class EpisodeRecord(Record):
     cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> shown meshes, see `core.shown_meshes`; None in earlier records.
+    # Asset set -> shown meshes, see `core.config.shown_meshes`; None in earlier records.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
@@ -286,3 +288,56 @@ def plain(record: Record) -> dict[str, Any]:
     """A record as JSON-ready data."""
     data: dict[str, Any] = record.model_dump(mode="json")
     return data
+
+
+def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) -> EpisodeRecord:
+    """The `episode.json` of a successful attempt that is published as number `episode`."""
+    cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
+    attempt = attempt_record(payload, episode)
+    task = config.task
+    return EpisodeRecord(
+        format_version=PROGRAM_FORMAT_VERSION,
+        episode=episode,
+        attempt=attempt.attempt,
+        seed=attempt.seed,
+        source="record",
+        rig=config.rig.name,
+        scene=config.scene.name,
+        task=task.name,
+        grasp=config.grasp,
+        frames=payload.frames,
+        frame_period_s=task.timing.tick * task.timing.ticks_per_frame,
+        cameras=dict.fromkeys(cameras, config.image.size_px),
+        truth=config.truth,
+        arms=len(config.rig.arms),
+        drives=config.rig.drives,
+        joint_actions=config.action == "joints",
+        objects=list(attempt.layout),
+        outcome=attempt.outcome,
+        max_height_m=None,
+        layout=attempt.layout,
+        randomized=attempt.randomized,
+        cast=attempt.cast,
+        phrasing=attempt.phrasing,
+        joints=_joints(task, attempt),
+        cloths=_cloths(task, attempt),
+        versions=dict(payload.versions),
+        renderer=payload.renderer,
+        meshes=None if config.meshes is None else dict(config.meshes),
+        content_sha256=payload.content_sha256,
+        files=file_hashes(payload.files),
+    )
+
+
+def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
+    """Cloth -> how many points lie along its x axis and along its y axis."""
+    cloths = {item.name: item.cloth for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
+
+
+def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
+    """Articulated thing -> names of its joints."""
+    items = {item.name: item for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

@@ -9,9 +9,9 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from ..config.goals.cast import Cast
+from ..config.goals.goal import Goal, Verdict, judge
 from ..geometry.se3 import Array
-from ..goals.cast import Cast
-from ..goals.goal import Goal, Verdict, judge
 from ..scene.compiled import CompiledScene
 from ..sim.readings import readings, sensed
 from ..sim.world import SimWorld, world_of

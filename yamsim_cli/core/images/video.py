@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DatasetError, ResourceError, SimulationError, UsageError
-from ..files import move_aside, publish_file
+from ..files.writing import move_aside, publish_file
 from .image import Image
 
 if TYPE_CHECKING:

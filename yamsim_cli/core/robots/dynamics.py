@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..documents.base import Config, Name
-from ..documents.units import Within
+from ..files.documents.base import Config, Name
+from ..files.documents.units import Within
 from .models import ArmModel, Part
 
 _Milliseconds = Annotated[FiniteFloat, Within("ms", 0, 500)]

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import PurePosixPath
 
 from ..errors import ConfigError
+from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
-from ..untrusted.refusals import RefusedError
 from .dynamics import Dynamics, JointDynamics
 from .finray.chain import add_fingers, get_section
 from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, root_of

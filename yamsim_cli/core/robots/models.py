@@ -18,14 +18,14 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Vector, ordered
-from ..documents.document import Document, load_yaml, read_config
-from ..documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
 from ..errors import ConfigError
+from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Vector, ordered
+from ..files.documents.document import Document, load_yaml, read_config
+from ..files.documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
+from ..files.untrusted.includes import with_includes
+from ..files.untrusted.jail import Folder
+from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import Array, pose_from_quat
-from ..untrusted.includes import with_includes
-from ..untrusted.jail import Folder
-from ..untrusted.refusals import RefusedError
 from .finray.finger import FinRay
 
 Element = ElementTree.Element

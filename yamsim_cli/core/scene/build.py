@@ -9,16 +9,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..assets.reduction import REPORT
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
+from ..config.session import Session
+from ..config.shown_meshes import FULL, PRIMITIVES, REDUCED
 from ..config.things.thing import ObjectConfig
-from ..files import sha256_bytes
-from ..resources import Locations
+from ..files.resources import Locations
+from ..files.writing import sha256_bytes
 from ..robots.models import Fingers
-from ..session import Session
-from ..shown_meshes import FULL, PRIMITIVES, REDUCED
+from .assets.reduction import REPORT
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
@@ -83,7 +83,7 @@ def build_rig_scene(
 
 
 def shown_meshes(session: Session) -> dict[str, str]:
-    """Mesh set -> what a session shows of the set, see `core.shown_meshes`.
+    """Mesh set -> what a session shows of the set, see `core.config.shown_meshes`.
 
     The files of a set are those of all things that the task may draw, so that all casts of a task have the same text.
     """

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from ..assets import AssetStore, resolve_own
 from ..config.pictures import SHADOW_REACH
 from ..config.randomization import ArmRanges
 from ..config.rig import ArmConfig, RigCamera, RigConfig
+from ..files.resources import Locations, Meshes
 from ..geometry.se3 import Array, quat_from_rotation
-from ..resources import Locations, Meshes
 from ..robots.dynamics import Dynamics
+from .assets import AssetStore, resolve_own
 from .blueprint import Blueprint, TaskPhysics
 from .cameras import add_camera
 from .cloth import add_cloth_grips, set_options

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import mujoco
 
-from ..boards.board_image import board_texture
 from ..config.rig import ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
 from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
+from ..images.board_image import board_texture
 from ..images.png import encode_png
 from .things.geoms import SEEN_GROUP
 

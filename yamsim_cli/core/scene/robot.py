@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
 from ..errors import ConfigError, ResourceError
+from ..files.resources import Meshes
 from ..geometry.se3 import Array
-from ..resources import Meshes
 from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
 from .compiling import compile_spec

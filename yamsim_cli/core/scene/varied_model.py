@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.recording import SCENE_CAMERA
 from ..config.scene import SceneConfig
+from ..config.variation import ArmVariation, LightVariation, SurfaceVariation, Variation
+from ..files.resources import Meshes
 from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
-from ..resources import Meshes
-from ..variation import ArmVariation, LightVariation, SurfaceVariation, Variation
 from .compiled import CompiledScene, SceneArm
 from .things.geoms import HIDDEN_GROUP
 from .things.thing import add_object

@@ -14,8 +14,8 @@ from ..config.scene import Table
 from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, UprightPose
 from ..scene.compiled import CompiledScene
+from ..scene.randomness import Stream, generator
 from ..scene.varied_model import VariedModel
-from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
 
 _MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out

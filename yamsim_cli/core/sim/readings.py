@@ -7,7 +7,7 @@ import numpy as np
 
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
-from ..tasks.randomness import Stream, generator
+from ..scene.randomness import Stream, generator
 from ..types import EpisodeJob
 
 

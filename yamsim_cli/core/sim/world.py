@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.goals.world import TABLE
 from ..geometry.se3 import Array, inverse, pose
-from ..goals.world import TABLE
 from ..scene.compiled import CompiledScene, Ids, SceneArm, SceneCloth
 from .cloth import ClothState
 from .interior import Interior

@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from ...documents.base import Config
-from ...documents.document import Document
+from ...files.documents.base import Config
+from ...files.documents.document import Document
 from ...geometry.camera import CameraModel
 from .camera_files import camera_parts, read_camera
 

@@ -13,9 +13,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ...documents.document import Document, KeyPath, load_yaml, read_config
 from ...errors import ConfigError, suggest
-from ...resources import camera_file
+from ...files.documents.document import Document, KeyPath, load_yaml, read_config
+from ...files.resources import camera_file
 from .file_storage import parse_json, parse_xml
 
 # Key of yamsim -> keys of calibration programs.

@@ -6,8 +6,8 @@ import re
 from typing import Any
 from xml.parsers import expat
 
-from ...documents.document import Document, KeyPath, number_or_text, parse_yaml
 from ...errors import ConfigError
+from ...files.documents.document import Document, KeyPath, number_or_text, parse_yaml
 
 _ROOT = "opencv_storage"
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from ...documents.base import Config, Name, Quaternion, ordered
-from ...documents.units import OffsetPoint, Within
+from ...files.documents.base import Config, Name, Quaternion, ordered
+from ...files.documents.units import OffsetPoint, Within
 from ...geometry.se3 import Array, pose, pose_from_quat
 from .parts import Inertia, ObjectMesh
 from .primitives import CollisionPart, Primitive

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, ValidationError
 
-from ...documents.base import Config, NonNegative, Rgb
-from ...documents.units import Within
+from ...files.documents.base import Config, NonNegative, Rgb
+from ...files.documents.units import Within
 from .made import MADE
 
 _Side = Annotated[FiniteFloat, Within("mm", 50, 1500)]

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ...documents.base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_default
-from ...documents.units import OffsetPoint, PlacePoint, Within
+from ...files.documents.base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_default
+from ...files.documents.units import OffsetPoint, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
 _Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
@@ -32,7 +32,7 @@ class ObjectMesh(Config):
     """A visual mesh, such as a scan.
 
     Attributes:
-        set: an asset set of the lock, or an own set, see `core.assets.store`.
+        set: an asset set of the lock, or an own set, see `core.scene.assets.store`.
         file: STL, or OBJ for a mesh with a texture.
         origin: the point of the mesh that becomes the part's origin, m.
         rgba: the colour; a texture is multiplied by it.

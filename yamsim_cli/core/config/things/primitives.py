@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ...documents.base import Config, Positive, Rgba, Vector
+from ...files.documents.base import Config, Positive, Rgba, Vector
 
 
 class Capsule(Config):

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...documents.base import Config, ConflictError, Rgba
-from ...documents.units import Within
+from ...files.documents.base import Config, ConflictError, Rgba
+from ...files.documents.units import Within
 from ...geometry.forms import boxes, cutlery, pasta, vessels
 from ...geometry.forms.form import Form
 

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, ValidationError, ValidationInfo, model_validator
 
-from ...documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, omit_default
-from ...documents.document import Document
-from ...documents.units import Distance, Heading, OffsetPoint, Within
+from ...files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, omit_default
+from ...files.documents.document import Document
+from ...files.documents.units import Distance, Heading, OffsetPoint, Within
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
 from .cloth import Cloth, cloth_object

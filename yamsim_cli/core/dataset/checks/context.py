@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ...config.goals.world import TABLE
 from ...config.loader import load_config, validate_file
 from ...config.recording import RecordConfig
 from ...config.rig import RigConfig
 from ...errors import ConfigError, DatasetError
+from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
-from ...goals.world import TABLE
-from ...resources import Locations
 from ...robots.robot import widest_joints
 from ..layout import CONFIG, EPISODE, episode_directories, episode_name
 from ..real import is_real, real_config

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import DatasetError
-from ...files import sha256_bytes
+from ...files.writing import sha256_bytes
 from ..layout import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import DatasetError
-from ...files import write_file
+from ...files.writing import write_file
 from ..layout import ATTEMPTS, episode_name
 from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 from .integrity import place_for_damaged

@@ -20,14 +20,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from ...documents.document import load_yaml
+from ...config.shown_meshes import ShownMeshes, differences, remedy, shown
 from ...errors import ConfigError, ResourceError, UsageError
-from ...files import move_aside, obstacle
-from ...shown_meshes import ShownMeshes, differences, remedy, shown
+from ...files.documents.document import load_yaml
+from ...files.writing import move_aside, obstacle
 from ..layout import CONFIG, LOCK, STAGING, is_litter
 
 _NO_FLOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)  # flock's errors on filesystems without locks
-MESHES = "meshes"  # key of a configuration that states the shown meshes, see `core.shown_meshes`; nobody sets it
+MESHES = "meshes"  # key of a configuration that states the shown meshes, see `core.config.shown_meshes`; nobody sets it
 _SHOWN_CHANGES = 5  # changes that a message names, so that its line stays readable
 
 

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...documents.document import dump_yaml
 from ...errors import DatasetError, ResourceError
-from ...files import append_line, move_aside, publish_directory, sha256_bytes, write_file
+from ...files.documents.document import dump_yaml
+from ...files.writing import append_line, move_aside, publish_directory, sha256_bytes, write_file
 from ..disk_faults import reason
 from ..layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
 from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
@@ -238,3 +238,7 @@ class StagedWriter(AttemptLog):
             return True
         found = inspect_episode(attempt.episode, self.folder / episode_name(attempt.episode))
         return found.record is not None and found.fault is None and found.record.attempt == attempt.attempt
+
+
+# What records episodes: straight into the dataset, or by way of a stage.
+Sink = DatasetWriter | StagedWriter

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ...closing import Closing
-from ...documents.document import dump_yaml, parse_yaml
+from ...config.recording import RecordConfig
 from ...errors import DatasetError, ResourceError, ranges
-from ...files import append_line, publish_directory, sha256_bytes, write_file
+from ...files.documents.document import dump_yaml, parse_yaml
+from ...files.writing import append_line, publish_directory, sha256_bytes, write_file
 from ..disk_faults import reason
 from ..layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
@@ -179,6 +180,11 @@ class DatasetWriter(AttemptLog, Closing):
             return None
         self.entries[found.number] = _entry(record, found.text, found.size)
         return record
+
+
+def config_as_stated(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
+    """The config for new episodes: without meshes, if the dataset was recorded without a statement of its meshes."""
+    return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
 
 
 def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:

@@ -13,8 +13,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...documents.base import Config, ConflictError
-from ...documents.units import Within
+from ...files.documents.base import Config, ConflictError
+from ...files.documents.units import Within
 from ...geometry.se3 import Array
 
 _Length = Annotated[FiniteFloat, Within("mm", 20, 300)]

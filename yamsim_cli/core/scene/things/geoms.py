@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.store import is_own
 from ...config.things.parts import Contact, ObjectMesh
 from ...config.things.primitives import (
     Box,
@@ -27,6 +26,7 @@ from ...config.things.primitives import (
 from ...errors import ResourceError
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ...geometry.stl import stl_bytes
+from ..assets.store import is_own
 from ..robot import mesh_bytes
 
 # Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not here.

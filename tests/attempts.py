@@ -1,0 +1,31 @@
+"""Attempts as tests need them: demonstrated from their numbers, and what acted in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from yamsim_cli.core.episode.engine import Simulated, demonstrate
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.types import Actions, EpisodeJob, StepState
+
+
+def planned(simulator: Simulator, seed: int, attempt: int = 0) -> Simulated:
+    """What the task's expert makes of an attempt."""
+    return demonstrate(simulator, sample(simulator, EpisodeJob(seed, attempt)))
+
+
+def start_of(simulator: Simulator, seed: int = 0) -> Array:
+    """MuJoCo's positions (nq,) at the start of a seed's first attempt."""
+    start = sample(simulator, EpisodeJob(seed, 0)).start
+    assert start is not None
+    return start
+
+
+def all_actions(states: Sequence[StepState]) -> Actions:
+    """What acted throughout, put together from every frame's part."""
+    parts = [state.actions for state in states]
+    return Actions(*(np.concatenate([getattr(part, key) for part in parts]) for key in ("ctrl", "magnet", "joints")))

@@ -1,0 +1,221 @@
+"""Attempts of a task that is data: recorded and made again bit for bit, and judged by the goal alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
+from yamsim_cli.core.dataset.checks.problem import Problems
+from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.records import CastRecord, to_json
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.episode import sampling
+from yamsim_cli.core.episode.engine import demonstrate, repeat
+from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.images.jpeg import JpegReader
+from yamsim_cli.core.sim.settle import settle
+from yamsim_cli.core.sim.world import SimWorld
+from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.datasets.checks.episode import check_episode
+from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Tolerances
+from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.executors import ThisProcess
+from yamsim_cli.record.recorder import record
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return session_of(tmp_path_factory.mktemp("task"), ONTO_PLATE)
+
+
+@pytest.fixture(scope="module")
+def simulators(session: Session) -> Iterator[Simulators]:
+    with Simulators(session) as made:
+        yield made
+
+
+def recorded(session: Session, out: Path) -> Path:
+    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    return out
+
+
+@pytest.fixture(scope="module")
+def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(session, tmp_path_factory.mktemp("data") / "dataset")
+
+
+@pytest.mark.render
+def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
+    session = Session(dataset_config(dataset, locations), locations).without_meshes()
+    with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
+        verdict = verifier.run((0, dataset / "ep_000000"))
+    assert verdict.agrees, verdict
+    assert set(verdict.checks) == {SEED, ACTIONS, IMAGES}
+    assert all(check.max_error == 0 for check in verdict.checks.values())
+
+
+@pytest.mark.render
+def test_a_record_says_who_played_what_and_how_far_the_goal_was_from_failing(dataset: Path) -> None:
+    episode = open_episode(dataset / "ep_000000")
+    known = episode.record
+    assert known.format_version == 2 and known.objects == ["plate", "cube"] and known.grasp == "contact"
+    assert known.cast is not None and known.cast.kinds["cube"] in ("cube_red", "cube_blue")
+    assert known.phrasing in ONTO_PLATE["phrasings"]["training"]
+    (measure,) = known.outcome.measures
+    assert measure.what == "on(cube, plate)" and measure.margin > 0.03 and measure.unit == "m"
+    assert len(known.layout["cube"]) == 7
+    frame = episode.frames()[0]
+    assert frame["language_prompt"] == known.phrasing and frame["cube_pose"].shape == (4, 4)
+    line = json.loads((dataset / "attempts.jsonl").read_text())
+    assert line["cast"]["things"] == {"plate": ["plate"], "cube": ["cube"]} and line["phrasing"] == known.phrasing
+
+
+@pytest.mark.render
+def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) -> None:
+    problems = Problems()
+    (directory,), recorded = find_episodes(dataset)
+    context = read_context(dataset, recorded, locations, problems)
+    with JpegReader() as reader:
+        facts = check_episode(directory, context, reader)
+    assert not problems.list() and not facts.problems
+    assert context.judged_by_goal and facts.outcome is not None and facts.outcome.success
+
+
+@pytest.mark.slow
+def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators) -> None:
+    simulator, attempt = first_attempt(simulators, 2)
+    done = demonstrate(simulator, attempt)
+    assert done.outcome.success, done.outcome
+    acted = [state.actions for state in done.states]
+    whole = Actions(*(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints")))
+    again = repeat(simulator, attempt, whole, EXPERT_RULES)
+    assert again.outcome == replace(done.outcome, recoveries=())
+    assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.states, again.states, strict=True))
+
+
+def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
+    simulator, attempt = first_attempt(simulators)
+    outcome = demonstrate(simulator, attempt, grips=False).outcome
+    assert not outcome.success and outcome.cause in (Cause.SLIPPED, Cause.DROPPED, Cause.GOAL)
+
+
+def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
+    away = changed({("starts", "cube"): {"x": [0.70, 0.72], "y": [0.30, 0.32]}})
+    with Simulators(session_of(tmp_path, away)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert outcome.cause is Cause.UNREACHABLE
+    assert [(one.step, one.skill, one.frame) for one in outcome.recoveries] == [(0, "pick", 0), (0, "pick", 0)]
+
+
+def test_standing_still_reaches_nothing_and_what_is_said_reaches_the_policy(session: Session, tmp_path: Path) -> None:
+    with TrialRunner(session, PolicyChoice("hold_still", tmp_path, time_limit=1.0)) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+    assert not result.outcome.success and result.outcome.cause == Cause.GOAL and result.ticks == 31
+    assert [measure.what for measure in result.outcome.measures] == ["on(cube, plate)"]
+
+
+def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
+    met = changed({("goal",): {"on": {"thing": "cube", "surface": "table"}}})
+    with Simulators(session_of(tmp_path, met)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert attempt.layout is None and outcome.cause is Cause.NO_LAYOUT
+    assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
+
+
+def test_what_has_no_room_is_told(tmp_path: Path) -> None:
+    tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
+    with Simulators(session_of(tmp_path, tight)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert outcome.detail == "no free place for the cube where it is to start"
+
+
+def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate(simulator, attempt)
+    assert done.outcome.cause is Cause.TIME
+    ticks = sum(len(state.actions.ctrl) for state in done.states)
+    assert ticks <= 3.0 / 0.032 + 1
+
+
+def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
+    made = [simulators.of(EpisodeJob(0, k)) for k in range(8)]
+    kinds = {simulator.cast.kinds["cube"] for simulator in made if simulator.cast}
+    assert kinds == {"cube_red", "cube_blue"} and len(set(map(id, made))) == 2
+
+
+def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
+    task = changed({("things", "cube"): {"of": ["cube_red", "cube_blue"], "sizes": [0.8, 1.2]}})
+    edges = set()
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        for number in range(6):
+            simulator, attempt = first_attempt(simulators, number)
+            assert attempt.cast is not None and attempt.layout is not None
+            factor = attempt.cast.sizes["cube"]
+            (cube,) = (item for item in simulator.config.task.objects if item.name == "cube")
+            assert cube.shape is not None and cube.inertia.mass == pytest.approx(0.06179 * factor**3, rel=0.01)
+            # It stands on the table, so its middle is half an edge above.
+            low, high = _height(simulator, attempt)
+            assert high - low == pytest.approx(0.045 * factor, abs=1e-4)
+            edges.add(factor)
+    assert edges == {0.8, 1.2}
+    line = CastRecord.model_validate_json(to_json(CastRecord(things={}, kinds={}, sizes={"cube": 0.8})))
+    assert line.sizes == {"cube": 0.8} and "sizes" not in CastRecord(things={}, kinds={}).model_dump()
+
+
+def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
+    simulator.replica.show(attempt.start)  # type: ignore[arg-type]
+    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, ("right",), ["cube"])
+    low, high = world.bounds("cube")
+    return float(low[2]), float(high[2])
+
+
+def test_a_thing_starts_with_the_middle_of_what_it_is_when_open(tmp_path: Path) -> None:
+    """An open drawer and its knob reach 260 mm ahead of a cabinet's origin, and its back 100 mm behind it."""
+    cabinet = {"x": [0.48, 0.48], "y": [0, 0], "yaw_deg": [0, 0], "open": {"drawer": [1, 1]}}
+    task = changed(
+        {
+            ("rig",): STATION,
+            ("things",): {"cabinet": {"of": "drawer_cabinet"}, "cube": {"of": "cube_red"}},
+            ("starts",): {"cabinet": cabinet, "cube": {"x": [0.25, 0.35], "y": [0.25, 0.35]}},
+            ("goal",): {"on": {"thing": "cube", "surface": "cabinet"}},
+            ("expert",): [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "cabinet"}}],
+        }
+    )
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        _, attempt = first_attempt(simulators)
+    assert attempt.layout is not None
+    assert attempt.layout.T_in_world["cabinet"][0, 3] == pytest.approx(0.48 + 0.08, abs=2e-3)
+
+
+def test_a_start_in_which_a_thing_still_moves_is_drawn_again(
+    simulators: Simulators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulator, calm = first_attempt(simulators)
+    speeds = [1.0, 0.0]
+    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=speeds.pop(0)))
+    again = sampling.sample(simulator, calm.job)
+    assert not speeds and again.layout is not None and calm.layout is not None
+    assert not np.allclose(again.layout.T_in_world["cube"], calm.layout.T_in_world["cube"])
+    # Where things move in every draw, the first one is used.
+    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=1.0))
+    restless = sampling.sample(simulator, calm.job)
+    assert restless.start is not None and np.array_equal(restless.start, calm.start)

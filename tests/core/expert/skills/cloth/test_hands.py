@@ -1,0 +1,25 @@
+"""How hands take cloth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.programs import FOLD, first_attempt, session_of
+from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.expert.skills.cloth import hands, reach
+
+
+@pytest.mark.slow
+def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # An arm that reaches far comes to rest that much higher than commanded.
+    monkeypatch.setattr(reach, "_HALF_PAD", reach._HALF_PAD + 0.0018)
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        felt = demonstrate(simulator, attempt)
+        monkeypatch.setattr(hands, "_DEPTHS", ())
+        missed = demonstrate(simulator, attempt)
+    assert felt.outcome.success, felt.outcome.detail
+    assert "missed its corner" in missed.outcome.detail

@@ -1,0 +1,29 @@
+"""Where hands take cloth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.programs import FOLD, bench_at_start, session_of
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.expert.skills.cloth.reach import PointPlacement, at_place, reachable_grasps
+
+
+def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        bench = bench_at_start(simulators)
+        flat = bench.world.points("napkin")
+        place, around = flat[4, 8], ([3, 3, 4, 5, 5], [8, 7, 7, 7, 8])
+        alone, all_of_it = (PointPlacement((4, 8), at_place(place), alone=alone) for alone in (True, False))
+        assert reachable_grasps(bench, "napkin", [alone], flat) is not None
+        # The next points come nearer, and up by 1 and then by 4 cm.
+        standing = flat.copy()
+        standing[around] += 0.3 * (place - flat[around]) + [0.0, 0.0, 0.01]
+        assert reachable_grasps(bench, "napkin", [alone], standing) is not None
+        standing[around] += [0.0, 0.0, 0.03]
+        assert reachable_grasps(bench, "napkin", [alone], standing) is None
+        # What is folded is taken with all that lies there.
+        assert reachable_grasps(bench, "napkin", [all_of_it], standing) is not None
+        assert np.array_equal(bench.world.points("napkin"), flat)

@@ -1,0 +1,41 @@
+"""Cloth that two hands slide and turn, flat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.programs import FOLD, bench_at_start, session_of
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.expert.skills.cloth.hands import predicted_points
+from yamsim_cli.core.expert.skills.cloth.slide import SLIDE_SPEED, slide_grasps
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.smoothing import height
+
+
+def _turned(points: Array) -> float:
+    """How far the rows of a sheet are turned from x, degrees."""
+    along = points[:, -1] - points[:, 0]
+    return float(np.degrees(np.arctan2(along[:, 1].mean(), along[:, 0].mean())))
+
+
+def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        bench = bench_at_start(simulators)
+        points = bench.world.points("napkin")
+        turned = _turned(points)
+        assert 10 <= turned <= 20
+
+        def wanted(points: Array) -> bool:
+            return abs(_turned(points)) < 4
+
+        grasps = slide_grasps(bench, "napkin", [np.radians(-turned)], wanted)
+        assert grasps is not None and len(grasps) == 2 and all(grasp.placement.alone for grasp in grasps)
+        after = predicted_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
+        assert wanted(after) and height(after) < 0.01
+        # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.
+        assert np.ptp(after[..., 0]) < 0.22
+        assert after[..., 0].mean() == pytest.approx(points[..., 0].mean() - 0.1, abs=0.02)
+        assert slide_grasps(bench, "napkin", [0.0], lambda points: False) is None

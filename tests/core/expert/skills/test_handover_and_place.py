@@ -1,0 +1,96 @@
+"""A thing that is handed over and put down: the taking hand holds it so that it can be placed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.programs import STATION, changed, first_attempt, session_of
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.opener import Opener
+
+TASK = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"bottle": {"of": "kitchen_bottle"}},
+        ("starts",): {"bottle": {"x": [0.30, 0.36], "y": [0.14, 0.20]}},
+        ("goal",): {
+            "all": [
+                {"was_handed_over": {"thing": "bottle", "to": "right"}},
+                {"on": {"thing": "bottle", "surface": "table"}},
+            ]
+        },
+        ("expert",): [
+            {"pick": {"thing": "bottle", "arm": "left"}},
+            {"handover": {"thing": "bottle", "to": "right"}},
+            {"place": {"thing": "bottle", "on": "table", "at": [0.32, -0.2]}},
+        ],
+    }
+)
+
+
+@pytest.mark.slow
+def test_a_bottle_is_handed_over_and_put_down(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, TASK)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert outcome.success, outcome.detail
+
+
+CUBE = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"cube": {"of": "cube_red"}},
+        ("starts",): {"cube": {"x": [0.30, 0.36], "y": [0.14, 0.20]}},
+        ("goal",): {
+            "all": [
+                {"was_handed_over": {"thing": "cube", "to": "right"}},
+                {"on": {"thing": "cube", "surface": "table"}},
+                {"near": {"thing": "cube", "place": [0.32, -0.2], "radius": 0.04}},
+            ]
+        },
+        ("expert",): [
+            {"pick": {"thing": "cube", "arm": "left"}},
+            {"handover": {"thing": "cube", "to": "right"}},
+            {"place": {"thing": "cube", "on": "table", "at": [0.32, -0.2]}},
+        ],
+    }
+)
+
+
+@pytest.mark.slow
+def test_a_cube_is_handed_over_and_put_down_on_another_face(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, CUBE)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert outcome.success, outcome.detail
+
+
+@pytest.mark.slow
+def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) -> None:
+    task = changed({("things", "cube", "of"): "054_softball"})
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate(simulator, attempt).outcome
+    assert not outcome.success
+    assert "mm wide where it can be held, and the right hand opens 95.0 mm" in (outcome.detail or ""), outcome.detail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "number"), [("handover", 0), ("handover", 5), ("pickplace", 0)])
+def test_joints_stay_away_from_their_stops(task: str, number: int) -> None:
+    """In a hand-over they went down to 0 rad, where grips and retreats were chosen without a look at the stops."""
+    opener = Opener({}, lambda text: None, str)
+    where = opener.locations()
+    job = EpisodeJob(7, number)
+    with Simulators(Session(opener.config("default", where, task=task), where).without_meshes()) as simulators:
+        simulator = simulators.of(job)
+        outcome = demonstrate(simulator, sample(simulator, job)).outcome
+    assert outcome.success, outcome.detail
+    assert outcome.margins is not None
+    assert outcome.margins.joint > 0.08

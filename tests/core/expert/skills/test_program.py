@@ -1,0 +1,214 @@
+"""Programs: loops over the things of a role, and what fails is tried again and noted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, cast
+
+import pytest
+
+from yamsim_cli.core.config.goals.cast import Cast
+from yamsim_cli.core.expert.skills import program
+from yamsim_cli.core.expert.skills.base import Skill
+from yamsim_cli.core.expert.skills.bench import Bench, Segment, SkillFailedError
+from yamsim_cli.core.expert.skills.hand import Hand
+from yamsim_cli.core.expert.skills.operate import Operate
+from yamsim_cli.core.expert.skills.pick import Pick
+from yamsim_cli.core.expert.skills.place import Place
+from yamsim_cli.core.expert.skills.program import Recovery, RecoveryLog, read_program, run_program
+from yamsim_cli.core.files.documents.base import ConflictError
+from yamsim_cli.core.types import Cause
+
+CAST = Cast(
+    {"cube": ("cube_1", "cube_2", "cube_3"), "plate": ("plate",)},
+    {"cube_1": "blue", "cube_2": "red", "cube_3": "blue", "plate": "plate"},
+)
+
+
+class Failing(Skill):
+    """Fails as often as it is told to."""
+
+    ROLES: ClassVar[tuple[str, ...]] = ()
+    times: int
+    tried: ClassVar[int] = 0
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        Failing.tried += 1
+        if Failing.tried <= self.times:
+            raise SkillFailedError(Cause.SLIPPED, f"try {Failing.tried}")
+        yield Segment(())
+
+
+class NoHands:
+    """A bench with nothing to bring out of the way."""
+
+    hands = ()
+
+    def free_hands(self, arm: str) -> list[Hand]:
+        return []
+
+
+@pytest.fixture(autouse=True)
+def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Failing, "tried", 0)
+    monkeypatch.setattr(program, "SKILLS", {**program.SKILLS, "failing": Failing})
+
+
+def _run(times: int) -> RecoveryLog:
+    log = RecoveryLog()
+    for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, log):
+        pass
+    return log
+
+
+def test_what_fails_is_tried_again_and_noted() -> None:
+    assert _run(2).recoveries == [Recovery(0, "failing", "try 1"), Recovery(0, "failing", "try 2")]
+
+
+def test_what_works_is_not_tried_again() -> None:
+    assert _run(0).recoveries == [] and Failing.tried == 1
+
+
+def test_a_third_failure_ends_it() -> None:
+    with pytest.raises(SkillFailedError, match="try 3") as caught:
+        _run(3)
+    assert caught.value.cause is Cause.SLIPPED
+
+
+class Taking(Pick):
+    """Takes without a hand."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        yield Segment(())
+
+
+class Stuck(Place):
+    """Fails as often as it is told to, its thing in a hand."""
+
+    tried: ClassVar[list[str]] = []
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        Stuck.tried.append(self.thing)
+        if len(Stuck.tried) <= self.number:
+            raise SkillFailedError(Cause.UNREACHABLE, "not there with it")
+        yield Segment(())
+
+
+def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[str]:
+    """What is put down to be taken another way where putting the plate down fails so often."""
+    put: list[str] = []
+
+    def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
+        put.append(role)
+        yield Segment(())
+
+    monkeypatch.setattr(Stuck, "tried", [])
+    monkeypatch.setattr(program, "put_back", put_back)
+    steps = [Taking(thing=taken), Stuck(thing="plate", on="table", at=(0.0, 0.0), number=times)]
+    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
+    return put
+
+
+class Closing(Operate):
+    """Fails once, as a drawer that a hand slips off."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append("operate")
+        if ran.count("operate") == 1:
+            raise SkillFailedError(Cause.SLIPPED, "the hand slipped off")
+        yield Segment(())
+
+
+class Noting(Taking):
+    """Notes what it takes."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append(f"pick {self.thing}")
+        yield Segment(())
+
+
+class Dropping(Place):
+    """Drops its thing the first time."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append(f"place {self.thing}")
+        if ran.count(f"place {self.thing}") == 1 and self.thing == "cube_1":
+            raise SkillFailedError(Cause.DROPPED, "it fell")
+        yield Segment(())
+
+
+ran: list[str] = []
+
+
+def _ran(*steps: Skill) -> list[str]:
+    ran.clear()
+    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
+    return list(ran)
+
+
+def test_a_step_that_needs_nothing_in_a_hand_is_tried_again_by_itself() -> None:
+    steps = Noting(thing="cube_1"), Dropping(thing="cube_1", on="plate"), Closing(thing="plate", joint="lid", to=0)
+    assert _ran(*steps)[-2:] == ["operate", "operate"]
+    assert _ran(*steps).count("pick cube_1") == 2
+
+
+def test_what_was_dropped_is_taken_again_and_nothing_else_is() -> None:
+    steps = Noting(thing="cube_1"), Noting(thing="cube_2"), Dropping(thing="cube_1", on="plate")
+    again = ["pick cube_1", "pick cube_2", "place cube_1"]
+    assert _ran(*steps) == again + again
+    first = Noting(thing="cube_2"), Dropping(thing="cube_2", on="plate"), Noting(thing="cube_1")
+    last = ["pick cube_1", "place cube_1"]
+    assert _ran(*first, Dropping(thing="cube_1", on="cube_2")) == ["pick cube_2", "place cube_2", *last, *last]
+
+
+def test_what_cannot_be_put_down_twice_is_taken_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _put_back(monkeypatch, "plate", 1) == []
+    assert _put_back(monkeypatch, "plate", 2) == ["plate"]
+
+
+def test_what_was_not_picked_is_not_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _put_back(monkeypatch, "cube_1", 2) == []
+
+
+def test_each_goes_through_the_things_of_a_role() -> None:
+    steps: list[dict[str, Any]] = [
+        {
+            "each": {
+                "of": "cube",
+                "skip": 1,
+                "do": [{"pick": {"thing": "it"}}, {"place": {"thing": "it", "on": "previous"}}],
+            }
+        }
+    ]
+    assert read_program(steps, CAST) == [
+        Pick(thing="cube_2"),
+        Place(thing="cube_2", on="cube_1"),
+        Pick(thing="cube_3"),
+        Place(thing="cube_3", on="cube_2"),
+    ]
+
+
+def test_each_may_go_by_kinds_and_count() -> None:
+    step = {"place": {"thing": "it", "on": "table", "at": [0.4, 0.0], "step": [0, 0.1], "number": "number"}}
+    placed = read_program([{"each": {"of": "cube", "order": ["red", "blue"], "do": [step]}}], CAST)
+    assert [(skill.thing, skill.number) for skill in placed if isinstance(skill, Place)] == [
+        ("cube_2", 0),
+        ("cube_1", 1),
+        ("cube_3", 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("step", "path", "said"),
+    [
+        ({"pick": {"thing": "cube"}, "place": {}}, (0,), "has one key"),
+        ({"each": {"of": "cap", "do": []}}, (0, "each", "of"), "unknown role 'cap'"),
+        ({"each": {"of": "cube", "do": []}}, (0, "each", "do"), "a list of steps"),
+        ({"each": {"of": "cube", "skip": -1, "do": [{}]}}, (0, "each", "skip"), "`skip` -1 is not valid"),
+        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "needs `at` or `start_of`"),
+    ],
+)
+def test_a_bad_step_is_told_with_its_place(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:
+    with pytest.raises(ConflictError, match=said) as caught:
+        read_program([step], CAST)
+    assert caught.value.paths[0] == path

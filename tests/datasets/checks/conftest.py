@@ -1,0 +1,32 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.datasets.checks.sample import Sample, episode, look
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.datasets.summary import Survey
+
+
+@pytest.fixture
+def sample(config: RecordConfig) -> Sample:
+    """Three whole episodes."""
+    return Sample(config.data_config(), [episode(k) for k in range(3)])
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "dataset"
+
+
+@pytest.fixture
+def survey_of(locations: Locations) -> Callable[[Path], Survey]:
+    return lambda path: look(path, locations)
+
+
+@pytest.fixture
+def found(survey_of: Any) -> Callable[[Path], list[tuple[str, str, str]]]:
+    """Code, episode and file of every problem."""
+    return lambda path: [(p.code, p.episode, p.file) for p in survey_of(path).problems]

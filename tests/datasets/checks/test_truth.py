@@ -1,0 +1,143 @@
+"""Ground truth in a dataset: one thing is spoiled in a whole one, and exactly that is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.datasets.checks.sample import CAMERA, FRAMES, HEIGHT, WIDTH, Sample
+from tests.datasets.checks.test_codes import EP, cut, remove, write
+from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.records import to_json
+from yamsim_cli.core.dataset.truth_files import (
+    KeypointRecord,
+    LabelRecord,
+    TruthLabels,
+    array_forms,
+    dump_arrays,
+    dump_depth,
+    load_truth,
+)
+from yamsim_cli.core.images.png import encode_labels
+
+LABELS = TruthLabels(
+    labels=[LabelRecord(id=k, name=name, instance=name) for k, name in enumerate(("background", "table", "banana"))],
+    instances=["table", "banana"],
+    links=["arm", "link_1"],
+    objects=["banana"],
+    keypoints=[KeypointRecord(name="joint1", body="link_1", kind="joint")],
+)
+DEPTH, SEGMENTATION = depth_name(CAMERA, 2), segmentation_name(CAMERA, 2)
+
+
+def truth_files() -> dict[str, bytes]:
+    """The truth of one episode, in its right shapes; every frame is a little different."""
+    files = {TRUTH_LABELS: to_json(LABELS)}
+    for k in range(FRAMES):
+        image = np.zeros((HEIGHT, WIDTH), np.uint8)
+        image[10:30, 5 + k : 40] = 1
+        files[depth_name(CAMERA, k)] = dump_depth(image.astype(np.uint16) * 1000)
+        files[segmentation_name(CAMERA, k)] = encode_labels(image)
+    arrays = {key: np.zeros(shape, dtype) for key, (dtype, shape) in array_forms(LABELS, FRAMES).items()}
+    return files | {truth_name(CAMERA): dump_arrays(arrays)}
+
+
+@pytest.fixture
+def truthful(sample: Sample) -> Sample:
+    """The sample with truth in all its episodes."""
+    for episode in sample.episodes:
+        episode.others = truth_files()
+        episode.over["truth"] = True
+    return sample
+
+
+def put(name: str, data: bytes) -> Callable[[Sample], None]:
+    return lambda sample: sample.episodes[1].others.__setitem__(name, data)
+
+
+def changed_arrays(**changes: Any) -> bytes:
+    arrays = load_truth(truth_files()[truth_name(CAMERA)])
+    return dump_arrays({key: array for key, array in (arrays | changes).items() if array is not None})
+
+
+def labels_of(height: int, width: int, number: int = 1) -> bytes:
+    return encode_labels(np.full((height, width), number, np.uint8))
+
+
+BEFORE = [
+    ("depth.decode", DEPTH, b"PK\x03\x04", "not a whole npz"),
+    ("depth.decode", DEPTH, dump_arrays({"z": np.zeros((HEIGHT, WIDTH), np.uint16)}), "no array `depth`"),
+    ("depth.decode", DEPTH, dump_arrays({"depth": np.zeros((HEIGHT, WIDTH))}), "float64 (48, 64), not uint16"),
+    ("depth.size", DEPTH, dump_depth(np.zeros((WIDTH, HEIGHT), np.uint16)), "48x64; valid: 64x48"),
+    ("segmentation.decode", SEGMENTATION, b"\x89PNG", "4 bytes"),
+    ("segmentation.decode", SEGMENTATION, cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(), ""),
+    ("segmentation.size", SEGMENTATION, labels_of(10, 20), "20x10; valid: 64x48"),
+    ("segmentation.label", SEGMENTATION, labels_of(HEIGHT, WIDTH, 9), "9; valid: 0 to 2"),
+    ("truth.damaged", TRUTH_LABELS, b"{}", "labels: Field required"),
+    ("truth.damaged", truth_name(CAMERA), b"no zip", "not a whole npz"),
+    ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=None), "boxes is missing"),
+    ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=np.zeros((5, 2, 4), np.int32)), "not int32 (6, 2, 4)"),
+    ("truth.shape", truth_name(CAMERA), changed_arrays(visibility=np.zeros((6, 1))), "visibility is float64"),
+    ("truth.shape", truth_name(CAMERA), changed_arrays(intrinsics=np.full((3, 3), np.nan)), "not finite"),
+]
+
+
+@pytest.mark.parametrize(("code", "file", "data", "text"), BEFORE, ids=[f"{b[0]}-{b[3]}" for b in BEFORE])
+def test_exactly_what_was_spoiled_is_told(
+    code: str, file: str, data: bytes, text: str, truthful: Sample, path: Path, survey_of: Any
+) -> None:
+    put(file, data)(truthful)
+    truthful.write(path)
+    problems = survey_of(path).problems
+    assert [(p.code, p.episode, p.file) for p in problems] == [(code, EP, file)], [p.text for p in problems]
+    assert text in problems[0].text
+
+
+@pytest.mark.parametrize(
+    ("damage", "code", "file"),
+    [
+        (remove(f"{EP}/{DEPTH}"), "frames.gap", DEPTH),
+        (remove(f"{EP}/{SEGMENTATION}"), "frames.gap", SEGMENTATION),
+        (remove(f"{EP}/{depth_name(CAMERA, 5)}"), "frames.count", f"depth/{CAMERA}"),
+        (remove(f"{EP}/segmentation"), "frames.count", f"segmentation/{CAMERA}"),
+        (remove(f"{EP}/{TRUTH_LABELS}"), "file.missing", TRUTH_LABELS),
+        (remove(f"{EP}/{truth_name(CAMERA)}"), "file.missing", truth_name(CAMERA)),
+        (cut(f"{EP}/{DEPTH}", 100), "depth.decode", DEPTH),
+        (cut(f"{EP}/{SEGMENTATION}", -4), "segmentation.decode", SEGMENTATION),
+        (write(f"{EP}/{SEGMENTATION}", labels_of(HEIGHT, WIDTH)), "file.hash", SEGMENTATION),
+        (write(f"{EP}/depth/other/000000.npz", b""), "file.unexpected", "depth/other/000000.npz"),
+    ],
+)
+def test_what_was_lost_or_changed_is_told(
+    damage: Callable[[Path], None], code: str, file: str, truthful: Sample, path: Path, found: Any
+) -> None:
+    truthful.write(path)
+    damage(path)
+    assert found(path) == [(code, EP, file)]
+
+
+def test_whole_truth_has_no_problems(truthful: Sample, path: Path, found: Any) -> None:
+    assert found(truthful.write(path)) == []
+
+
+def test_cloth_that_labels_do_not_name_is_told(truthful: Sample, path: Path, survey_of: Any) -> None:
+    truthful.episodes[1].over["cloths"] = {"napkin": (9, 8)}
+    problems = [p for p in survey_of(truthful.write(path)).problems if p.code.startswith("truth")]
+    assert [(p.code, p.episode, p.file) for p in problems] == [("truth.cloth", EP, TRUTH_LABELS)]
+    assert "no cloth; valid: napkin of 9 x 8 points" in problems[0].text
+
+
+def test_truth_that_was_never_written_is_missing(truthful: Sample, path: Path, found: Any) -> None:
+    del truthful.episodes[1].others[TRUTH_LABELS]
+    assert found(truthful.write(path)) == [("truth.missing", EP, TRUTH_LABELS)]
+
+
+def test_truth_that_the_record_does_not_speak_of_is_unexpected(sample: Sample, path: Path, found: Any) -> None:
+    sample.write(path)
+    write(f"{EP}/{DEPTH}", truth_files()[DEPTH])(path)
+    assert found(path) == [("file.unexpected", EP, DEPTH)]

@@ -1,0 +1,164 @@
+"""Which photos, which masks, and what a recorded episode knows of its frames."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.lowdim import dump_frame, frame_data
+from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
+from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
+from yamsim_cli.photos.overlay.photos import episode_photos, find_photos, mask_of
+
+JOINTS = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4, 0.02]
+K = [[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]
+T_CAM = pose((0.5, 0.1, 0.7), rotation_z(0.4))
+
+
+def touch(*paths: Path) -> None:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+
+
+def test_files_and_folders_in_order_each_once(tmp_path: Path) -> None:
+    inside = [tmp_path / "d" / name for name in ("a.png", "b.JPG", "c.jpeg")]
+    touch(tmp_path / "z.png", *inside)
+    found = find_photos([tmp_path / "z.png", tmp_path / "d", inside[0], tmp_path / "d" / ".." / "z.png"])
+    assert found == [tmp_path / "z.png", *inside]
+
+
+def test_what_in_a_folder_is_no_photo(tmp_path: Path) -> None:
+    touch(
+        *(tmp_path / name for name in ("a.png", "a_overlay.png", "a_mask.png", "._a.png", ".b.png", "n.txt", "r.gif"))
+    )
+    (tmp_path / "folder.png").mkdir()
+    touch(tmp_path / "deeper" / "c.png")
+    assert find_photos([tmp_path]) == [tmp_path / "a.png"]
+    # Named by hand, it is meant.
+    assert find_photos([tmp_path / "a_mask.png"]) == [tmp_path / "a_mask.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("empty", "holds no photo; valid: .png, .jpg, .jpeg"), ("none.png", "does not exist"), ("a.txt", "is no photo")],
+)
+def test_nothing_to_look_at_is_one_line(tmp_path: Path, name: str, part: str) -> None:
+    (tmp_path / "empty").mkdir()
+    touch(tmp_path / "empty" / "a_overlay.png", tmp_path / "a.txt")
+    with pytest.raises(ResourceError, match=part):
+        find_photos([tmp_path / name])
+
+
+def test_the_mask_of_a_photo(tmp_path: Path) -> None:
+    photo = tmp_path / "photos" / "a.jpg"
+    masks = tmp_path / "masks"
+    touch(photo, masks / "b_mask.png")
+    assert mask_of(masks / "b_mask.png", photo) == masks / "b_mask.png"
+    with pytest.raises(ResourceError, match=r"holds no mask for a\.jpg; valid: a_mask\.png or a\.png"):
+        mask_of(masks, photo)
+    for name in ("a.jpg", "a.png", "a_mask.png"):
+        touch(masks / name)
+        assert mask_of(masks, photo) == masks / name
+
+
+def test_a_photo_is_not_its_own_mask(tmp_path: Path) -> None:
+    touch(tmp_path / "a.png")
+    with pytest.raises(ResourceError, match="holds no mask"):
+        mask_of(tmp_path, tmp_path / "a.png")
+
+
+def frame(**changes: Any) -> dict[str, Any]:
+    cameras = ("scene_camera", "right_wrist_camera")
+    data = frame_data(
+        joints=np.array([JOINTS]),
+        timestamp=0.0,
+        intrinsics=dict.fromkeys(cameras, K),
+        extrinsics={"scene_camera": T_CAM, "right_wrist_camera": np.eye(4)},
+        object_poses={},
+        ee_pose=np.eye(4)[None],
+        ctrl=np.zeros((1, 7)),
+        action_joints=np.zeros((1, 7)),
+        magnet=np.array([False]),
+        language_task="t",
+        language_prompt="p",
+    )
+    return data | changes
+
+
+@pytest.fixture
+def episode(tmp_path: Path) -> Path:
+    path = tmp_path / "ep_000000"
+    for camera in ("right_wrist_camera", "scene_camera"):
+        (path / "rgb" / camera).mkdir(parents=True)
+        for k in range(3):
+            cv2.imwrite(str(path / "rgb" / camera / f"{k:06d}.jpg"), np.full((48, 64, 3), 90, np.uint8))
+    (path / "lowdim").mkdir()
+    for k in range(3):
+        (path / "lowdim" / f"{k:06d}.pkl").write_bytes(dump_frame(frame(joints=np.array(JOINTS) + 0.01 * k)))
+    return path
+
+
+def test_an_episode_knows_its_camera_its_pose_and_its_joints(episode: Path, single: RigConfig) -> None:
+    photos = episode_photos(episode, None, single)
+    assert [photo.path.name for photo in photos] == ["000000.jpg", "000001.jpg", "000002.jpg"]
+    assert {photo.path.parent.name for photo in photos} == {"scene_camera"}
+    last = photos[2]
+    assert (last.camera.width, last.camera.height, last.camera.focal) == (64, 48, 60.0)
+    (stand,) = last.stands
+    assert [*stand.joints, stand.opening] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
+    assert last.joints_source == "episode"
+    assert last.T_base_in_cam == pytest.approx(inverse(T_CAM), abs=1e-6)
+    assert photos[0].camera == last.camera
+
+
+def test_another_camera_of_the_episode(episode: Path, single: RigConfig) -> None:
+    photo = episode_photos(episode, "right_wrist_camera", single)[0]
+    assert photo.path.parent.name == "right_wrist_camera"
+    assert photo.T_base_in_cam == pytest.approx(np.eye(4))
+    with pytest.raises(UsageError, match="has no camera 'scene_cam'; did you mean 'scene_camera'"):
+        episode_photos(episode, "scene_cam", single)
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [
+        (b"\x80\x04", "not a whole pickle"),
+        (pickle.dumps({"joints": print}), "print"),
+        (dump_frame(frame(joints=np.zeros(5))), "joints have the shape (5,)"),
+        (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera: without them"),
+        (dump_frame(frame(intrinsics={"scene_camera": np.eye(4)})), "shape (4, 4) or is not finite; valid: (3, 3)"),
+        (dump_frame(frame(extrinsics={"scene_camera": np.full((4, 4), np.nan)})), "not finite"),
+        (dump_frame(frame(extrinsics=3)), "cannot be used"),
+    ],
+)
+def test_a_damaged_frame_is_one_line(episode: Path, single: RigConfig, data: bytes, part: str) -> None:
+    (episode / "lowdim" / "000001.pkl").write_bytes(data)
+    with pytest.raises((DatasetError, ConfigError)) as caught:
+        episode_photos(episode, None, single)
+    assert "000001.pkl" in str(caught.value)
+    assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_episode(episode: Path, single: RigConfig, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN"):
+        episode_photos(tmp_path, None, single)
+    (episode / "lowdim" / "000002.pkl").unlink()
+    with pytest.raises(DatasetError, match=r"000002\.pkl: cannot be read: No such file"):
+        episode_photos(episode, None, single)
+    for path in (episode / "rgb" / "scene_camera").iterdir():
+        path.unlink()
+    with pytest.raises(DatasetError, match="holds no frame"):
+        episode_photos(episode, None, single)
+
+
+def test_an_episode_of_one_arm_does_not_show_two(episode: Path, russet: RigConfig) -> None:
+    with pytest.raises(ConfigError, match=r"000000\.pkl: joints have the shape \(7,\); rig 'russet' needs 14"):
+        episode_photos(episode, None, russet)

@@ -1,0 +1,105 @@
+"""Two policies on the same starts: the exact test, reports from the disk, and the page of all."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.datasets.leaderboard_page import leaderboard_page
+from yamsim_cli.policies.evaluate.compare import compare, mcnemar, read_report
+
+
+def report(name: str, good: str) -> dict[str, Any]:
+    """Of trials of which `1` stands for a success."""
+    wins = good.count("1")
+    figures = {"n": len(good), "n_success": wins, "success_rate": wins / len(good), "wilson95": [0.1, 0.9]}
+    policy_s = {"median": 0.010, "p95": 0.020, "max": 0.030}
+    return {
+        "policy": name,
+        "task": "pickplace",
+        "rig": "single",
+        "grasp": "weld",
+        "arms": ["right"],
+        "seed": 3,
+        "stats": {
+            **figures,
+            "policy_s": policy_s,
+            "chunks": {"chunks": 7, "actions": 56, "stale": 5, "waited_s": 0.25},
+            "by_instance": [{"instance": "banana, plate", **figures, "policy_s": policy_s}],
+        },
+        "trials": [
+            {"trial": k, "seed": 3, "outcome": {"success": one == "1"}, "layout": {"banana": [0.1 * k, 0.0]}}
+            for k, one in enumerate(good)
+        ],
+    }
+
+
+def test_the_p_value_is_that_of_all_coins() -> None:
+    """Of every way in which so many coins may fall, the share of those at least as uneven."""
+    for n in range(1, 11):
+        uneven = np.array([abs(2 * sum(coins) - n) for coins in itertools.product((0, 1), repeat=n)])
+        for k in range(n + 1):
+            assert mcnemar(k, n - k) == pytest.approx((uneven >= abs(2 * k - n)).mean())
+    assert mcnemar(0, 0) == 1.0
+    assert mcnemar(3000, 2000) < 1e-40
+
+
+def test_trials_are_paired() -> None:
+    found = compare(report("a", "1111100000"), report("b", "1100000001"))
+    assert found == {
+        "policy": "b", "success_rate": 0.3, "n": 10,
+        "both": 2, "only_first": 3, "only_second": 1, "neither": 4, "p_value": 0.625,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"seed": 4}, "its seed is 4, and not 3: no pairs of trials"),
+        ({"task": "tower"}, "its task is tower, and not pickplace"),
+        ({"trials": []}, "it has 0 trials, not the same 3: give the same --n"),
+    ],
+)
+def test_other_trials_are_no_pairs(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=f"--compare b: {told}"):
+        compare(report("a", "101"), report("b", "101") | change)
+
+
+def test_trials_that_start_elsewhere_are_no_pairs() -> None:
+    other = copy.deepcopy(report("b", "101"))
+    other["trials"][1]["layout"]["banana"][0] += 1e-6
+    with pytest.raises(UsageError, match="trial 1 starts elsewhere"):
+        compare(report("a", "101"), other)
+    # A trial whose worker was lost knows no start.
+    other["trials"][1]["layout"] = {}
+    assert compare(report("a", "101"), other)["both"] == 2
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"trials": 1}', '{"trials": [], "stats": {}}', "[" * 100_000])
+def test_what_is_no_report_is_told(text: str, tmp_path: Path) -> None:
+    (tmp_path / "r.json").write_text(text)
+    with pytest.raises(UsageError, match=r"r.json: is no report of yamsim eval --out"):
+        read_report(tmp_path / "r.json")
+    with pytest.raises(UsageError, match="cannot be read: No such file"):
+        read_report(tmp_path / "nowhere.json")
+
+
+def test_a_report_is_read(tmp_path: Path) -> None:
+    (tmp_path / "r.json").write_text(json.dumps(report("a", "10")))
+    assert read_report(tmp_path / "r.json") == report("a", "10")
+
+
+def test_the_leaderboard_has_the_best_first_and_breaks_out_of_nothing() -> None:
+    one, other = report("<script>worse</script>", "1000"), report("better", "1110")
+    page = leaderboard_page([one, other], [compare(one, other)], "Made by a test.")
+    assert "<script>" not in page
+    assert page.index(">better<") < page.index("&lt;script&gt;worse")
+    for text in ("3 of 4", "1 of 4", "10.0 ms", "20.0 ms", "0.25 s", "McNemar", "banana, plate"):
+        assert text in page.replace("\N{NO-BREAK SPACE}", " ")

@@ -1,0 +1,272 @@
+"""Trials of policies: the batch's starts, its judgement, and every way in which a policy may fail."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.attempts import all_actions, planned
+from tests.unrendered import write_dataset
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.records import OutcomeRecord
+from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
+from yamsim_cli.core.episode.simulator import Simulator, open_episode
+from yamsim_cli.core.episode.trials import run_batch
+from yamsim_cli.core.errors import PartialJobError, UsageError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, Outcome
+from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
+from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
+
+SAMPLES = Path(__file__).parents[1] / "policies"
+N = 12
+
+
+def _line_of(code: str) -> int:
+    """Where it stands in the samples."""
+    lines = (SAMPLES / "sample_policies.py").read_text().splitlines()
+    return 1 + next(number for number, line in enumerate(lines) if line.strip() == code)
+
+
+@pytest.fixture(scope="module")
+def strict(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    """So strict that the plan fails now and then."""
+    changes = {("task", "goal", "on", "radius"): 0.003, ("episodes",): N, ("seed",): 2, ("workers",): 2}
+    return make_config(changes | {("wrist",): True, ("image", "size_px"): [48, 36]})
+
+
+@pytest.fixture
+def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., TrialResult]]:
+    """One trial of a policy among the samples, or an included one."""
+
+    def run(name: str, attempt: int = 0, seed: int = 0, **limits: float) -> TrialResult:
+        choice = PolicyChoice(name, SAMPLES, **limits)
+        with TrialRunner(Session(config, locations), choice) as runner:
+            return runner.run(EpisodeJob(seed, attempt))
+
+    yield run
+
+
+def rest(config: RecordConfig) -> int:
+    """How many control ticks everything stands still after a policy is done, if the goal never holds."""
+    return config.task.timing.settle_ticks + config.task.hold_ticks
+
+
+def outcomes(report: dict[str, Any]) -> list[Any]:
+    """Trial by trial; of a failure its cause alone, since a policy waits until all is at rest once more."""
+    return [
+        (trial["trial"], trial["seed"], outcome if outcome["success"] else outcome["cause"], [*trial["layout"].items()])
+        for trial in report["trials"]
+        for outcome in [trial["outcome"]]
+    ]
+
+
+@pytest.mark.slow
+def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
+    """Every number of every success, and why the others fail, whatever the workers."""
+    batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
+    found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES, end=EndRule.ACTOR), lambda *_: None)
+    report = json.loads(json.dumps(summary(found, strict, (0.05,))))
+    batch = json.loads(json.dumps(batch))
+    assert 0 < report["stats"]["n_success"] < N
+    assert outcomes(report) == outcomes(batch)
+    for key in ("n", "n_success", "success_rate", "wilson95", "rates", "causes"):
+        assert report["stats"][key] == batch[key], key
+    assert set(report["stats"]["ended"]) == {"done"}
+
+
+def test_holding_still_scores_nothing(strict: RecordConfig, locations: Locations) -> None:
+    found = evaluate(Session(strict, locations), PolicyChoice("hold_still", SAMPLES, time_limit=1.0), lambda *_: None)
+    report = summary(found, strict, (0.08,))
+    assert (report["stats"]["n_success"], report["stats"]["rates"]["0.08"]) == (0, 0.0)
+    assert report["stats"]["ended"] == {"time_limit": N}
+    assert {trial["simulated_s"] for trial in report["trials"]} == {31 * 0.032}
+
+
+def test_a_datasets_actions_are_replayed_on_their_own_starts(
+    config: RecordConfig, locations: Locations, tmp_path: Path, trial: Callable[..., TrialResult]
+) -> None:
+    write_dataset(tmp_path / "dataset", config, locations, 2)
+    name = f"replay:{tmp_path / 'dataset'}"
+    own = trial(name, attempt=1)
+    assert own.outcome.success
+    assert own.outcome.dxy_m == trial("scripted", attempt=1).outcome.dxy_m
+    # On a start of which the dataset knows nothing they are blind.
+    assert not trial(name, attempt=7).outcome.success
+    with pytest.raises(UsageError, match="there are no episodes"):
+        trial(f"replay:{tmp_path / 'nothing'}")
+
+
+def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, locations: Locations) -> None:
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0, 3)
+        assert done.attempt.start is not None
+        episode = open_episode(simulator, done.attempt, EpisodeRules())
+        for state in done.states:
+            np.testing.assert_array_equal(episode.data.qpos, state.qpos)
+            for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
+                episode.step(ctrl[simulator.scene.drives], magnet)
+        np.testing.assert_array_equal(episode.actions.magnet, all_actions(done.states).magnet)
+        assert episode.actions.magnet.any()
+
+
+def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
+    """A policy that asks for it all the time, far from the object, holds nothing."""
+    result = trial("sample_policies.py:Faulty", attempt=4)
+    assert (result.ended, result.ticks) == (Ended.DONE, 6 + rest(config))
+    assert result.actions is not None
+    assert not result.actions.magnet.any()
+
+
+def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
+    (tmp_path / "holder.py").write_text(
+        "from yamsim_cli.policies.evaluate.policy_factory import Scripted\n\n\nclass Holder(Scripted):\n"
+        "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
+        "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
+    )
+    with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+    assert result.actions is not None
+    done = -1 - rest(config)
+    assert result.ended is Ended.DONE
+    assert result.actions.magnet[done:].all()
+    assert (result.actions.ctrl[done:] == result.actions.ctrl[done]).all()
+    assert result.outcome.dxy_m is not None and result.outcome.dxy_m < 0.01
+    assert (result.outcome.success, result.outcome.cause) == (False, "goal")
+    assert result.outcome.detail == "on(banana, plate): the right hand holds it"
+
+
+@pytest.mark.parametrize(
+    ("seed", "ended", "told"),
+    [
+        (0, Ended.RAISED, "KeyError: 'no such thing' (sample_policies.py:{line}, in __call__), after 3 ticks"),
+        (1, Ended.INVALID, "ctrl is not finite"),
+        (2, Ended.INVALID, "ctrl has the shape (6,), not (7,)"),
+        (3, Ended.SLOW, "no answer within 0.5 s, after 3 ticks"),
+    ],
+)
+def test_a_fault_costs_its_trial_alone(
+    seed: int, ended: Ended, told: str, trial: Callable[..., TrialResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = trial("sample_policies.py:Faulty", attempt=seed, call_seconds=0.5)
+    assert result.ended is ended
+    assert told.format(line=_line_of('raise KeyError("no such thing")')) in result.error
+    assert (result.outcome.success, result.outcome.cause, result.outcome.detail) == (False, ended.value, result.error)
+    # What it did until then is judged all the same.
+    assert result.outcome.dxy_m is not None
+    assert result.ticks == 3
+    assert capsys.readouterr().out == ""
+
+
+def test_what_a_policy_raised_is_told_whole(trial: Callable[..., TrialResult], tmp_path: Path) -> None:
+    """The line of the user's that called what raised; in the traceback all of them, and none of yamsim's."""
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n\n\ndef inverted(matrix):\n    return np.linalg.inv(matrix)\n\n\n"
+        "class Mine:\n    images = ()\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n        return {'ctrl': inverted(np.zeros((2, 2)))}\n"
+    )
+    result = trial(f"{tmp_path}/mine.py:Mine")
+    assert result.error == f"LinAlgError: Singular matrix ({tmp_path}/mine.py:5, in inverted), after 0 ticks"
+    first, *_, last = result.traceback.strip().splitlines()
+    assert (first, last) == ("Traceback (most recent call last):", "numpy.linalg.LinAlgError: Singular matrix")
+    assert "return {'ctrl': inverted(np.zeros((2, 2)))}" in result.traceback
+    assert "yamsim_cli" not in result.traceback
+    assert trial("sample_policies.py:Still", time_limit=0.1).traceback == ""
+
+
+def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("episodes",): 4, ("workers",): 1})
+    found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
+    assert [result.attempt.job.attempt for result in found.results] == [0, 1, 2, 3]
+    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3 + rest(config))}
+
+
+@pytest.mark.slow
+def test_a_policy_that_ends_its_process_costs_its_trial_alone(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("episodes",): 3, ("workers",): 1})
+    found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Suicidal", SAMPLES), lambda *_: None)
+    assert [result.ended for result in found.results] == [Ended.DONE, Ended.LOST, Ended.DONE]
+    assert "ended with code 3, in each of 3 tries" in found.results[1].error
+    assert summary(found, config, (0.05,))["stats"]["causes"]["policy_lost"] == 1
+
+
+@pytest.mark.parametrize(
+    ("ended", "ran"),
+    [
+        ((Ended.RAISED, Ended.DONE), True),
+        ((Ended.TIME_LIMIT, Ended.LOST), True),
+        ((Ended.RAISED, Ended.LOST), False),
+        ((Ended.SLOW, Ended.INVALID), False),
+        ((Ended.NOT_STARTED, Ended.NOT_STARTED), False),
+    ],
+)
+def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: bool, config: RecordConfig) -> None:
+    outcome = OutcomeRecord.of(Outcome(False, Cause.NO_LAYOUT, "no free place"))
+    results = tuple(TrialResult(Attempt(EpisodeJob(0, k)), outcome, how) for k, how in enumerate(ended))
+    report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ())
+    with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
+        require_run(report)
+
+
+def test_failures_are_shown_and_successes_on_request() -> None:
+    acting = Actions(np.zeros((1, 7)), np.zeros((1, 1), bool), np.zeros((1, 1, 7)))
+    results = [
+        TrialResult(Attempt(EpisodeJob(0, k)), OutcomeRecord.of(Outcome(good)), Ended.DONE, actions=actions)
+        for k, (good, actions) in enumerate([(True, acting), (False, None), (False, acting), (True, acting)])
+    ]
+    assert shown(results, 9, successes=False) == [results[2]]
+    assert shown(results, 9, successes=True) == [results[0], *results[2:]]
+    assert shown(results, 2, successes=True) == [results[0], results[2]]
+    assert shown([results[0]], 9, successes=False) == [results[0]]
+
+
+def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult]) -> None:
+    one, again, other = (trial("sample_policies.py:Random", attempt=k, time_limit=0.5) for k in (2, 2, 3))
+    assert one.actions is not None
+    assert again.actions is not None
+    assert other.actions is not None
+    np.testing.assert_array_equal(one.actions.ctrl, again.actions.ctrl)
+    assert np.abs(one.actions.ctrl - other.actions.ctrl).max() > 1e-3
+
+
+@pytest.mark.render
+def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locations) -> None:
+    with TrialRunner(Session(strict, locations), PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1 + rest(strict), "")
+
+
+def test_an_observation_says_where_everything_is(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """The same numbers that a recorded frame of the same state has, in `world`."""
+    (tmp_path / "spy.py").write_text(
+        "class Spy:\n    images = ()\n    seen = []\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n        type(self).seen.append(observation)\n"
+        "        return {'ctrl': observation['joints'], 'done': True}\n"
+    )
+    with TrialRunner(Session(config, locations), PolicyChoice("spy.py", tmp_path)) as runner:
+        runner.run(EpisodeJob(0, 0))
+        seen = type(runner._policy).seen[0]  # type: ignore[attr-defined]
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        T_base = simulator.scene.T_base_in_world
+    np.testing.assert_allclose(seen["joints"], frame["joints"], atol=1e-6)
+    np.testing.assert_allclose(seen["gripper"], frame["joints"][6], atol=1e-6)
+    np.testing.assert_allclose(seen["ee_pose_world"], T_base @ frame["ee_pose"], atol=1e-6)
+    np.testing.assert_allclose(seen["K_scene"], frame["intrinsics"]["scene_camera"], rtol=1e-6)
+    np.testing.assert_allclose(seen["T_cam_in_world"], T_base @ frame["extrinsics"]["scene_camera"], atol=1e-6)
+    assert (seen["time"], seen["prompt"]) == (0.0, frame["language_prompt"])

@@ -1,0 +1,195 @@
+"""What policies are told: pictures when they are read and not before, and the state for those that ask."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.attempts import planned
+from tests.policies import sample_policies
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.payload import frames, render
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.observation import LazyObservation, ObservationRenderer
+from yamsim_cli.policies.evaluate.policy_calls import PolicyCaller, TooSlowError
+from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialRunner
+
+SAMPLES = Path(sample_policies.__file__).parent
+CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
+
+
+class CountingRenderer:
+    """Renders the first of the positions, and remembers of which cameras."""
+
+    def __init__(self) -> None:
+        self.rendered: list[str] = []
+        self.renderer = ObservationRenderer(self.render)
+
+    def render(self, qpos: Array, camera: str) -> Image:
+        self.rendered.append(camera)
+        return np.full((2, 2, 3), qpos[0], np.uint8)
+
+    def observe(self) -> LazyObservation:
+        return LazyObservation({"time": 0.5}, np.array([7.0]), CAMERAS, self.renderer)
+
+
+def test_a_picture_is_rendered_when_it_is_read_and_once() -> None:
+    source = CountingRenderer()
+    seen = source.observe()
+    assert (list(seen), len(seen), "wrist_rgb" in seen, "left" in seen) == (["time", *CAMERAS], 3, True, False)
+    assert (seen["time"], seen.get("left"), repr(seen)) == (0.5, None, "LazyObservation(time, scene_rgb, wrist_rgb)")
+    assert source.rendered == []
+    assert seen["wrist_rgb"][0, 0, 0] == 7
+    assert seen.get("wrist_rgb") is seen["wrist_rgb"]
+    assert source.rendered == ["right_wrist_camera"]
+    with pytest.raises(KeyError):
+        seen["left"]
+
+
+@pytest.mark.parametrize(
+    "make", [dict, lambda seen: {**seen}, copy.copy, copy.deepcopy, lambda seen: pickle.loads(pickle.dumps(seen))]
+)
+def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], object]) -> None:
+    source = CountingRenderer()
+    made = make(source.observe())
+    assert isinstance(made, dict)
+    assert (made["time"], made["scene_rgb"].shape, made["wrist_rgb"].shape) == (0.5, (2, 2, 3), (2, 2, 3))
+    assert sorted(source.rendered) == sorted(CAMERAS.values())
+
+
+def test_what_can_no_longer_be_drawn_is_told() -> None:
+    source = CountingRenderer()
+    seen = source.observe()
+    errors: list[Exception] = []
+
+    def read() -> None:
+        try:
+            seen["scene_rgb"]
+        except RuntimeError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    thread.join()
+    assert "scene_rgb cannot be rendered in another thread: read observation['scene_rgb']" in str(errors[0])
+    kept = seen["wrist_rgb"]
+    source.renderer.end()
+    assert seen["wrist_rgb"] is kept
+    with pytest.raises(RuntimeError, match=r"scene_rgb cannot be rendered once its trial is over"):
+        seen["scene_rgb"]
+    assert source.renderer.failure is None
+
+
+def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
+    caller = PolicyCaller(0.5, SAMPLES)
+
+    def look() -> str:
+        with caller.waits():
+            time.sleep(0.8)
+        return "seen"
+
+    assert caller.call(look) == "seen"
+    assert caller.seconds < 0.3
+
+    def look_and_dawdle() -> None:
+        look()
+        time.sleep(5)
+
+    began = time.monotonic()
+    with pytest.raises(TooSlowError):
+        caller.call(look_and_dawdle)
+    assert time.monotonic() - began < 3
+
+
+@contextmanager
+def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[TrialRunner]:
+    with TrialRunner(Session(config, locations), PolicyChoice(f"sample_policies.py:{name}", SAMPLES)) as runner:
+        yield runner
+
+
+def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
+    with trial("Blind", config, locations) as runner:
+        assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
+        assert runner._simulators.of(EpisodeJob(0, 0))._renderer is None
+
+
+def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
+    config: RecordConfig, locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ResourceError("no OpenGL here")
+
+    monkeypatch.setattr("yamsim_cli.policies.evaluate.policy_trial.render", refuse)
+    with trial("Swallows", config, locations) as runner, pytest.raises(ResourceError, match="no OpenGL here"):
+        runner.run(EpisodeJob(0, 0))
+
+
+@pytest.mark.render
+def test_a_picture_shows_what_was_when_it_was_told(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """Whenever it is read: as the policy was asked, not as things are by then."""
+    config = make_config({("image", "size_px"): [48, 36]})
+    with trial("Remembering", config, locations) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+        assert (result.ended, result.error) == (Ended.DONE, "")
+        seen = type(runner._policy).seen  # type: ignore[attr-defined]
+        assert result.attempt.start is not None
+        rendered = render(
+            runner._simulators.of(EpisodeJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
+        )["scene_camera"]
+    np.testing.assert_array_equal(seen[0]["scene_rgb"], rendered)
+    with pytest.raises(RuntimeError, match="once its trial is over"):
+        seen[8]["scene_rgb"]
+
+
+@pytest.mark.parametrize("rig", ["single", "bimanual"])
+def test_the_state_is_told_to_who_asks(
+    rig: str, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("rig",): rig})
+    with trial("Knowing", config, locations) as runner:
+        assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
+        seen = list(type(runner._policy).seen)  # type: ignore[attr-defined]
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        T_base = simulator.scene.T_base_in_world
+    for key, item in (("T_object_in_world", "banana"), ("T_target_in_world", "plate")):
+        np.testing.assert_allclose(seen[0][key], T_base @ frame[f"{item}_pose"], atol=1e-6)
+    joints, speeds = (np.array([one[key] for one in seen]) for key in ("joints", "joint_velocities"))
+    assert speeds.shape == joints.shape
+    np.testing.assert_array_equal(speeds[0], 0)
+    # What the joints did is what their speeds at both ends, on the average, say; the fingers' too.
+    moved, said = np.diff(joints, axis=0), (speeds[:-1] + speeds[1:]) / 2 * config.task.timing.tick
+    for number in range(joints.shape[1] // 7):
+        for joint in (7 * number, 7 * number + 6):
+            assert abs(moved[:, joint].sum()) > 0.005
+            assert said[:, joint].sum() == pytest.approx(moved[:, joint].sum(), rel=0.1)
+
+
+def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    (tmp_path / "plain.py").write_text(
+        "class Plain:\n    images = ()\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n"
+        "        assert sorted(observation) == ['K_scene', 'T_cam_in_world', 'ee_pose_world', 'gripper', 'joints', "
+        "'prompt', 'time']\n"
+        "        return {'ctrl': observation['joints'], 'done': True}\n"
+    )
+    with TrialRunner(Session(config, locations), PolicyChoice("plain.py", tmp_path)) as runner:
+        assert runner.run(EpisodeJob(0, 0)).error == ""

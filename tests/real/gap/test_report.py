@@ -1,0 +1,88 @@
+"""The report on several recordings: means with intervals, the limit, and the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.rig_scenes import later, plant, rig_scene, swings
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.real.gap.figures import Gap, gap_of
+from yamsim_cli.real.gap.report import report_of, require_small, student95, write_gap_page
+
+TIMES = np.arange(0, 4.0, 0.01)
+
+
+@pytest.fixture(scope="module")
+def gaps() -> list[Gap]:
+    commands = [swings(TIMES, seed=seed) for seed in range(3)]
+    return [
+        gap_of(rig_scene(), later(plant(rig_scene(), TIMES, [rows]), samples))
+        for rows, samples in zip(commands, (1, 2, 3), strict=True)
+    ]
+
+
+def test_an_interval_of_a_mean_is_students() -> None:
+    # Source: R, t.test(c(1, 2, 4)).
+    assert student95([1.0, 2.0, 4.0]) == pytest.approx((-1.461253, 6.127920), abs=1e-3)
+    assert student95([1.0]) is None
+    # Many values approach the normal distribution, without a step where the table ends.
+    wide = np.random.default_rng(0).normal(size=400)
+    low, high = student95(list(wide)) or (0.0, 0.0)
+    assert (high - low) / 2 == pytest.approx(1.966 * wide.std(ddof=1) / 20, rel=1e-3)
+    halves = [
+        (bounds[1] - bounds[0]) / 2
+        for n in (31, 32)
+        if (bounds := student95([-1.0, 1.0] * (n // 2) + [0.0] * (n % 2))) is not None
+    ]
+    assert halves[1] == pytest.approx(halves[0], rel=0.03)
+
+
+def test_a_report_has_means_intervals_and_the_worst(gaps: list[Gap]) -> None:
+    report = report_of(gaps, "single")
+    json.dumps(report, allow_nan=False)
+    assert [row["name"] for row in report["joints"]] == [f"joint{k}" for k in range(1, 7)]
+    joint = report["joints"][2]
+    delays = [gap.joints[2].beyond.delay for gap in gaps]
+    assert joint["delay_s"] == pytest.approx(np.mean([value for value in delays if value is not None]))
+    low, high = joint["intervals"]["delay_s"]
+    assert low < 0.02 < high
+    assert joint["max_rad"] == max(gap.joints[2].error.max for gap in gaps)
+    assert "max_rad" not in joint["intervals"]
+    # Intervals of three recordings are wide, and end at 0.
+    assert min(row["intervals"]["rms_rad"][0] for row in report["joints"]) == 0
+    worst = max(gaps, key=lambda gap: abs(gap.worst.error))
+    assert report["worst"] == {"recording": "plant"} | report["recordings"][gaps.index(worst)]["worst"]
+    assert sum(phase["share"] for phase in report["phases"]) == pytest.approx(1)
+    (hand,) = report["hands"]
+    assert 0 < hand["rms_mm"] < hand["max_mm"]
+
+
+def test_one_recording_has_no_intervals(gaps: list[Gap]) -> None:
+    report = report_of(gaps[:1], "single")
+    assert "intervals" not in report and "intervals" not in report["joints"][0]
+    assert report["joints"][0]["overshoot_rad"] is None
+
+
+def test_a_joint_above_the_limit_is_named(gaps: list[Gap]) -> None:
+    report = report_of(gaps, "single")
+    largest = max(report["joints"], key=lambda joint: joint["rms_rad"])
+    require_small(report, largest["rms_rad"] * 1000 + 1e-6)
+    require_small(report, None)
+    with pytest.raises(SimulationError, match=rf"{largest['name']} is off by .* mrad RMS \(and 5 more\): --fail-above"):
+        require_small(report, 0.1)
+
+
+def test_a_page_shows_every_joint_and_the_worst_moment(gaps: list[Gap], tmp_path: Path) -> None:
+    report = report_of(gaps, "<single>")
+    path = tmp_path / "gap.html"
+    write_gap_page(report, gaps, [], path)
+    text = path.read_text()
+    assert text.endswith("</html>\n") and "&lt;single&gt;" in text and "<single>" not in text
+    assert text.count('class="curve measured"') == 6 and text.count('class="curve error-curve"') == 6
+    # The worst moment is marked in the two plots of its joint.
+    assert text.count('class="limit"') == 2
+    assert "By recording" in text and "nan" not in text

@@ -1,0 +1,97 @@
+"""Pictures that a process of its own draws while physics goes on."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.types import Attempt, EpisodeJob
+from yamsim_cli.real.serve.arms import Served, serve_arms, served_cameras
+from yamsim_cli.real.serve.pictures import PictureProcess, Shot
+
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def session(make_config: Callable[..., RecordConfig], locations: Locations) -> Session:
+    changed = {("rig",): "yam_station_linear_4310_d405", ("image", "size_px"): [48, 36]}
+    return Session(make_config(changed), locations).without_meshes()
+
+
+@pytest.fixture(scope="module")
+def served(session: Session) -> Served:
+    return serve_arms(session, start="home")
+
+
+@pytest.fixture
+def source(session: Session, served: Served) -> Iterator[PictureProcess]:
+    made = PictureProcess(session, ("top", "left"), 50.0, served.state, itertools.count(1).__next__)
+    yield made
+    made.close()
+
+
+def next_shot(source: PictureProcess, after: int = -1) -> Shot:
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        source.flush()
+        source.handle(set(select.select(source.readers, [], [], 0.01)[0]))
+        if source.shot is not None and source.shot.number > after:
+            return source.shot
+    raise AssertionError("no shot came")
+
+
+def test_it_draws_what_is_there_now(source: PictureProcess, served: Served, session: Session) -> None:
+    first = next_shot(source)
+    assert (first.number, first.time_ns, first.sim_time) == (0, 1, 0.0)
+    np.testing.assert_equal(first.joints[0], served.followers[0].joint_pos())
+    at_home = served.plant.data.qpos.copy()
+    with Simulator(session) as simulator:
+        own = render(simulator, Attempt(EpisodeJob(0, 0)), at_home, ("top", "left"))
+        pose = simulator.replica.T_cam_in_base("left")
+    for name, picture in own.items():
+        np.testing.assert_equal(first.pictures[name], picture)
+    np.testing.assert_allclose(first.T_cam_in_base["left"], pose)
+    assert np.array(source.K["top"]).shape == (3, 3)
+    before = first.pictures["left"].copy()
+    for _ in range(100):
+        served.plant.step()
+    # The next but one was asked for after that.
+    later = next_shot(source, after=2)
+    assert later.sim_time == pytest.approx(served.plant.now)
+    assert (later.pictures["left"] != before).any()
+
+
+def test_its_death_is_told(source: PictureProcess) -> None:
+    next_shot(source)
+    assert source._process.pid
+    os.kill(source._process.pid, signal.SIGKILL)
+    with pytest.raises(SimulationError, match="the process that draws pictures has ended"):
+        next_shot(source, after=10**6)
+
+
+def test_wrists_are_drawn_that_a_recording_leaves_out(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("wrist",): False, ("image", "size_px"): [48, 36]})
+    session = Session(config, locations).without_meshes()
+    cameras = served_cameras(config)
+    assert config.recorded_cameras == cameras[:1]
+    source = PictureProcess(session, cameras, 50.0, serve_arms(session).state, itertools.count(1).__next__)
+    try:
+        scene, wrist = next_shot(source).pictures.values()
+        assert np.ptp(wrist) > 0 and not np.array_equal(scene, wrist)
+    finally:
+        source.close()

@@ -1,0 +1,104 @@
+"""Attempts without robots: small payloads that follow from their numbers alone, made in the test's own process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.writing.ledger import Ledger
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Outcome
+from yamsim_cli.core.workers.executor import LostJobError
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.record.collect import Notifier
+from yamsim_cli.record.destination import Output
+from yamsim_cli.record.recorder import RecordReport, record
+
+FRAMES = 1
+
+
+def payload(job: EpisodeJob) -> EpisodePayload:
+    """Every third attempt fails."""
+    attempt = Attempt(job, Layout.of({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
+    if job.attempt % 3 == 1:
+        return EpisodePayload(attempt, Outcome(False, Cause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
+    names = [name for k in range(FRAMES) for name in (lowdim_name(k), image_name("scene_camera", k))]
+    files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
+    return EpisodePayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
+
+
+@dataclass
+class Inline(Closing):
+    """An `Executor` that runs the newest job first when a result is requested, so that results come out of order.
+
+    Attributes:
+        make: gives a job's result; may raise.
+        lose: attempts that end every worker.
+    """
+
+    make: Callable[[EpisodeJob], EpisodePayload] = payload
+    lose: set[int] = field(default_factory=set)
+    workers: int = 2
+    jobs: list[EpisodeJob] = field(default_factory=list)
+    made: list[int] = field(default_factory=list)
+
+    def open(self, session: object, workers: int) -> Inline:
+        self.workers = workers
+        return self
+
+    @property
+    def idle(self) -> int:
+        return self.workers - len(self.jobs)
+
+    @property
+    def in_flight(self) -> int:
+        return len(self.jobs)
+
+    def submit(self, job: EpisodeJob) -> None:
+        assert self.idle
+        self.jobs.append(job)
+
+    def result(self, timeout: float | None = None) -> tuple[EpisodeJob, EpisodePayload]:
+        job = self.jobs.pop()
+        self.made.append(job.attempt)
+        if job.attempt in self.lose:
+            raise LostJobError(job, 3, "fell over")
+        return job, self.make(job)
+
+    def close(self) -> None:
+        self.jobs.clear()
+
+
+class Recording:
+    """Records with fake attempts."""
+
+    def __init__(self, config: RecordConfig, path: Path, stage: Path | None = None) -> None:
+        self.config = config
+        self.path = path
+        self.stage = stage
+        self.meshes: dict[str, Path | None] = {}
+        self.warnings: list[str] = []
+        self.locations = Locations(Locations.find({}).data, Path("/nowhere"))
+        self.stop = Stop()
+
+    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
+        locations = replace(self.locations, meshes=self.meshes)
+        return record(
+            Session(self.config.model_copy(update={"workers": workers}), locations),
+            Output(self.path, mode, self.stage),
+            executor or Inline(),
+            Notifier(lambda done, wanted, attempts: None, self.warnings.append),
+            self.stop,
+        )
+
+    def resume(self, executor: Inline | None = None) -> RecordReport:
+        return self.run(executor, OpenMode.RESUME)
+
+    def causes(self) -> list[str | None]:
+        return [attempt.outcome.cause for attempt in Ledger(self.path).known.values()]

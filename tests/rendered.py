@@ -1,0 +1,37 @@
+"""A small dataset that is really rendered, with depth."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from tests.unrendered import SIZE, change_record, write_dataset
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.layout import depth_name, episode_name, image_name
+from yamsim_cli.core.episode.runner import EpisodeRunner
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
+
+# What a recording has to be of for its pictures to be as large as the dataset says.
+SMALL = {("image", "size_px"): list(SIZE), ("truth",): True}
+
+
+def write_rendered_dataset(path: Path, config: RecordConfig, locations: Locations, episodes: int) -> None:
+    """The episodes that `yamsim record` would make, of a configuration with `SMALL` in it, rendered with primitives."""
+    files: list[dict[str, bytes]] = []
+    randomized = []
+    with EpisodeRunner(Session(config, locations), render=True) as runner:
+        for number in range(episodes):
+            made = runner.run(EpisodeJob(config.seed, number))
+            files.append(dict(made.files))
+            randomized.append(asdict(made.attempt.variation))
+
+    def depth(camera: str, episode: int, frame: int) -> dict[str, bytes]:
+        return {(name := depth_name(camera, frame)): files[episode][name]}
+
+    write_dataset(
+        path, config, locations, episodes, lambda camera, k, frame: files[k][image_name(camera, frame)], depth
+    )
+    for number, variation in enumerate(randomized):
+        change_record(path / episode_name(number), randomized=variation, truth=True)

@@ -1,0 +1,95 @@
+"""A real dataset without the cost of drawing: each image is the same small grey one."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tests.attempts import planned
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.layout import CONFIG, EPISODE, episode_name, image_name, lowdim_name
+from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
+from yamsim_cli.core.dataset.records import to_json
+from yamsim_cli.core.episode.payload import frames, versions
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.files.writing import sha256_bytes
+from yamsim_cli.core.types import EpisodePayload
+from yamsim_cli.record.collect import episode_record
+
+SIZE = (24, 16)
+
+
+def grey(camera: str, episode: int, frame: int) -> bytes:
+    """The same image whatever it is of."""
+    return cv2.imencode(".jpg", np.full((SIZE[1], SIZE[0], 3), 128, np.uint8))[1].tobytes()
+
+
+def write_dataset(
+    path: Path,
+    config: RecordConfig,
+    locations: Locations,
+    episodes: int,
+    image: Callable[[str, int, int], bytes] = grey,
+    others: Callable[[str, int, int], dict[str, bytes]] = lambda camera, episode, frame: {},
+) -> None:
+    """The episodes that `yamsim record` would make, as long as none of its attempts fails.
+
+    `image` gives the JPEG of a camera's frame, `others` more files that belong to it.
+    """
+    path.mkdir()
+    (path / CONFIG).write_text(dump_yaml(config.data_config()))
+    with Simulator(Session(config, locations)) as simulator:
+        for number in range(episodes):
+            done = planned(simulator, config.seed, number)
+            assert done.outcome.success
+            made = frames(simulator, done.attempt, done.states)
+            files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(made)}
+            cameras = simulator.scene.cameras
+            for camera, k in itertools.product(cameras, range(len(made))):
+                files |= {image_name(camera, k): image(camera, number, k)} | others(camera, number, k)
+            payload = EpisodePayload(
+                done.attempt, done.outcome, files, len(made), content_hash(made), versions(), "none"
+            )
+            record = episode_record(config, payload, number).model_copy(
+                update={"cameras": dict.fromkeys(cameras, SIZE)}
+            )
+            for name, data in files.items():
+                (path / episode_name(number) / name).parent.mkdir(parents=True, exist_ok=True)
+                (path / episode_name(number) / name).write_bytes(data)
+            (path / episode_name(number) / EPISODE).write_bytes(to_json(record))
+
+
+def change_record(directory: Path, **changes: Any) -> None:
+    """Write other values into an episode's own record."""
+    record = json.loads((directory / EPISODE).read_text())
+    (directory / EPISODE).write_text(json.dumps(record | changes))
+
+
+def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) -> None:
+    """Write other values into one frame, None for no such key; `rehash` covers the traces up."""
+    name = lowdim_name(number)
+    frame = read_frame(directory, number) | changes
+    data = dump_frame({key: value for key, value in frame.items() if value is not None})
+    (directory / name).write_bytes(data)
+    if rehash:
+        files = json.loads((directory / EPISODE).read_text())["files"]
+        change_record(directory, files=files | {name: sha256_bytes(data)})
+
+
+def frame_count(directory: Path) -> int:
+    """How many frames an episode has, as its own record says."""
+    return int(json.loads((directory / EPISODE).read_text())["frames"])
+
+
+def read_frame(directory: Path, number: int) -> dict[str, Any]:
+    """One frame of an episode."""
+    return load_frame((directory / lowdim_name(number)).read_bytes())

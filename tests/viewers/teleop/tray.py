@@ -1,0 +1,26 @@
+"""Where driven attempts are handed in, without a recorder."""
+
+from __future__ import annotations
+
+from tests.attempts import all_actions
+from yamsim_cli.core.episode.engine import Simulated
+from yamsim_cli.core.types import Actions
+
+
+class Tray:
+    """Takes what is handed in, and leaves it."""
+
+    def __init__(self) -> None:
+        self.attempts: list[Simulated] = []
+
+    @property
+    def next_attempt(self) -> int:
+        return len(self.attempts)
+
+    def submit(self, driven: Simulated) -> None:
+        self.attempts.append(driven)
+
+    @property
+    def actions(self) -> Actions:
+        """What acted in the first attempt that was handed in."""
+        return all_actions(self.attempts[0].states)

@@ -1,0 +1,135 @@
+"""A task's goal: predicates joined by `all`, `any` and `not`, and for how long they have to hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import FiniteFloat, create_model, model_validator
+
+from ...files.documents.base import OMIT_NONE, Config
+from ...files.documents.units import Within
+from .cast import Cast
+from .measure import Measure, worst
+from .predicates import PREDICATES, Predicate
+from .world import World
+
+# Keys that join clauses: all of several, any of several, the opposite of one.
+_JOINS = ("all", "any", "not")
+
+
+class _Clause(Config):
+    """A mapping with one key: a predicate's name, or a key that joins clauses."""
+
+    @model_validator(mode="after")
+    def _has_one_key(self) -> _Clause:
+        given = [name for name in (*_JOINS, *PREDICATES) if getattr(self, name) is not None]
+        if len(given) != 1:
+            names = ", ".join((*_JOINS, *PREDICATES))
+            found = f"has {' and '.join(given)}" if given else "is empty"
+            raise ValueError(f"a clause of a goal has one key, and this one {found}; give one of {names}")
+        if given[0] in ("all", "any") and not getattr(self, given[0]):
+            raise ValueError(f"`{given[0]}` of nothing; list at least one clause")
+        return self
+
+    @property
+    def _item(self) -> tuple[str, Any]:
+        """The clause's key and value."""
+        return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """The measures that have to hold: for `any`, those of the best clause; for `not`, one inverted measure."""
+        key, value = self._item
+        match key:
+            case "all":
+                return [measure for clause in value for measure in clause.measures(world, cast)]
+            case "any":
+                return max((clause.measures(world, cast) for clause in value), key=lambda found: worst(found).margin)
+            case "not":
+                return [_inverted(worst(value.measures(world, cast)))]
+        predicate: Predicate = value
+        return predicate.measures(world, cast)
+
+    def holds_if(self, truth: Mapping[str, bool]) -> bool:
+        """Whether the clause holds, given for each predicate's `repr` whether the predicate holds."""
+        key, value = self._item
+        match key:
+            case "all":
+                return all(clause.holds_if(truth) for clause in value)
+            case "any":
+                return any(clause.holds_if(truth) for clause in value)
+            case "not":
+                return not value.holds_if(truth)
+        return truth[repr(value)]
+
+    def predicates(self, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Predicate]]:
+        """Every predicate with its key path."""
+        key, value = self._item
+        if key in ("all", "any"):
+            for k, clause in enumerate(value):
+                yield from clause.predicates((*path, key, k))
+        elif key == "not":
+            yield from value.predicates((*path, key))
+        else:
+            yield (*path, key), value
+
+
+def _inverted(measure: Measure) -> Measure:
+    """The measure of the opposite. A predicate holds at a margin of 0, so its opposite does not."""
+    margin = -measure.margin if measure.margin else -1e-9
+    return Measure(f"not {measure.what}", margin, measure.unit, measure.detail)
+
+
+def _optional(annotation: Any) -> Any:
+    return Annotated[annotation, OMIT_NONE], None
+
+
+# Created from the table of predicates, so that a new predicate is a key without further changes.
+Clause: Any = create_model(
+    "Clause",
+    __base__=_Clause,
+    __module__=__name__,
+    **{
+        "all": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "any": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "not": _optional("Clause | None"),
+    }
+    | {name: _optional(predicate | None) for name, predicate in PREDICATES.items()},
+)
+
+
+class Goal(Clause):  # type: ignore[misc]
+    """A clause, and for how long it has to hold at the end of an attempt.
+
+    Attributes:
+        for_s: the time, s of the simulation; with 0, the last moment alone counts.
+    """
+
+    for_s: Annotated[FiniteFloat, Within("s", 0, 60)] = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a goal is reached.
+
+    Attributes:
+        measures: of everything that has to hold.
+    """
+
+    measures: tuple[Measure, ...]
+
+    @property
+    def reached(self) -> bool:
+        """Whether every measure holds."""
+        return all(measure.holds for measure in self.measures)
+
+    @property
+    def worst(self) -> Measure:
+        """The first measure that fails, else the measure nearest to failing."""
+        return worst(self.measures)
+
+
+def judge(goal: Goal, world: World, cast: Cast) -> Verdict:
+    """Whether a goal holds in the present state of a world."""
+    return Verdict(tuple(goal.measures(world, cast)))

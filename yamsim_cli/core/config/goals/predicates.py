@@ -1,0 +1,632 @@
+"""The predicates that goals are made of: each measures by what margin a relation between things holds."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, FiniteFloat, model_validator
+
+from ...files.documents.base import OMIT_NONE, Config
+from ...files.documents.units import Distance, Place, Share
+from ...geometry.folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
+from ...geometry.se3 import Array, inverse
+from .cast import Cast
+from .measure import Measure, either
+from .world import TABLE, World
+
+_Receiver = Literal["left", "right", "either"]
+
+
+class Predicate(Config):
+    """Base of the predicates. The fields are the arguments of a predicate, and `ROLES` lists those that name roles."""
+
+    ROLES: ClassVar[tuple[str, ...]]
+    # Whether the first role has to be in a hand (True) or in no hand (False); None where both are possible.
+    IN_HAND: ClassVar[bool | None] = None
+    # Whether only cloth may play the roles.
+    OF_CLOTH: ClassVar[bool] = False
+
+    @abstractmethod
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """One or more measures for each thing, or pair of things; all have to hold."""
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """The arguments that name roles, and the roles."""
+        return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
+
+
+class _OfEachThing(Predicate):
+    """A predicate that each thing of a role has to fulfil."""
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        return [measure for thing in cast.of(self.thing) for measure in self._measures(world, thing)]
+
+    def _measures(self, world: World, thing: str) -> list[Measure]:
+        return [self._measure(world, thing)]
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        raise NotImplementedError
+
+
+class _OfEachPair(Predicate):
+    """A predicate between each thing of a role and its counterpart, see `Cast.pairs`."""
+
+    thing: str
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        return [self._measure(world, *pair) for pair in cast.pairs(self.thing, getattr(self, self.ROLES[1]))]
+
+    @abstractmethod
+    def _measure(self, world: World, thing: str, other: str) -> Measure: ...
+
+
+def _still_held(world: World, thing: str, what: str) -> Measure | None:
+    """A failed measure where a hand holds the thing; None where no hand does."""
+    holders = world.holders(thing)
+    return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
+
+
+def _overlap_xy(world: World, upper: str, lower: str) -> float:
+    """How far inside the outline of `lower`, seen from above, the middle of `upper` lies, m; negative outside."""
+    first, last = world.bounds(upper)
+    middle = (first + last) / 2
+    low, high = world.bounds(lower)
+    return float(min(*(middle[:2] - low[:2]), *(high[:2] - middle[:2])))
+
+
+def _bottom(world: World, thing: str) -> float:
+    return float(world.bounds(thing)[0][2])
+
+
+def _top(world: World, thing: str) -> float:
+    return float(world.bounds(thing)[1][2])
+
+
+class On(_OfEachPair):
+    """Each thing touches its surface, its middle lies over it, and no hand holds it.
+
+    Attributes:
+        thing, surface: roles; the surface may be `table`.
+        inside: how far inside the surface's outline the thing's middle has to lie, m.
+        radius: instead of `inside`, the largest distance between the two origins seen from above, m. A thing that also
+            touches the table leans against the surface, and does not count.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    IN_HAND: ClassVar[bool | None] = False
+    surface: str
+    inside: Distance = 0.0
+    radius: Distance | None = None
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        what = f"on({thing}, {other})"
+        if held := _still_held(world, thing, what):
+            return held
+        if not world.touching(thing, other):
+            return either(what, False, "they do not touch")
+        if other == TABLE:
+            return either(what, True)
+        if self.radius is not None:
+            if world.touching(thing, TABLE):
+                return either(what, False, "touches the table")
+            apart = world.pose(thing)[:2, 3] - world.pose(other)[:2, 3]
+            distance = float((apart @ apart) ** 0.5)
+            return Measure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
+        inside = _overlap_xy(world, thing, other)
+        return Measure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
+
+
+class Inside(_OfEachPair):
+    """At least a share of each thing's volume lies in its container's interior, and no hand holds it.
+
+    Attributes:
+        thing, container: roles.
+        share: the least share, 0..1.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "container")
+    container: str
+    share: Annotated[Share, Field(gt=0)] = 0.8
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        what = f"in({thing}, {other})"
+        if held := _still_held(world, thing, what):
+            return held
+        share = world.share_inside(thing, other)
+        return Measure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")
+
+
+class Stacked(Predicate):
+    """The things of a role stand on, or in, one another, the middle of each over the one below.
+
+    Attributes:
+        things: a role that several things play.
+        order: "any", or "given": the role's first thing lowest, and so on.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("things",)
+    things: str
+    order: Literal["any", "given"] = "any"
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        names = list(cast.of(self.things))
+        if self.order == "any":
+            names.sort(key=lambda name: _bottom(world, name))
+        return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
+
+    @staticmethod
+    def _measure(world: World, lower: str, upper: str) -> Measure:
+        what = f"stacked({upper} on {lower})"
+        if held := _still_held(world, upper, what):
+            return held
+        if not world.touching(upper, lower):
+            return either(what, False, "they do not touch")
+        if _bottom(world, upper) <= _bottom(world, lower):
+            return either(what, False, "it is not the higher one")
+        inside = _overlap_xy(world, upper, lower)
+        return Measure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
+
+
+class Over(_OfEachPair):
+    """The middle of each thing's bounding box lies over its surface's, and its bottom is as high as the surface's top.
+
+    Unlike `on`, `over` needs no contact and lets a hand hold the thing: the bounding box of a plate ends at its rim.
+
+    Attributes:
+        thing, surface: roles.
+        gap: the largest distance between bottom and top, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    surface: str
+    gap: Distance = 0.02
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        inside = _overlap_xy(world, thing, other)
+        apart = _bottom(world, thing) - _top(world, other)
+        detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
+        return Measure(f"over({thing}, {other})", min(inside, self.gap - abs(apart)), "m", detail)
+
+
+class Piled(Predicate):
+    """From the lowest to the highest, the middle of each bounding box lies over the one below, whose bottom is lower
+    and whose top is near: a cup may stand in the cup below.
+
+    Unlike `stacked`, `piled` needs no contact and lets a hand hold a thing.
+
+    Attributes:
+        things: roles; all things that play them are one pile.
+        gap: how far a bottom may be above the top of the thing below, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("things",)
+    things: Annotated[tuple[str, ...], Field(min_length=1)]
+    gap: Distance = 0.02
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        names = sorted((name for role in self.things for name in cast.of(role)), key=lambda name: _bottom(world, name))
+        return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """See `Predicate`."""
+        return tuple(("things", role) for role in self.things)
+
+    def _measure(self, world: World, lower: str, upper: str) -> Measure:
+        inside, higher = _overlap_xy(world, upper, lower), _bottom(world, upper) - _bottom(world, lower)
+        apart = _bottom(world, upper) - _top(world, lower)
+        margin = min(inside, self.gap - apart)
+        if higher <= 0:
+            margin = min(margin, -1e-9)  # of two things that are equally low, neither is on the other
+        detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
+        return Measure(f"piled({upper} on {lower})", margin, "m", detail)
+
+
+class Upright(_OfEachThing):
+    """The z axis of each thing points up.
+
+    Attributes:
+        thing: a role.
+        tilt_deg: the largest tilt from straight up.
+    """
+
+    tilt_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 15.0
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        up = float(world.pose(thing)[2, 2])
+        tilt = math.degrees(math.acos(max(-1.0, min(1.0, up))))
+        return Measure(f"upright({thing})", self.tilt_deg - tilt, "deg", f"it leans by {tilt:.1f} deg")
+
+
+# Side -> its direction in `world`, seen from the robot's base.
+_SIDES = {"left": (0.0, 1.0), "right": (0.0, -1.0), "front": (-1.0, 0.0), "behind": (1.0, 0.0)}
+
+
+class Near(Predicate):
+    """Each thing's origin is within `radius` of another thing's, or of a place, seen from above, and on a side of it.
+
+    Sides are seen from the robot's base along x of `world`: `left` is +y, `right` is -y, `behind` is +x (farther away)
+    and `front` is -x (nearer). A side is a quarter circle: 45 degrees to either side of its axis.
+
+    Attributes:
+        thing, other: roles.
+        place: instead of another thing, x and y in `world`, m.
+        radius: the largest distance, m.
+        side: on which side of the other thing, or of the place: `left`, `right`, `front` or `behind`.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
+    thing: str
+    other: str | None = None
+    place: tuple[Place, Place] | None = None
+    radius: Annotated[Distance, Field(gt=0)]
+    side: Annotated[Literal["left", "right", "front", "behind"] | None, OMIT_NONE] = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Near:
+        if (self.other is None) == (self.place is None):
+            raise ValueError("give either `other` or `place`")
+        return self
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        if self.other is None:
+            return [self._measure(world, thing, "place", np.array(self.place)) for thing in cast.of(self.thing)]
+        return [
+            self._measure(world, thing, other, world.pose(other)[:2, 3])
+            for thing, other in cast.pairs(self.thing, self.other)
+        ]
+
+    def _measure(self, world: World, thing: str, other: str, place: Array) -> Measure:
+        off = world.pose(thing)[:2, 3] - place
+        distance = float(np.linalg.norm(off))
+        margin, detail = self.radius - distance, f"{distance * 1000:.0f} mm away"
+        if self.side is None:
+            return Measure(f"near({thing}, {other})", margin, "m", detail)
+        axis = np.array(_SIDES[self.side])
+        along, across = float(off @ axis), abs(float(axis[0] * off[1] - axis[1] * off[0]))
+        inside = (along - across) / math.sqrt(2)  # m, distance from the nearer edge of the quarter circle
+        detail += f", {along * 1000:.0f} mm of it to the side {self.side!r}"
+        return Measure(f"near({thing}, {other}, {self.side})", min(margin, inside), "m", detail)
+
+
+class Above(_OfEachPair):
+    """Each thing's lowest point is higher than another thing's highest point.
+
+    Attributes:
+        thing, other: roles; the other may be `table`.
+        by: the least difference, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
+    other: str
+    by: Distance = 0.0
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        height = _bottom(world, thing) - _top(world, other)
+        return Measure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
+
+
+class HeldBy(_OfEachThing):
+    """Both fingers of a hand press on each thing.
+
+    Attributes:
+        thing: a role.
+        arm: which hand; "both" needs both hands at once.
+    """
+
+    IN_HAND: ClassVar[bool | None] = True
+    arm: Literal["left", "right", "either", "both"] = "either"
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        holders = world.holders(thing)
+        match self.arm:
+            case "either":
+                holds = bool(holders)
+            case "both":
+                holds = len(holders) == 2
+            case side:
+                holds = holders == {side}
+        detail = f"held by the {' and the '.join(sorted(holders))} hand" if holders else "no hand holds it"
+        return either(f"held_by({thing}, {self.arm})", holds, detail)
+
+
+class HandedOver(_OfEachThing):
+    """Each thing went from one hand to the other in the air, and has not been put down since.
+
+    Attributes:
+        thing: a role.
+        to: the hand that has to receive the thing.
+    """
+
+    IN_HAND: ClassVar[bool | None] = True
+    to: _Receiver = "either"
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        hands = world.passed_to(thing)
+        receivers = [receiver for giver, receiver in pairwise(hands) if giver != receiver]
+        holds = bool(receivers) if self.to == "either" else self.to in receivers
+        return either(f"handed_over({thing}, {self.to})", holds, f"held by: {', '.join(hands) or 'no hand'}")
+
+
+class WasHandedOver(_OfEachThing):
+    """Each thing went from one hand to the other in the air since the attempt began, and may lie again.
+
+    Attributes:
+        thing: a role.
+        to: the hand that has to receive the thing.
+    """
+
+    to: _Receiver = "either"
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        passed = world.handovers(thing)
+        detail = ", ".join(f"from {giver} to {receiver}" for giver, receiver in passed) or "never from hand to hand"
+        holds = any(self.to in ("either", receiver) for _, receiver in passed)
+        return either(f"was_handed_over({thing}, {self.to})", holds, detail)
+
+
+class Sorted(Predicate):
+    """The things of a role lie in a row by their kinds, or each in the container of its kind.
+
+    Attributes:
+        things: a role that several things play.
+        order: of a row: kinds of things, in the direction in which the axis counts up.
+        axis: of `world`, along which the row lies.
+        apart: the least distance along the axis between the origins of neighbours of different kinds, m.
+        line: the largest distance across the axis between two origins, m; without, the distance does not matter.
+        into: instead of a row, kind of thing -> role of its container.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("things",)
+    things: str
+    order: tuple[str, ...] = ()
+    axis: Literal["x", "y"] = "y"
+    apart: Distance = 0.0
+    line: Distance | None = None
+    into: Mapping[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Sorted:
+        if bool(self.order) == bool(self.into):
+            raise ValueError("give either `order` or `into`")
+        return self
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """See `Predicate`."""
+        return (("things", self.things), *((f"into.{kind}", role) for kind, role in self.into.items()))
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        things = cast.of(self.things)
+        if self.into:
+            return [self._in_its_own(world, cast, thing) for thing in things]
+        if strangers := [thing for thing in things if cast.kinds[thing] not in self.order]:
+            return [
+                either(f"sorted({thing})", False, f"its kind {cast.kinds[thing]} is not in `order`")
+                for thing in strangers
+            ]
+        rank = {thing: self.order.index(cast.kinds[thing]) for thing in things}
+        names = sorted(things, key=lambda thing: rank[thing])
+        along, across = ("xy".index(self.axis), "yx".index(self.axis))
+        places = {name: world.pose(name)[:2, 3] for name in names}
+        found = [
+            self._after(one, other, float(places[other][along]) - float(places[one][along]))
+            for one in names
+            for other in names
+            if rank[one] + 1 == rank[other]
+        ]
+        if self.line is not None:
+            width = float(np.ptp([places[name][across] for name in names]))
+            what = f"sorted({self.things}, in line)"
+            found.append(Measure(what, self.line - width, "m", f"{width * 1000:.0f} mm across the row"))
+        return found
+
+    def _after(self, one: str, other: str, gap: float) -> Measure:
+        return Measure(f"sorted({one}, {other})", gap - self.apart, "m", f"{gap * 1000:.0f} mm along {self.axis}")
+
+    def _in_its_own(self, world: World, cast: Cast, thing: str) -> Measure:
+        kind = cast.kinds[thing]
+        if kind not in self.into:
+            return either(f"sorted({thing})", False, f"no container for a {kind}")
+        return Inside(thing=thing, container=self.into[kind]).measures(world, cast)[0]
+
+
+class Open(_OfEachThing):
+    """A joint of each thing is open by a share of its range, or closed to it.
+
+    Attributes:
+        thing: a role.
+        joint: the link's name, such as `drawer`.
+        share: 0..1.
+        side: "least": open by at least `share`; "most": by at most `share`.
+    """
+
+    joint: str
+    share: Share = 0.7
+    side: Literal["least", "most"] = "least"
+
+    def _measure(self, world: World, thing: str) -> Measure:
+        opening = world.opening(thing, self.joint)
+        margin = opening - self.share if self.side == "least" else self.share - opening
+        return Measure(f"open({thing}, {self.joint})", margin, "share", f"open by {opening:.0%}")
+
+
+class Swapped(Predicate):
+    """Each of two things lies where the other one started, seen from above.
+
+    Attributes:
+        thing, other: roles.
+        radius: the largest distance from the other's start, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
+    thing: str
+    other: str
+    radius: Annotated[Distance, Field(gt=0)] = 0.03
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        one, other = cast.one(self.thing), cast.one(self.other)
+        return [self._measure(world, one, other), self._measure(world, other, one)]
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        off = float(np.linalg.norm(world.pose(thing)[:2, 3] - world.start(other)[:2, 3]))
+        detail = f"{off * 1000:.0f} mm from where the {other} started"
+        return Measure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
+
+
+class Hung(_OfEachPair):
+    """A peg goes through an eye of each thing, which is off the table, and no hand holds it.
+
+    Held for a time, that is hanging: a falling thing does not stay there. A swinging thing leaves the peg for moments.
+
+    Attributes:
+        thing, onto: roles: what hangs, and what has the peg.
+        eye, peg: names of their handles: the middle of the opening, which points through it, and the peg's tip, which
+            points towards its root.
+        radius: the largest distance between the peg's middle and the middle of the eye, m.
+        depth: the least distance of the eye behind the tip, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
+    IN_HAND: ClassVar[bool | None] = False
+    onto: str
+    eye: str = "eye"
+    peg: str = "peg"
+    radius: Distance = 0.022
+    depth: Distance = 0.015
+
+    def _measure(self, world: World, thing: str, other: str) -> Measure:
+        what = f"hung({thing}, {other})"
+        if held := _still_held(world, thing, what):
+            return held
+        if world.touching(thing, TABLE):
+            return either(what, False, "it touches the table")
+        T_eye_in_peg = inverse(world.mark(other, self.peg)) @ world.mark(thing, self.eye)
+        (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
+        # The peg is the z axis; `behind` is where it meets the eye's plane, never where it is parallel to the plane.
+        behind = float(T_eye_in_peg[:3, 3] @ through / through[2]) if abs(through[2]) > 1e-6 else -np.inf
+        off = float(np.linalg.norm((x, y, z - behind)))
+        detail = f"the peg {off * 1000:.0f} mm beside the eye's middle, its tip {behind * 1000:.0f} mm through"
+        return Measure(what, min(self.radius - off, behind - self.depth), "m", detail)
+
+
+class Folded(_OfEachThing):
+    """Each cloth is folded, lies flat, and no hand holds it.
+
+    Attributes:
+        thing: a role, which cloth plays.
+        how: `half`, along either side; `diagonal`, along either one; or `thirds`, from either side, the last over the
+            first.
+        error: how far apart two points may be, seen from above, that lie on each other in an exact fold, m.
+        area: by how much the share of its area that its outline covers may differ from that of an exact fold.
+        height: the largest height of a point over the lowest, m.
+    """
+
+    IN_HAND: ClassVar[bool | None] = False
+    OF_CLOTH: ClassVar[bool] = True
+    how: Fold = "half"
+    error: Annotated[Distance, Field(gt=0)] = 0.02
+    area: Annotated[Share, Field(gt=0)] = 0.1
+    height: Annotated[Distance, Field(gt=0)] = 0.03
+
+    def _measures(self, world: World, thing: str) -> list[Measure]:
+        what = f"folded({thing}, {self.how})"
+        if held := _still_held(world, thing, what):
+            return [held]
+        points = world.points(thing)
+        ways = fold_plans(self.how, *points.shape[:2])
+        if not ways:
+            return [either(what, False, "its grid of points does not allow it")]
+        folded = min(ways, key=lambda way: _fold_error(points, way))
+        error, covered = _fold_error(points, folded), _covered(points)
+        high, order = float(np.ptp(points[..., 2])), _layer_gap(points, folded)
+        off = abs(covered - folded.covered)
+        return [
+            Measure(what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"),
+            Measure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
+            Measure(f"{what}: layers", order, "m", f"the upper layer is {order * 1000:.1f} mm higher at least"),
+            Measure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
+        ]
+
+
+class Spread(_OfEachThing):
+    """Each cloth lies flat in one layer, and no hand holds it.
+
+    Attributes:
+        thing: a role, which cloth plays.
+        area: the least share of its area that its outline covers, seen from above.
+        height: the largest height of a point over the lowest, m.
+    """
+
+    IN_HAND: ClassVar[bool | None] = False
+    OF_CLOTH: ClassVar[bool] = True
+    area: Annotated[Share, Field(gt=0, lt=1)] = 0.95
+    height: Annotated[Distance, Field(gt=0)] = 0.015
+
+    def _measures(self, world: World, thing: str) -> list[Measure]:
+        what = f"spread({thing})"
+        if held := _still_held(world, thing, what):
+            return [held]
+        points = world.points(thing)
+        covered, high = _covered(points), float(np.ptp(points[..., 2]))
+        return [
+            Measure(what, covered - self.area, "share", f"it covers {covered:.1%} of its area"),
+            Measure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
+        ]
+
+
+def _covered(points: Array) -> float:
+    """The share of a cloth's area that its outline covers, seen from above."""
+    return outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
+
+
+def _layer(points: Array, layer: NDArray[np.int_]) -> Array:
+    there: Array = points[layer[:, 0], layer[:, 1]]
+    return there
+
+
+def _fold_error(points: Array, way: FoldPlan) -> float:
+    """The largest distance, seen from above, between points that an exact fold puts onto each other, m."""
+    pairs = [(_layer(points, one), _layer(points, other)) for one, other in way.layers]
+    return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
+
+
+def _layer_gap(points: Array, way: FoldPlan) -> float:
+    """The least height of a layer over the layer below, m; negative where they intersect."""
+    higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in way.layers])
+    return float(max(higher.min(), -higher.max()))  # folded from below, the layers lie the other way round
+
+
+PREDICATES: Mapping[str, type[Predicate]] = {
+    "on": On,
+    "in": Inside,
+    "stacked": Stacked,
+    "over": Over,
+    "piled": Piled,
+    "upright": Upright,
+    "near": Near,
+    "above": Above,
+    "held_by": HeldBy,
+    "handed_over": HandedOver,
+    "was_handed_over": WasHandedOver,
+    "sorted": Sorted,
+    "open": Open,
+    "swapped": Swapped,
+    "hung": Hung,
+    "folded": Folded,
+    "spread": Spread,
+}

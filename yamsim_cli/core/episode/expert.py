@@ -1,0 +1,81 @@
+"""The planning tools of a task's expert."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..config.recording import RecordConfig
+from ..expert.planning.arm_tools import ArmTools, start_stands
+from ..expert.planning.ik import Tolerance
+from ..expert.planning.obstacles import Obstacles
+from ..expert.skills.bench import Bench
+from ..expert.skills.hand import Hand
+from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..scene.compiled import CompiledScene, Kind
+from ..sim.world import SimWorld
+from ..types import Stand
+
+# Candidate poses of a hand at a place.
+LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, from straight down
+LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the lean
+TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
+
+# m and rad; a place counts as reachable whatever the margin to a stop
+_REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
+
+
+class ExpertTools:
+    """The tools of skills in one scene, as far as they are the same for all attempts."""
+
+    def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmTools, ...]) -> None:
+        self._config, self._scene, self._tools = config, scene, tools
+        fingers = (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
+        geoms = [
+            np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
+        ]
+        distractors = [item.name for item in config.randomization.extras]
+        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms, distractors)
+
+    def reaches_place(self, place: Array) -> bool:
+        """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""
+        stands = start_stands(self._config)
+        for k in self._config.acting_scene_arms:
+            ik = self._tools[k].ik
+            if any(ik.reach(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
+                return True
+        return False
+
+    def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
+        """Return the height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
+        return self._obstacles.rest_height(qpos, thing, T_in_world, lowest)
+
+    def bench(self, world: SimWorld, stands: list[Stand], rng: np.random.Generator) -> Bench:
+        """Return the bench of an attempt, with the arms at their start."""
+        config, scene = self._config, self._scene
+        hands = [
+            Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
+            for k, (side, arm, tools, stand) in enumerate(
+                zip(sides(config), scene.arms, self._tools, stands, strict=True)
+            )
+        ]
+        items = {item.name: item for item in config.task.objects}
+        acting, first = config.acting_scene_arms, config.rig.recorded.index(config.first_arm)
+        return Bench(scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick)
+
+
+def sides(config: RecordConfig) -> tuple[str, ...]:
+    """Return the sides of the scene's arms, in its order."""
+    return tuple(config.rig.arms[number].side for number in config.rig.recorded)
+
+
+def _hand_poses(place: Array) -> Iterator[Array]:
+    """Yield poses (4, 4) of a hand at a place (3,), from above first."""
+    down = rotation_from_vector([math.pi, 0.0, 0.0])
+    for lean in LEANS:
+        for towards in LEAN_DIRECTIONS if lean else LEAN_DIRECTIONS[:1]:
+            tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
+            for turn in TURNS:
+                yield pose(place, tilted @ rotation_z(turn) @ down)

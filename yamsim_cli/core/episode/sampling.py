@@ -1,0 +1,161 @@
+"""Sampling of an attempt: everything random in it, from its seed and number, before anything is planned or moves."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..config.goals.world import TABLE
+from ..config.recording import RecordConfig
+from ..config.session import Session
+from ..config.variation import Variation
+from ..expert.planning.arm_tools import start_stands
+from ..files.documents.base import ConflictError
+from ..geometry.se3 import Array, pose
+from ..scene.casting import BlockOf, Placed, draw_phrasing, draw_places
+from ..scene.compiled import CompiledScene
+from ..scene.randomness import Stream, generator
+from ..scene.sampled_variation import sample_variation
+from ..sim.cloth import crumpled
+from ..sim.settle import settle
+from ..sim.world import world_of
+from ..types import Attempt, EpisodeJob, Layout
+from .expert import sides
+from .rules import EpisodeRules
+from .simulator import Simulator, Simulators, open_episode
+
+MAX_DRAWS = 20  # count, draws of the start after which an attempt has no start, because the goal already held in each
+_MAX_SPEED = 0.1  # m/s and rad/s, speed of a thing above which another start is drawn; rolling things come below it
+HOLDS_ALREADY = "the goal holds already at the start"
+
+DROP_HEIGHT = 0.5  # m over the table, from which the resting height of each thing is searched
+SPARE_HEIGHT = 2.0  # m between things that wait above the table until they are placed
+SPAWN_GAP = 2e-4  # m between a placed thing and its support, so that no contact exists before the first step
+
+
+def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
+    """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
+
+    A draw in which a thing still moves, such as a bottle that rocks, is used only if there is no other. The attempt has
+    no start if its things have no room or if its goal holds in every draw, see `no_start`.
+    """
+    config, task, cast = simulator.config, simulator.config.task, simulator.cast
+    attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, job))
+    scene = simulator.varied(attempt)
+    moving: Attempt | None = None
+    for number in range(MAX_DRAWS):
+        places = draw_places(task, cast, _block_of(simulator), config.table, job, number)
+        if isinstance(places, str):
+            break
+        settled = settle(scene, _placed(simulator, places), task.timing.timestep)
+        start = _crumpled(simulator, settled.qpos, generator(job, Stream.CRUMPLES, number))
+        episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
+        if episode.verdict is not None and not episode.verdict.reached:
+            poses = {name: episode.world.pose(name) for name in scene.things}
+            started = replace(attempt, layout=Layout(poses, upright=False), start=start)
+            if settled.speed <= _MAX_SPEED:
+                return started
+            moving = moving or started
+    return moving or attempt
+
+
+def sampled_places(simulator: Simulator, job: EpisodeJob) -> dict[str, Placed] | str:
+    """Return where an attempt's things are first placed, or the name of a thing that has no room."""
+    config = simulator.config
+    return draw_places(config.task, simulator.cast, _block_of(simulator), config.table, job)
+
+
+def no_start(simulator: Simulator, attempt: Attempt) -> str:
+    """Return why an attempt has no start, for a person."""
+    places = sampled_places(simulator, attempt.job)
+    if isinstance(places, str):
+        return f"no free place for the {places} where it is to start"
+    return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"
+
+
+def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
+    if not config.randomization.parts:
+        return Variation()
+    dofs = [config.rig.arms[number].robot.dof for number in config.rig.recorded]
+    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
+
+
+def _block_of(simulator: Simulator) -> BlockOf:
+    """Return the function that gives a thing's block, see `draw_places`."""
+    scene, replica = simulator.scene, simulator.replica
+    world = world_of(scene, replica.data, sides(simulator.config))
+
+    @functools.cache
+    def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
+        qpos = scene.model.qpos0.copy()
+        _set_openings(scene, qpos, name, dict(opened))
+        replica.show(qpos)
+        return world.block(name)
+
+    return lambda name, opened: block(name, tuple(opened.items()))
+
+
+def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
+    """Write the openings of a thing's parts, as shares of their ranges, into MuJoCo's positions (nq,)."""
+    for part, share in opened.items():
+        joint = scene.model.joint(f"{name}_{part}")
+        low, high = joint.range
+        qpos[joint.qposadr[0]] = low + share * (high - low)
+
+
+def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
+    """Return MuJoCo's positions (nq,) after each thing has been placed on its support in turn."""
+    scene, top = simulator.scene, simulator.config.table.top
+    waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
+    qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
+    for name, placed in places.items():
+        _set_openings(scene, qpos, name, placed.open)
+        T = placed.T.copy()
+        if name in scene.cloths:
+            T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
+        else:
+            T[2, 3] = top + DROP_HEIGHT
+            T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - DROP_HEIGHT) + SPAWN_GAP
+        scene.put(qpos, name, T)
+    return qpos
+
+
+def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
+    """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all lie flat."""
+    task, scene = simulator.config.task, simulator.scene
+    for role, how in task.starts.items():
+        for name in simulator.cast.of(role):
+            if how.crumpled is not None and name in scene.cloths:
+                share = float(rng.uniform(*how.crumpled))
+                start = crumpled(scene, start, name, rng, share, task.timing.timestep)
+    return start
+
+
+# count, attempts after which a task without any start is rejected; usually the first attempt has one
+_CHECKED_ATTEMPTS = 3
+
+
+def check_starts(session: Session) -> None:
+    """Check that one of the first attempts of a task has a start.
+
+    Raises:
+        ConflictError: none has, because the goal already holds or things have no room; the path leads from the config.
+        SimulationError: its scene cannot be compiled.
+    """
+    task = session.config.task
+    with Simulators(session.without_meshes()) as simulators:
+        for number in range(_CHECKED_ATTEMPTS):
+            job = EpisodeJob(session.config.seed, number)
+            simulator = simulators.of(job)
+            attempt = sample(simulator, job)
+            if attempt.layout is not None:
+                return
+            why = no_start(simulator, attempt)
+    message = f"{why}; none of the first {_CHECKED_ATTEMPTS} attempts of seed {session.config.seed} has a start"
+    if why.startswith(HOLDS_ALREADY):
+        raise ConflictError(message, ("task", "goal"))
+    role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
+    raise ConflictError(message, ("task", "starts", role))

@@ -1,0 +1,323 @@
+"""Trials: many attempts at a task, in physics alone, counted and filmed."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ..closing import Closing
+from ..config.program_task import ProgramTask
+from ..config.recording import SCENE_CAMERA, RecordConfig
+from ..config.session import Session
+from ..dataset.records import MarginsRecord, OutcomeRecord, attempt_record, plain
+from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
+from ..files.writing import move_aside
+from ..images.jpeg import decode_jpeg, encode_jpeg
+from ..images.video import VideoWriter, require_encoder
+from ..progress import Progress
+from ..rendering.views import label
+from ..statistics import spread, wilson95
+from ..types import Cause, EpisodeJob, EpisodePayload
+from ..workers.executor import Executor, Factory, J, LostJobError, run_all
+from ..workers.processes import WorkerPool
+from .engine import Simulated, demonstrate
+from .payload import render
+from .rules import EXPERT_RULES
+from .runner import EpisodeRunner
+from .sampling import sample
+from .simulator import Simulator, Simulators
+
+R = TypeVar("R")
+
+_NEVER_MOVED = (Cause.NO_LAYOUT, Cause.UNREACHABLE)  # causes of trials that end before anything moves
+_JPEG_QUALITY = 95  # of frames from a worker to the film: hardly any loss beside the film's own
+
+
+def run_batch(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
+    """Run as many trials as the config has `episodes`: the attempts that `record` makes with the same seed.
+
+    Args:
+        thresholds: distances (m) by which the outcomes are scored, besides the task's own.
+
+    Returns:
+        JSON-ready: what `tally` counts, margins, rig, task, grasp, arms (those that act), seconds, trials.
+
+    Raises:
+        InterruptedJobError: stopped by the user.
+    """
+    began = time.monotonic()
+    config = session.config
+    n = config.episodes
+    factory = functools.partial(EpisodeRunner, session.without_meshes(), render=False)
+    workers = min(config.workers, n)
+    with WorkerPool[EpisodeJob, EpisodePayload](factory, workers) as pool:
+        payloads = run_trials(pool, config.seed, n, progress)
+    seconds = time.monotonic() - began
+
+    payloads.sort(key=lambda payload: payload.job.attempt)
+    records = [attempt_record(payload, None) for payload in payloads]
+    trials = []
+    for record in records:
+        trial = plain(record)
+        trial["trial"] = trial.pop("attempt")
+        del trial["episode"]
+        trials.append(trial)
+    return {
+        **tally([record.outcome for record in records], config.task, thresholds, [True] * n),
+        "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
+        **what_ran(config),
+        "end_rule": EXPERT_RULES.end.value,
+        "seconds": seconds,
+        "core_seconds_per_trial": seconds * workers / n,
+        "trials": trials,
+    }
+
+
+def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
+    """The worst of each margin over all trials; None if nothing ever moved."""
+    if not margins:
+        return None
+    slips = [margin.slip_m for margin in margins if margin.slip_m is not None]
+    tilts = [margin.object_tilt_rad for margin in margins if margin.object_tilt_rad is not None]
+    return {
+        "velocity_share": max(margin.velocity_share for margin in margins),
+        "torque_share": max(margin.torque_share for margin in margins),
+        "joint_rad": min(margin.joint_rad for margin in margins),
+        "slip_m": max(slips, default=None),
+        "object_tilt_rad": max(tilts, default=None),
+    }
+
+
+def run_trials(
+    pool: Executor[EpisodeJob, R],
+    seed: int,
+    n: int,
+    progress: Progress,
+    lost: Callable[[LostJobError], R] | None = None,
+) -> list[R]:
+    """The results of the first `n` trials of a seed, in no particular order.
+
+    Args:
+        lost: gives the result of a trial whose workers died or hung; None raises the `LostJobError`.
+
+    Raises:
+        InterruptedJobError: stopped by the user.
+    """
+    results: list[R] = []
+    try:
+        for _, result in run_all(pool, (EpisodeJob(seed, number) for number in range(n)), lost):
+            results.append(result)
+            progress(len(results), n)
+    except KeyboardInterrupt:
+        raise InterruptedJobError(
+            f"interrupted after {len(results)} of {n} trials; run again to count them all"
+        ) from None
+    return results
+
+
+def what_ran(config: RecordConfig) -> dict[str, Any]:
+    """What trials were run with, JSON-ready: rig, task, grasp, arms (those that act), seed."""
+    return {
+        "rig": config.rig.name,
+        "task": config.task.name,
+        "grasp": config.grasp,
+        "arms": [config.rig.arms[k].side for k in config.acting],
+        "seed": config.seed,
+    }
+
+
+def tally(
+    outcomes: Sequence[OutcomeRecord], task: ProgramTask, thresholds: Sequence[float], valid: Sequence[bool]
+) -> dict[str, Any]:
+    """Counts and rates of outcomes, JSON-ready.
+
+    Args:
+        task: whose goal judged them.
+        thresholds: distances (m) by which the outcomes are scored, if the task's goal measures a distance.
+        valid: whether an outcome may count as a success at any threshold.
+
+    Returns:
+        n, n_success, success_rate, wilson95, threshold_m, rates per threshold, dxy_m, causes, recovered (successes in
+        which a skill was tried again).
+    """
+    n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
+    target = task.target_predicate
+
+    def rate(threshold: float) -> float:
+        within = (outcome.within(threshold) for outcome in outcomes)
+        return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
+
+    return {
+        "n": n,
+        "n_success": succeeded,
+        "success_rate": succeeded / n,
+        "wilson95": wilson95(succeeded, n),
+        "threshold_m": target and target.radius,
+        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
+        "dxy_m": spread([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
+        "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
+        "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),
+    }
+
+
+def require_success(counts: Mapping[str, Any], least: float | None) -> None:
+    """Raise SimulationError if less than the share `least` of trials succeeded; None accepts any share.
+
+    Args:
+        counts: what `tally` returns.
+    """
+    if least is not None and counts["success_rate"] < least:
+        raise SimulationError(
+            f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
+            f"--min-success asks for {least:g}"
+        )
+
+
+@dataclass(frozen=True)
+class FilmedTrial:
+    """A trial and the video that shows it."""
+
+    trial: int
+    path: Path
+
+
+class TrialFilmer(Closing):
+    """Renders simulated trials; a context manager that closes the renderer."""
+
+    def __init__(self, session: Session) -> None:
+        self._simulators = Simulators(session)
+
+    def _film(self, simulator: Simulator, done: Simulated) -> list[bytes]:
+        """The trial's frames as JPEGs; empty if nothing moved."""
+        shown = (render(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
+        return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._simulators.close()
+
+
+class _ExpertFilmer(TrialFilmer):
+    """Simulates the expert's trials again, and renders them whatever their outcome."""
+
+    def run(self, job: EpisodeJob) -> list[bytes]:
+        """The trial's frames as JPEGs."""
+        simulator = self._simulators.of(job)
+        return self._film(simulator, demonstrate(simulator, sample(simulator, job)))
+
+
+class TrialFilms:
+    """The output of films: one file with all trials if `path` ends in `.mp4`, else a folder with a file per trial.
+
+    Args:
+        frame_period: of the trials, s.
+        overwrite: move what is at `path` aside.
+
+    Raises:
+        UsageError: `path` is occupied.
+        ResourceError: videos cannot be written here.
+    """
+
+    def __init__(self, path: Path, frame_period: float, *, overwrite: bool) -> None:
+        require_encoder()
+        self.path = path
+        self._period = frame_period
+        self._overwrite = overwrite
+        self._reel = VideoWriter(path, frame_period, overwrite=overwrite) if path.suffix.lower() == ".mp4" else None
+        self.moved_aside: Path | None = None
+        if not self._reel and path.exists() and not overwrite and (not path.is_dir() or any(path.iterdir())):
+            raise UsageError(f"{path} is not empty; move it aside with --overwrite, or choose another --video")
+
+    def write(self, trials: Iterator[tuple[dict[str, Any], list[bytes]]]) -> list[FilmedTrial]:
+        """Write trials and their frames, in order; raises ResourceError if the disk refuses."""
+        if self._reel:
+            with self._reel as video:
+                shown = [_add(video, trial, frames) for trial, frames in trials]
+            self.moved_aside = self._reel.moved_aside
+            return [FilmedTrial(number, self.path) for number in shown]
+        self._make_folder()
+        films = []
+        for trial, frames in trials:
+            path = self.path / f"trial_{trial['trial']:06d}_{_ending(trial)}.mp4"
+            with VideoWriter(path, self._period) as video:
+                films.append(FilmedTrial(_add(video, trial, frames), path))
+        return films
+
+    def _make_folder(self) -> None:
+        try:
+            if self._overwrite and self.path.exists():
+                self.moved_aside = move_aside(self.path)
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResourceError(f"{self.path} cannot be made: {error.strerror}; choose another --video") from error
+
+
+def _ending(trial: Mapping[str, Any]) -> str:
+    return str(trial["outcome"]["cause"] or "success")
+
+
+def _add(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence[bytes]) -> int:
+    number = int(trial["trial"])
+    for data in frames:
+        image = decode_jpeg(data)
+        if image is None:
+            raise SimulationError(f"a frame of trial {number} was damaged on its way from the worker")
+        video.write(label(image, {}, f"trial {number}: {_ending(trial).replace('_', ' ')}"))
+    return number
+
+
+def film_trials(
+    trials: Sequence[dict[str, Any]], limit: int, films: TrialFilms, session: Session, progress: Progress
+) -> list[FilmedTrial]:
+    """Film at most `limit` trials of a batch, failures first; trials in which nothing moved are left out.
+
+    Args:
+        trials: as `run_batch` reports them.
+
+    Raises:
+        InterruptedJobError: stopped by the user; finished films stay.
+        ResourceError: nothing can render here, or the films cannot be written.
+    """
+    moving = [trial for trial in trials if trial["outcome"]["cause"] not in _NEVER_MOVED]
+    chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
+    if not chosen:
+        return []
+    factory = functools.partial(_ExpertFilmer, session)
+    jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
+    return film_jobs(factory, chosen, jobs, films, session.config.workers, progress)
+
+
+def film_jobs(
+    factory: Factory[J, list[bytes]],
+    trials: Sequence[dict[str, Any]],
+    jobs: Sequence[J],
+    films: TrialFilms,
+    workers: int,
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials, whose frames come from as many jobs, at least one. Raises as `film_trials`."""
+    try:
+        with WorkerPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
+            return films.write(_with_frames(trials, jobs, pool, progress))
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
+
+
+def _with_frames(
+    trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
+) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+    """Trials with the frames from their jobs, in the order of `trials`."""
+    numbers = {id(job): number for number, job in enumerate(jobs)}
+    results = run_all(pool, jobs)
+    finished: dict[int, list[bytes]] = {}
+    for number, trial in enumerate(trials):
+        while number not in finished:
+            job, frames = next(results)
+            finished[numbers[id(job)]] = frames
+        yield trial, finished.pop(number)
+        progress(number + 1, len(trials))

@@ -1,0 +1,106 @@
+"""Forward kinematics of a bare arm, and inverse kinematics that reports poses out of reach."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import SimulationError
+from ...geometry.se3 import Array, pose, rotation_vector
+from .ik import IkSolver
+
+_ITERATIONS = 100  # limit for a search that may start on the other side of the workspace
+_HAND_LENGTH = 0.13  # m, from the wrist to the finger tips, by which an angle counts as a distance
+
+
+class ArmKinematics:
+    """Computes poses of the hand at given joints.
+
+    Args:
+        model: a bare arm, see `scene.robot.bare_arm`.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+
+    def T_grasp_in_base(self, joints: ArrayLike) -> Array:
+        """Pose (4, 4) of `grasp_site` in the arm's base, with the arm at `joints` (dof,) in rad."""
+        return self.T_site_in_base(joints, "grasp_site")
+
+    def T_site_in_base(self, joints: ArrayLike, name: str) -> Array:
+        """Pose (4, 4) of one of the hand's sites in the arm's base, with the arm at `joints` (dof,) in rad."""
+        self._data.qpos[:] = np.asarray(joints, dtype=np.float64)
+        mujoco.mj_kinematics(self._model, self._data)
+        site = self._data.site(name)
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
+
+    joints: Array
+    position_error: float
+    rotation_error: float
+
+    @property
+    def miss(self) -> float:
+        """The total error, m; an angle counts as the distance that it makes at the finger tips."""
+        return self.position_error + _HAND_LENGTH * self.rotation_error
+
+
+class OutOfReachError(SimulationError):
+    """A pose that the arm does not reach.
+
+    Attributes:
+        nearest: the joints with the smallest total error.
+    """
+
+    def __init__(self, nearest: Reached, position_tolerance: float, rotation_tolerance: float) -> None:
+        super().__init__(
+            f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and "
+            f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
+            f"{math.degrees(rotation_tolerance):.3g} deg), with the joints "
+            f"{np.array2string(nearest.joints, precision=3, suppress_small=True, separator=', ')}"
+        )
+        self.nearest = nearest
+
+
+def reach(
+    solvers: Sequence[IkSolver],
+    T_tool_in_world: Array,
+    starts: Iterable[Array],
+    position_tolerance: float,
+    rotation_tolerance: float,
+) -> Reached:
+    """The first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
+
+    Args:
+        solvers: run one after the other; each starts at the result of the previous one.
+        position_tolerance, rotation_tolerance: largest errors, m and rad.
+
+    Raises:
+        OutOfReachError: no joints are within the tolerances; the error holds the nearest ones.
+    """
+    nearest: Reached | None = None
+    for start in starts:
+        joints = start
+        for solver in solvers:
+            joints = solver.solve(T_tool_in_world, joints, _ITERATIONS).joints
+            T = solver.pose_of(joints)
+            found = Reached(
+                joints,
+                float(np.linalg.norm(T[:3, 3] - T_tool_in_world[:3, 3])),
+                float(np.linalg.norm(rotation_vector(T[:3, :3].T @ T_tool_in_world[:3, :3]))),
+            )
+            if found.position_error <= position_tolerance and found.rotation_error <= rotation_tolerance:
+                return found
+        nearest = found if nearest is None or found.miss < nearest.miss else nearest
+    assert nearest is not None  # there is a start
+    raise OutOfReachError(nearest, position_tolerance, rotation_tolerance)

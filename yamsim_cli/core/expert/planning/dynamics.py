@@ -1,0 +1,74 @@
+"""Inverse dynamics: torques that move an arm along a path, for feed-forward commands."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ...geometry.se3 import Array
+from ...robots.robot import Robot
+from ...scene.robot import finger_places
+
+
+class ArmDynamics:
+    """Computes the joint torques of one arm from its motion.
+
+    Args:
+        model: the whole arm with its gripper, see `scene.robot.arm_spec`.
+        robot: the robot of the model.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        joints = [model.joint(name) for name in robot.joint_names]
+        self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
+        self._fingers, self._signs = finger_places(model, robot)
+        # Torques of contacts are left to the controller: paths do not touch anything on purpose.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+
+    def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
+        """Torques (n, dof) in N m in the middle of each tick, with friction, and with gravity unless compensated.
+
+        Args:
+            joints: positions (n + 1, dof) at the ticks' boundaries, rad.
+            gripper: opening (n,) of one finger, m.
+            tick: length of a tick, s.
+        """
+        positions = (joints[1:] + joints[:-1]) / 2
+        velocities = np.diff(joints, axis=0) / tick
+        accelerations = np.gradient(velocities, tick, axis=0)
+        torques = np.empty_like(positions)
+        data = self._data
+        for k, opening in enumerate(gripper):
+            mujoco.mj_resetData(self._model, data)
+            data.qpos[self._qpos], data.qvel[self._dof], data.qacc[self._dof] = (
+                positions[k],
+                velocities[k],
+                accelerations[k],
+            )
+            data.qpos[self._fingers] = opening * self._signs
+            mujoco.mj_inverse(self._model, data)
+            torques[k] = data.qfrc_inverse[self._dof]
+        return torques
+
+    def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
+        """Torques (n, dof) in N m that support a weight in the hand.
+
+        Args:
+            joints: positions (n, dof), rad.
+            point: point of application (3,) in the pinch frame, m.
+            weight: N.
+        """
+        data, site = self._data, self._model.site("pinch_site").id
+        jacobian = np.empty((3, self._model.nv))
+        torques = np.empty_like(joints)
+        for k, row in enumerate(joints):
+            data.qpos[self._qpos] = row
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_comPos(self._model, data)
+            at = data.site_xpos[site] + data.site_xmat[site].reshape(3, 3) @ point
+            mujoco.mj_jac(self._model, data, jacobian, None, at, self._model.site_bodyid[site])
+            # The base stands upright in every rig, so its z axis is the world's.
+            torques[k] = weight * jacobian[2, self._dof]
+        return torques

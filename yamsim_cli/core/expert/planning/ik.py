@@ -1,0 +1,272 @@
+"""Inverse kinematics of a bare arm: exact if the arm has a closed solution, else by search with mink."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mink
+import mujoco
+import numpy as np
+
+from ...geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_from_vector
+from .closed_form import closed_form
+from .quick_reach import QuickReach
+
+# The position has priority, then the heading, then the tilt. An arm that must lean outwards to reach a place does so,
+# and the position stays exact to a fraction of a millimetre.
+_POSITION_COST = 10.0
+_TILT_COST = 0.02
+_HEADING_COST = 0.05
+_FOLLOWING = (_TILT_COST, _TILT_COST, _HEADING_COST)
+
+# Levenberg-Marquardt: a step that increases the cost is undone, and a shorter step is tried. Without damping, the
+# iteration diverges for a nearly stretched arm, which is over a third of the table.
+_DAMPING_START = 1e-5
+_DAMPING_MIN = 1e-8
+_DAMPING_MAX = 1e4
+_ACCEPTED = 0.2
+_REJECTED = 10.0
+
+_SOLVER = "daqp"
+_CONVERGED = 1e-5  # rad, largest change of a joint in the last step
+_MIN_COST = 1e-14  # 10 nm and a thousandth of a degree, below which rounding makes steps fail
+
+_MAX_STEP = 0.35  # rad, change of a joint between poses of a path: a farther exact solution may be on another branch
+_MAX_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
+
+# rad, from a singular posture. On a path that comes nearer, such as to the edge of the reach, exact joints would race
+# and then turn back. The search slows the joints down: its steps differ from exact ones below 0.2 rad.
+_MIN_FROM_SINGULAR = 0.3
+
+_LEANING = 0.95  # share of the largest rotation error by which a hand leans if the pose itself is out of reach
+
+_REFINEMENTS = 30  # iterations from a solution of `QuickReach` to the exact pose
+
+
+@dataclass(frozen=True)
+class IkSolution:
+    """Joints (dof,) in rad, with the errors of the pose.
+
+    Attributes:
+        position_error: m.
+        tilt_error, heading_error: rad.
+        margin: smallest distance of a joint from a stop, rad.
+    """
+
+    joints: Array
+    position_error: float
+    tilt_error: float
+    heading_error: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Largest position error, m, and rotation error, rad, and least distance of joints from their stops, rad.
+
+    Attributes:
+        leans: whether the hand may lean by up to `rotation` if the pose itself is out of reach.
+    """
+
+    position: float
+    rotation: float
+    margin: float = 0.05
+    leans: bool = False
+
+    def admits(self, solution: IkSolution) -> bool:
+        """Whether a solution is within the tolerance."""
+        return (
+            solution.position_error <= self.position
+            and solution.tilt_error + solution.heading_error <= self.rotation
+            and solution.margin >= self.margin
+        )
+
+
+class IkSolver:
+    """Inverse kinematics within the joint limits.
+
+    An arm with a closed solution, see `closed_form`, is solved exactly. Without one, or for a pose out of reach,
+    differential inverse kinematics is iterated to convergence, and the hand may lean.
+
+    Args:
+        model: a bare arm with the sites `pinch_site` and `tool`, see `scene.robot.bare_arm`.
+        T_base_in_world: pose (4, 4) of its base; targets are given in `world`.
+        rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes, where 1 m costs 10.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        T_base_in_world: Array,
+        rotation_costs: tuple[float, float, float] = _FOLLOWING,
+    ) -> None:
+        self._model = model
+        self._T_base_in_world = T_base_in_world
+        self._T_world_in_base = inverse(T_base_in_world)
+        self._low, self._high = model.jnt_range.T.copy()
+        self._closed_form = closed_form(model)
+        self._quick = QuickReach(model, T_base_in_world)
+        self._configuration = mink.Configuration(model)
+        self._limits = [mink.ConfigurationLimit(model)]
+        self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
+        pinch = model.site("pinch_site")
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, pinch.quat)
+        self._T_pinch_in_flange = pose(pinch.pos, rotation.reshape(3, 3))
+        self.hold(np.eye(4))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the arm has a closed solution, so that a pose without an exact solution is out of reach."""
+        return self._closed_form is not None
+
+    def hold(self, T_object_in_pinch: Array) -> None:
+        """Set the held frame, for which later calls solve, to a pose (4, 4) in the pinch frame.
+
+        Until the first call, the held frame is the pinch frame.
+        """
+        T = self._T_pinch_in_flange @ T_object_in_pinch
+        tool = self._model.site("tool")
+        tool.pos[:] = T[:3, 3]
+        tool.quat[:] = quat_from_rotation(T[:3, :3])
+        self._T_flange_in_tool = inverse(T)
+
+    def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
+        """A solution that brings the held frame to a pose (4, 4), or as near as the search gets.
+
+        Args:
+            start: joints (dof,), rad; of several exact solutions, the nearest to `start` is returned.
+            iterations: limit of the search, which is used if there is no exact solution.
+        """
+        exact = self._exact(T_tool_in_world, start)
+        return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
+
+    def follow(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
+        """A solution for the next pose (4, 4) of the held frame on a path, on the same branch and without a jump.
+
+        Args:
+            before: the solution for the previous pose, see `at` for the first one.
+            iterations: limit of the search, which is used if no exact solution is near `before`.
+        """
+        start = before.joints
+        if before.tilt_error + before.heading_error <= _MAX_LAG and self._is_regular(start):
+            exact = self._exact(T_tool_in_world, start)
+            if exact is not None and np.abs(exact.joints - start).max() <= _MAX_STEP:
+                return exact
+        return self._searched(T_tool_in_world, start, iterations)
+
+    def at(self, joints: Array) -> IkSolution:
+        """The solution at joints (dof,), for the pose of the held frame there."""
+        return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
+
+    def reach(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
+        """Joints (dof,) that bring the held frame to a pose (4, 4); None if the arm does not reach the pose.
+
+        Args:
+            starts: joints (dof,), rad. Of several exact solutions, the nearest to the first start is returned. For an
+                arm without a closed solution, a search runs from each start in turn until one succeeds.
+        """
+        if self._closed_form is not None:
+            exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
+            if exact is None and tolerance.leans:
+                exact = self._leaning(T_tool_in_world, starts[0], tolerance)
+            return None if exact is None else exact.joints
+        for start in starts:
+            if (near := self._quick.solve(T_tool_in_world, start)) is not None:
+                solution = self._searched(T_tool_in_world, near, _REFINEMENTS)
+                if tolerance.admits(solution):
+                    return solution.joints
+        return None
+
+    def may_reach(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
+        """Which of many poses (n, 4, 4) `reach` may find joints for, (n,) bool; for the others it finds none."""
+        if self._closed_form is None:
+            return np.ones(len(T_tool_in_world), bool)
+        T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
+        return self._closed_form.may_reach(T_flange_in_base, tolerance.margin)
+
+    def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
+        """The exact solution nearest to joints `start` (dof,) with at least a margin, rad, from every stop."""
+        if self._closed_form is None:
+            return None
+        T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
+        found = self._closed_form.solutions(T_flange_in_base)
+        if margin > 0.0:
+            found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
+        if not len(found):
+            return None
+        return self.at(self._closed_form.nearest(found, start))
+
+    def _leaning(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
+        """An exact solution for a pose (4, 4) turned by about the largest rotation error; None without one."""
+        T_leaning = T_tool_in_world @ _leans(_LEANING * tolerance.rotation)
+        for k in np.flatnonzero(self.may_reach(T_leaning, tolerance)):
+            if (found := self._exact(T_leaning[k], start, tolerance.margin)) is not None:
+                return found
+        return None
+
+    def _is_regular(self, joints: Array) -> bool:
+        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _MIN_FROM_SINGULAR
+
+    def _margin(self, joints: Array) -> float:
+        return float(np.minimum(joints - self._low, self._high - joints).min())
+
+    def _searched(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
+        configuration, task = self._configuration, self._task
+        configuration.update(start)
+        task.set_target(mink.SE3.from_matrix(self._T_world_in_base @ T_tool_in_world))
+        error = task.compute_error(configuration)
+        cost, damping = self._cost(error), _DAMPING_START
+        for _ in range(iterations):
+            if cost < _MIN_COST:
+                break
+            try:
+                # For a step of one second, the velocity equals the change of the joints.
+                change = mink.solve_ik(configuration, [task], 1.0, _SOLVER, damping=damping, limits=self._limits)
+            except mink.NoSolutionFound:
+                # The solver fails for targets that are too far away. A shorter step may work.
+                damping *= _REJECTED
+                if damping > _DAMPING_MAX:
+                    break
+                continue
+            before = configuration.q
+            configuration.integrate_inplace(change, 1.0)
+            new_error = task.compute_error(configuration)
+            new_cost = self._cost(new_error)
+            if new_cost > cost:
+                configuration.update(before)
+                damping *= _REJECTED
+                if damping > _DAMPING_MAX:
+                    break
+                continue
+            error, cost, damping = new_error, new_cost, max(damping * _ACCEPTED, _DAMPING_MIN)
+            if np.abs(change).max() < _CONVERGED:
+                break
+        joints = configuration.q
+        return IkSolution(
+            joints=joints,
+            position_error=float(np.linalg.norm(error[:3])),
+            tilt_error=math.hypot(error[3], error[4]),
+            heading_error=abs(float(error[5])),
+            margin=self._margin(joints),
+        )
+
+    def pose_of(self, joints: Array) -> Array:
+        """Pose (4, 4) in `world` of the held frame with the arm at `joints` (dof,)."""
+        self._configuration.update(joints)
+        T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
+        return self._T_base_in_world @ T
+
+    def _cost(self, error: Array) -> float:
+        weighted = self._task.cost * error
+        return float(weighted @ weighted)
+
+
+@functools.cache
+def _leans(angle: float) -> Array:
+    """Rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
+    axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
+    return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

@@ -1,0 +1,107 @@
+"""An arm as skills see it: its last command, what it holds, and its reach."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...geometry.se3 import Array, inverse
+from ...scene.compiled import SceneArm
+from ..planning.dynamics import ArmDynamics
+from ..planning.ik import IkSolver, Tolerance
+
+EXACT = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
+PASSING = Tolerance(4e-3, math.radians(6.0), leans=True)  # m and rad, at waypoints
+
+# rad, distance from the stops that every joint keeps if some grip allows it. Tracking errors and a gripper's load move
+# joints by up to 0.05 rad, and a real arm differs from its model.
+RESERVE = 0.15
+
+_SAME_POSITION, _SAME_DIRECTION = 0.01, math.radians(20.0)  # m and rad; grips that differ by less reach the same places
+
+
+@dataclass(frozen=True)
+class Held:
+    """A thing in a hand, with its pose (4, 4) in the pinch frame when last measured."""
+
+    thing: str
+    T_thing_in_pinch: Array
+
+
+class Hand:
+    """An arm with its gripper.
+
+    Attributes:
+        number: of the arm in its scene.
+        side: "left" or "right".
+        arm: the arm's indices in MuJoCo's arrays, and its limits.
+        ik: inverse kinematics of the pinch frame.
+        dynamics: inverse dynamics.
+        ready: joints (dof,) of the parked arm, rad.
+        joints: last commanded joints (dof,), rad.
+        opening: last commanded opening of each finger, m.
+        grip: commanded force of each finger, N.
+        magnet: whether the magnet is commanded on; without effect on a hand that has none.
+        held: the thing in the hand; None without one.
+        failed_grasps: grasps after which the thing could not be brought to its goal.
+        reserve: least distance of every joint from its stops in `reach`, rad; see `Bench.reserve`.
+        leans: whether the hand may lean at waypoints in `reach`; see `Bench.reserve`.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        side: str,
+        arm: SceneArm,
+        ik: IkSolver,
+        dynamics: ArmDynamics,
+        ready: Array,
+        opening: float,
+    ) -> None:
+        self.number, self.side, self.arm = number, side, arm
+        self.ik, self.dynamics = ik, dynamics
+        self.ready = ready
+        self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
+        self.magnet = False
+        self.held: Held | None = None
+        self.failed_grasps: list[Held] = []
+        self.reserve, self.leans = 0.0, False
+
+    def failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
+        """Return whether `failed_grasps` has a similar grasp of a thing, by the pinch frame (4, 4) in the thing's."""
+        earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
+        return any(
+            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_POSITION
+            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_DIRECTION)
+            for T in earlier
+        )
+
+    @property
+    def max_opening(self) -> float:
+        """Largest opening of each finger that can be commanded, m."""
+        assert self.arm.fingers is not None, "skills are for hands with fingers"
+        return float(self.arm.fingers.ctrl_range[1])
+
+    @property
+    def welds(self) -> bool:
+        """Whether the hand holds things by a weld instead of by friction."""
+        return self.arm.weld is not None
+
+    def pinch_at(self, joints: Array) -> Array:
+        """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,)."""
+        return self.ik.pose_of(joints)
+
+    def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
+        """Return joints (dof,) that bring the pinch frame to a pose (4, 4); None without any. See `IkSolver.reach`."""
+        return self.ik.reach(T_pinch_in_world, seeds, self._with_reserve(tolerance))
+
+    def may_reach(self, T_pinch_in_world: Array, tolerance: Tolerance = EXACT) -> Array:
+        """Return for which of the poses (n, 4, 4) `reach` may find joints, see `IkSolver.may_reach`."""
+        return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
+
+    def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
+        margin = max(tolerance.margin, self.reserve)
+        return replace(tolerance, margin=margin, leans=tolerance.leans and self.leans)

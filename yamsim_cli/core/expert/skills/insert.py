@@ -1,0 +1,103 @@
+"""Put a held thing into a container."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ...config.goals.cast import Cast
+from ...geometry.se3 import Array, pose, rotation_z, yaw
+from .bench import Bench
+from .place import Placing
+
+# m, between the places in a container that are tried; the finer step is for a container in which no place of the
+# coarse grid is free down to the floor
+_GRID_STEPS = (0.03, 0.01)
+_FLOOR = 0.02  # m above a container's lowest point; a thing whose lowest point rests lower stands on the floor
+_HEIGHT_STEP = 0.01  # m, resting heights are compared in these steps; at equal height the more central place is better
+
+# share of the volume. A thing that fell over is in the container if at least this share is inside; tall things do not
+# go deep.
+_MIN_SHARE_INSIDE = 0.3
+
+# shares of a container's height at which a place must be inside the container at least once. The block around a
+# container also covers space outside of its walls, such as under a mug's handle.
+_HEIGHTS = (0.25, 0.5, 0.75)
+
+_MAX_LEAN = math.radians(3.0)  # rad, a thing that leans more may also be put into the container as it hangs in the hand
+
+# rad, headings relative to the container's, in the order tried
+_TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
+
+
+class Insert(Placing):
+    """Put a thing where it rests lowest in a container, near the container's middle.
+
+    Attributes:
+        thing: a role; it is in a hand.
+        into: a role: the container.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
+    into: str
+
+    def support(self, cast: Cast) -> str:
+        """See `Placing`."""
+        return cast.one(self.into)
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`: upright ones first; for a thing that leans, then those with the present lean."""
+        container = cast.one(self.into)
+        bottom, floor = bench.world.block(thing)[0][2], bench.world.bounds(container)[0][2] + _FLOOR
+        upright = list[Array]()
+        for step in _GRID_STEPS:
+            upright = self._upright_goals(bench, container, thing, step)
+            if any(T_goal[2, 3] + bottom < floor for T_goal in upright):
+                break
+        return upright + _leaning(bench, thing, container, upright)
+
+    def _upright_goals(self, bench: Bench, container: str, thing: str, step: float) -> list[Array]:
+        """Return upright goals (4, 4) on a grid in the container, those that are lowest and most central first."""
+        T, (low, high) = bench.world.pose(container), bench.world.block(container)
+        heights = low[2] + np.array(_HEIGHTS) * (high - low)[2]
+        found = []
+        for turn in _TURNS:
+            heading = yaw(T) + turn
+            half = bench.half_outline(thing, turn)
+            ranges = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]
+            if any(first > last for first, last in ranges):
+                continue
+            middles = [(first + last) / 2 for first, last in ranges]
+            for x, y in itertools.product(*(_grid(first, last, step) for first, last in ranges)):
+                if not bench.world.inside(container, np.array([(T @ (x, y, z, 1.0))[:3] for z in heights])).any():
+                    continue
+                place = (T @ (x, y, 0.0, 1.0))[:2]
+                height = bench.height_on(thing, place, container, heading)
+                offset = float(np.hypot(x - middles[0], y - middles[1]))
+                found.append((round(height / _HEIGHT_STEP), offset, pose((*place, height), rotation_z(heading))))
+        return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        if bench.world.share_inside(thing, onto) < _MIN_SHARE_INSIDE:
+            super()._check(bench, thing, onto, T_goal)
+
+
+def _grid(first: float, last: float, step: float) -> Array:
+    return np.linspace(first, last, max(1, math.ceil((last - first) / step)) + 1)
+
+
+def _leaning(bench: Bench, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
+    """Return upright goals (4, 4) changed to a thing's present lean; none if the thing hardly leans."""
+    T_now = bench.world.pose(thing)
+    if T_now[2, 2] > math.cos(_MAX_LEAN):
+        return []
+    goals = []
+    for T_upright in upright:
+        T_goal = pose(T_upright[:3, 3], rotation_z(yaw(T_upright) - yaw(T_now)) @ T_now[:3, :3])
+        T_goal[2, 3] = bench.height_of(thing, T_goal, container)
+        goals.append(T_goal)
+    return goals

@@ -1,0 +1,281 @@
+"""Programs: a task's list of skills, read from its YAML, and its execution with retries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from ...config.goals.cast import Cast
+from ...config.program_task import ProgramTask
+from ...errors import ConfigError, suggest
+from ...files.documents.base import ConflictError
+from ...files.documents.explain import dotted
+from .base import Skill, holder_of
+from .bench import Bench, Segment, SkillFailedError
+from .cloth.flatten import Flatten
+from .cloth.fold import Fold
+from .handover import Handover
+from .hang import Hang
+from .insert import Insert
+from .lift import Lift
+from .moves import recover
+from .operate import Operate
+from .pick import Pick
+from .place import Place, Placing
+from .push import Push
+from .put_aside import PutAside, Regrasp, put_back
+from .set_upright import SetUpright, Turn
+
+# The skills of programs. A new skill is a module in this package, and an entry here.
+SKILLS: Mapping[str, type[Skill]] = {
+    "pick": Pick,
+    "place": Place,
+    "insert": Insert,
+    "handover": Handover,
+    "put_aside": PutAside,
+    "push": Push,
+    "set_upright": SetUpright,
+    "turn": Turn,
+    "regrasp": Regrasp,
+    "operate": Operate,
+    "lift": Lift,
+    "hang": Hang,
+    "fold": Fold,
+    "flatten": Flatten,
+}
+
+# The key of a loop over the things of a role: `each: {of: cup, do: [...]}`.
+_EACH = "each"
+
+# count, tries of a skill before the program fails; and tries after which a held thing is put down and grasped anew
+_MAX_TRIES, _TRIES_WITH_SAME_GRASP = 3, 2
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A skill that failed and was tried again.
+
+    Attributes:
+        step: its number in the unrolled program.
+        skill: its name.
+        detail: why it failed.
+    """
+
+    step: int
+    skill: str
+    detail: str
+
+
+@dataclass
+class RecoveryLog:
+    """The skills that failed and were tried again while a program ran."""
+
+    recoveries: list[Recovery] = field(default_factory=list)
+
+
+def program_of(task: ProgramTask, cast: Cast) -> list[Skill]:
+    """Return the skills of a task's expert, with loops unrolled for a cast.
+
+    Raises:
+        ConfigError: the program is not valid, which only an unchecked config such as a dataset's can be.
+    """
+    try:
+        return read_program(task.expert, cast)
+    except ConflictError as error:
+        raise ConfigError(f"task {task.name!r}: expert{dotted(error.paths[0])}: {error}") from error
+
+
+def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()) -> list[Skill]:
+    """Return the skills of a program, with loops unrolled for a cast.
+
+    Args:
+        steps: as in a task's YAML: each has one key, a skill's name or `each`.
+        path: of the steps in the config, for messages.
+
+    Raises:
+        ConflictError: a step is not valid; the path leads to the step.
+    """
+    return [skill for _, skill in read_steps(steps, cast, path)]
+
+
+def read_steps(
+    steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
+    """Yield each skill of a program with its path in the config; see `read_program`."""
+    for k, step in enumerate(steps):
+        yield from _read_step(step, cast, (*path, k), {})
+
+
+def _read_step(
+    step: Mapping[str, Any], cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
+    if len(step) != 1:
+        known = ", ".join((_EACH, *SKILLS))
+        raise ConflictError(f"a step of a program has one key; give one of {known}", path)
+    key, given = next(iter(step.items()))
+    if key == _EACH:
+        yield from _read_each(given, cast, (*path, key), names)
+    elif key not in SKILLS:
+        raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
+    else:
+        yield (*path, key), _read_skill(key, given, cast, (*path, key), names)
+
+
+def _read_each(
+    given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
+    """Yield the steps of a loop, once for each thing of a role.
+
+    Keys of `given`: `of` is a role. `do` is the steps, in which `it` is the present thing, `previous` the thing
+    before, and `number` how many things came before. `skip` is how many things to leave out at the start. `order` lists
+    kinds of things, in the order in which they are visited.
+    """
+    if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
+        raise ConflictError(
+            "`each` has the keys `of`, a role, `do`, a list of steps, and perhaps `skip` and `order`", path
+        )
+    if given["of"] not in cast.things:
+        raise ConflictError(f"unknown role {given['of']!r}; {suggest(str(given['of']), cast.things)}", (*path, "of"))
+    if not isinstance(given["do"], list | tuple) or not given["do"]:
+        raise ConflictError("`do` is a list of steps", (*path, "do"))
+    things = list(cast.of(given["of"]))
+    order = list(given.get("order", ()))
+    if order:
+        things = sorted(
+            (name for name in things if cast.kinds[name] in order), key=lambda name: order.index(cast.kinds[name])
+        )
+    skip = given.get("skip", 0)
+    if not isinstance(skip, int) or skip < 0:
+        raise ConflictError(f"`skip` {skip!r} is not valid: give a number of things, 0 or more", (*path, "skip"))
+    for number in range(skip, len(things)):
+        inner = {**names, "it": things[number], "number": number} | ({"previous": things[number - 1]} if number else {})
+        for k, step in enumerate(given["do"]):
+            yield from _read_step(step, cast, (*path, "do", k), inner)
+
+
+def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]) -> Skill:
+    if not isinstance(given, Mapping):
+        raise ConflictError(f"`{key}` has keys of its own: {', '.join(SKILLS[key].model_fields)}", path)
+    filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
+    try:
+        skill = SKILLS[key].model_validate(filled)
+    except ValidationError as error:
+        # A misspelt key is reported both as unknown and as missing. The unknown key comes first, because it has a
+        # place.
+        found = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing")
+        first = found[0]
+        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        if first["type"] == "extra_forbidden":
+            message = f"unknown key; {suggest(str(first['loc'][-1]), SKILLS[key].model_fields)}"
+        elif first["type"] == "missing":
+            message = "missing; add it"
+        raise ConflictError(message, (*path, *first["loc"])) from error
+    known = {*cast.things, *(name for things in cast.things.values() for name in things), "table"}
+    for argument, role in skill.roles():
+        if role not in known:
+            raise ConflictError(f"unknown role {role!r}; {suggest(role, sorted(known))}", (*path, argument))
+    return skill
+
+
+def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: RecoveryLog) -> Iterator[Segment]:
+    """Yield the segments of skills that run one after the other; a skill that fails is retried from the present state.
+
+    Raises:
+        SkillFailedError: a skill failed `_MAX_TRIES` times.
+    """
+    number = 0
+    tries: dict[int, int] = {}
+    while number < len(program):
+        skill = program[number]
+        try:
+            yield from skill.run(bench, cast, program[number + 1 :])
+        except SkillFailedError as error:
+            tries[number] = tries.get(number, 0) + 1
+            if tries[number] >= _MAX_TRIES:
+                raise
+            log.recoveries.append(Recovery(number, _name(skill), str(error)))
+            # Arms without a free path stay where they are.
+            with suppress(SkillFailedError):
+                yield from recover(bench)
+            if (
+                tries[number] == _TRIES_WITH_SAME_GRASP
+                and isinstance(skill, Placing)
+                and _last_picked(program[:number]) == skill.thing
+            ):
+                with suppress(SkillFailedError):
+                    yield from put_back(bench, cast, skill.thing)
+            number = _retry_from(program, number, bench, cast)
+        else:
+            number += 1
+
+
+def _name(skill: Skill) -> str:
+    return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
+
+
+def _last_picked(program: Sequence[Skill]) -> str | None:
+    """Return the role of the last `pick` of some steps; None without one."""
+    return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
+
+
+def _retry_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
+    """Return the number of the step from which to continue after step `number` failed.
+
+    If a step needs its thing in a hand and no hand holds the thing, the nearest earlier step that picks up the thing is
+    repeated. Any other step is retried by itself.
+    """
+    if not program[number].NEEDS_HELD:
+        return number
+    thing = _thing(program[number], cast)
+    if holder_of(bench, thing) is not None:
+        return number
+    takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
+    return next((k for k in takes if _thing(program[k], cast) == thing), number)
+
+
+def _thing(skill: Skill, cast: Cast) -> str:
+    """Return the thing of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
+    return cast.one(skill.roles()[0][1])
+
+
+# s, typical simulated duration of each skill. Source: means of successful attempts at the shipped tasks. No shipped
+# task has `push`, `turn` or `regrasp`; these are estimated from a reach and a motion, `place` and `handover`.
+SKILL_SECONDS: Mapping[str, float] = {
+    "pick": 2.7,
+    "place": 3.0,
+    "insert": 3.0,
+    "handover": 4.7,
+    "put_aside": 3.0,
+    "push": 5.0,
+    "set_upright": 7.0,
+    "turn": 3.0,
+    "regrasp": 9.4,
+    "operate": 5.0,
+    "lift": 3.7,
+    "hang": 5.0,
+    "fold": 6.8,
+    "flatten": 7.0,
+}
+_THIRDS_FACTOR = 1.6  # factor on "fold": folding in thirds takes two folds in one reach; measured
+
+
+def typical_ticks(task: ProgramTask) -> int:
+    """Return how many control ticks a successful attempt at a task usually takes.
+
+    No hold time is added: most goals have held for it when the last skill ends.
+
+    Raises:
+        ConfigError: the task's program is not valid.
+    """
+    seconds = sum(_seconds(skill) for skill in program_of(task, task.typical_cast))
+    return min(task.most_ticks, math.ceil(seconds / task.timing.tick))
+
+
+def _seconds(skill: Skill) -> float:
+    (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
+    return SKILL_SECONDS[name] * (_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

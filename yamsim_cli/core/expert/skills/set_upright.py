@@ -1,0 +1,104 @@
+"""Set a lying or inverted thing upright."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ...config.goals.cast import Cast
+from ...config.goals.world import TABLE
+from ...geometry.se3 import Array, pose, rotation_z, tilt
+from ...types import Cause
+from .base import Skill, holder_of
+from .bench import Bench, Segment, SkillFailedError
+from .pick import Pick
+from .place import Placing
+
+_RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around where the thing lies
+_PLACES_PER_RING = 8  # count
+
+_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
+
+_MAX_TILT = math.radians(10)  # rad, a thing that leans more has fallen over again
+
+
+class SetUpright(Placing):
+    """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp
+    allows that, the thing is turned before.
+
+    Attributes:
+        thing: a role.
+    """
+
+    NEEDS_HELD: ClassVar[bool | None] = None
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing, pick = cast.one(self.thing), Pick(thing=self.thing)
+        if holder_of(bench, thing) is None:
+            try:
+                yield from pick.run(bench, cast, (self,))
+            except SkillFailedError as error:
+                if error.cause is not Cause.UNREACHABLE or holder_of(bench, thing) is not None:
+                    raise
+                turn_skill = Turn(thing=self.thing)
+                yield from pick.run(bench, cast, (turn_skill,))
+                yield from turn_skill.run(bench, cast, (pick,))
+                yield from pick.run(bench, cast, (self,))
+        yield from super().run(bench, cast, ahead)
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        low, high = bench.world.bounds(thing)
+        middle = (low[:2] + high[:2]) / 2
+        found = []
+        for ring in _RINGS:
+            for k in range(_PLACES_PER_RING if ring else 1):
+                angle = 2 * math.pi * k / _PLACES_PER_RING
+                place = middle + ring * np.array((math.cos(angle), math.sin(angle)))
+                if bench.is_free(thing, place):
+                    height = bench.height_on(thing, place, TABLE, 0.0)
+                    found += [pose((*place, height), rotation_z(heading)) for heading in _HEADINGS]
+        return found
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        super()._check(bench, thing, onto, T_goal)
+        if (leans := tilt(bench.world.pose(thing)[:3, :3])) > _MAX_TILT:
+            raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
+
+
+# rad, deviations of the upper end from the direction towards the arms, in the order tried
+_DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
+_SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
+
+_DROP_FROM = 0.2  # m over the table, from which the resting height is searched
+
+
+class Turn(Placing):
+    """Put a lying thing down in the same attitude, with its z axis towards the arms.
+
+    Attributes:
+        thing: a role; it is in a hand.
+    """
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        T, table = bench.world.pose(thing), float(bench.world.bounds(TABLE)[1][2])
+        low, high = bench.world.bounds(thing)
+        middle = (low + high) / 2
+        towards = bench.middle - middle[:2]
+        towards /= np.linalg.norm(towards)
+        found = []
+        for shift in _SHIFTS:
+            for deviation in _DEVIATIONS:
+                turn = math.atan2(towards[1], towards[0]) + deviation - math.atan2(T[1, 2], T[0, 2])
+                R = rotation_z(turn)
+                origin = middle + R @ (T[:3, 3] - middle)
+                origin[:2] += shift * towards
+                T_goal = pose((*origin[:2], table + _DROP_FROM), R @ T[:3, :3])
+                T_goal[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_goal, table - _DROP_FROM)
+                found.append(T_goal)
+        return found

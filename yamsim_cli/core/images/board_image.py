@@ -1,0 +1,89 @@
+"""Images of boards, for textures, tests and printed pages."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..errors import ConfigError, suggest
+from ..geometry.board import Board
+from .image import Image
+
+WHITE = 255
+
+
+def dictionary_of(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's predefined dictionary by its name, such as "DICT_6X6_250".
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    names = {known: value for known, value in vars(cv2.aruco).items() if known.startswith("DICT_")}
+    if name not in names:
+        raise ConfigError(f"unknown dictionary {name!r}; {suggest(name, names)}")
+    return cv2.aruco.getPredefinedDictionary(int(names[name]))
+
+
+def marker_cells(board: Board) -> Image:
+    """The cells (n, k, k) of a board's markers, 0 black and 255 white, in the order of its ids.
+
+    A marker is `k` cells wide: the dictionary's bits and a black border of one cell around them.
+
+    Raises:
+        ConfigError: OpenCV has no such dictionary, or the dictionary has no such ids.
+    """
+    try:
+        dictionary = dictionary_of(board.dictionary)
+    except ConfigError as error:
+        raise ConfigError(f"board {board.name!r}: {error}") from error
+    known = len(dictionary.bytesList)
+    if board.ids[-1] >= known:
+        raise ConfigError(
+            f"board {board.name!r} has the marker ids {board.ids[0]}..{board.ids[-1]}, but {board.dictionary} ends at "
+            f"{known - 1}; choose a first_id up to {known - len(board.ids)}, or a larger dictionary"
+            if len(board.ids) <= known
+            else f"board {board.name!r} has {len(board.ids)} markers, but {board.dictionary} only {known}; "
+            "choose a larger dictionary"
+        )
+    cells = dictionary.markerSize + 2
+    markers = [dictionary.generateImageMarker(number, cells, borderBits=1) for number in board.ids]
+    return np.asarray(markers, dtype=np.uint8)
+
+
+def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
+    """A board on white, as a grey image (height, width) with exactly `cell_px` pixels to a marker's cell.
+
+    Markers are whole pixels. If gaps are not, each marker stands within half a pixel of its place, and errors do not
+    add up.
+
+    Args:
+        cell_px: edge of a marker's cell, px.
+        quiet_cells: width of the white border in cells. Detectors need at least one cell, or a light surface around.
+
+    Raises:
+        ConfigError: as `marker_cells`.
+    """
+    markers = marker_cells(board)
+    marker_px = markers.shape[1] * cell_px
+    px_per_metre = marker_px / board.marker_length
+    border = quiet_cells * cell_px
+    shape = round(board.height * px_per_metre) + 2 * border, round(board.width * px_per_metre) + 2 * border
+    image = np.full(shape, WHITE, dtype=np.uint8)
+    step = (board.marker_length + board.gap) * px_per_metre
+    for k, marker in enumerate(markers):
+        row, column = divmod(k, board.columns)
+        top, left = border + round(row * step), border + round(column * step)
+        image[top : top + marker_px, left : left + marker_px] = marker.repeat(cell_px, 0).repeat(cell_px, 1)
+    return image
+
+
+def board_texture(board: Board, cell_px: int = 20) -> Image:
+    """A board without a border, as a grey image (height, width) that covers `board.width` x `board.height` metres.
+
+    Its first row is the board's upper edge (+y), and its first column the left edge (-x). The default gives 512 x 512
+    pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
+
+    Raises:
+        ConfigError: as `marker_cells`.
+    """
+    return board_image(board, cell_px, quiet_cells=0)

@@ -1,0 +1,175 @@
+"""HTML and SVG as text, and the parts that report pages share.
+
+Everything that is not markup itself is escaped, so that no data can break out of a page.
+"""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import html
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from .. import __version__
+from .files.writing import write_output
+
+# Elements that never have content, in HTML.
+_VOID = frozenset({"meta", "img", "br", "hr"})
+
+_SPACES = "\n\N{NO-BREAK SPACE}"
+
+# The browser loads nothing but the page itself: no script, font or picture from elsewhere, whatever the data holds.
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+_STYLE = Path(__file__).with_name("report.css")
+
+
+class Markup(str):
+    """Text that is markup, made by `tag` and `join`. Any other text in a page is escaped."""
+
+    __slots__ = ()
+
+
+Child = str | int | float | None | Iterable["Child"]
+
+
+def tag(name: str, /, *children: Child, **attributes: object) -> Markup:
+    """An element.
+
+    Args:
+        children: text, which is escaped; markup; or lists of them. None is left out.
+        attributes: `_` stands for `-`, and at the end for nothing (`class_`). None leaves the attribute out.
+    """
+    written = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{html.escape(_text(value))}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    if name in _VOID:
+        return Markup(f"<{name}{written}>")
+    return Markup(f"<{name}{written}>{join(children)}</{name}>")
+
+
+def join(children: Iterable[Child]) -> Markup:
+    """Children one after the other."""
+    return Markup("".join(map(_child, children)))
+
+
+def document(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
+    """A whole page.
+
+    Args:
+        title: title of the browser's tab.
+        kicker: the kind of page, above the heading.
+        made: the foot of the page, see `made_line`.
+    """
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="referrer", content="no-referrer"),
+        tag("title", title),
+        # The style sheet is the project's own, and must not be escaped.
+        Markup(f"<style>{_STYLE.read_text(encoding='utf-8')}</style>"),
+    ]
+    top = [tag("p", kicker, class_="kicker"), tag("h1", heading)]
+    main = tag("main", top, body, tag("footer", made))
+    return "<!doctype html>\n" + tag("html", tag("head", head), tag("body", main), lang="en") + "\n"
+
+
+def made_line() -> str:
+    """The foot of a page: yamsim's version, and the date."""
+    return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
+
+
+def write_page(text: str, path: Path) -> None:
+    """Write a page, replacing an existing file.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    write_output(path, text.encode(), "--html")
+
+
+def section(title: str, *children: Child) -> Markup:
+    """A section with its heading."""
+    return tag("section", tag("h2", title), children)
+
+
+def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Markup | None = None) -> Markup | None:
+    """A section of figures in a grid; None without figures.
+
+    Args:
+        kind: the grid's class in the style sheet: `columns`, `plans` or `strips`.
+    """
+    return section(title, legend, tag("div", figures, class_=kind)) if figures else None
+
+
+def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
+    """The large figures at the top of a page, each a value and its label."""
+    return tag("div", [tag("div", tag("b", value), tag("span", label)) for value, label in figures], class_="figures")
+
+
+def verdict(text: str, kind: str) -> Markup:
+    """One line on the whole page's subject; `kind` is `fine`, `warning` or `error`."""
+    return tag("p", tag("span", text), class_=f"verdict {kind}")
+
+
+def captioned(title: str, picture: Markup, caption: str) -> Markup:
+    """A plot with its title and caption."""
+    return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
+
+
+def jpeg(data: bytes, alt: str, width: int | None = None) -> Markup:
+    """A JPEG file as an image within the page; `width` in px."""
+    return tag("img", src=f"data:image/jpeg;base64,{base64.b64encode(data).decode()}", alt=alt, width=width)
+
+
+def captioned_jpeg(caption: str, data: bytes, width: int) -> Markup:
+    """A JPEG file with its caption; `width` in px."""
+    return tag("figure", jpeg(data, caption, width), tag("figcaption", caption))
+
+
+def legend(entries: Iterable[tuple[str | None, str]]) -> Markup:
+    """A legend of pairs: a mark's class in the style sheet, None for the usual dot, and what the mark means."""
+    return tag("div", [tag("span", tag("i", class_=kind), text) for kind, text in entries], class_="legend")
+
+
+def header_row(headings: Iterable[str]) -> Markup:
+    """A table's row of column headings."""
+    return tag("tr", [tag("th", text, scope="col") for text in headings])
+
+
+def rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
+    """A table's rows, whose first cells are their headings."""
+    return [tag("tr", tag("th", row[0], scope="row"), [tag("td", cell) for cell in row[1:]]) for row in cells]
+
+
+def table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
+    """A table with column headings, see `rows`."""
+    return tag("table", tag("thead", header_row(headings)), tag("tbody", rows(cells)))
+
+
+def percent(rate: float, digits: int = 1) -> str:
+    """A rate of 0..1 in per cent."""
+    return f"{rate * 100:.{digits}f}\N{NO-BREAK SPACE}%"
+
+
+def _child(child: Child) -> str:
+    if child is None:
+        return ""
+    if isinstance(child, Markup):
+        return child
+    if isinstance(child, str | int | float):
+        return html.escape(_text(child))
+    return join(child)
+
+
+def _text(value: object) -> str:
+    """A value as text: floats with two decimals, and strings without characters that control or reverse other text."""
+    if isinstance(value, float):
+        return f"{value:.2f}".rstrip("0").rstrip(".")
+    return "".join(
+        letter if letter.isprintable() or letter in _SPACES else "\N{REPLACEMENT CHARACTER}" for letter in str(value)
+    )

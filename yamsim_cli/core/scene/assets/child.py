@@ -1,0 +1,102 @@
+"""Run another program with time limits and without output, and leave no process behind."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from .sources import SourceError
+
+_POLL_S = 0.1  # s, between two looks at the child
+_PR_SET_PDEATHSIG = 1  # of prctl(2)
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: a new child may take no locks
+
+
+@dataclass(frozen=True)
+class ChildResult:
+    """How a program ended, and all that it wrote."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def python_call(function: str, *arguments: str | int) -> list[str]:
+    """The command that calls `function`, such as `core.package.module.function`, in another Python process.
+
+    -P keeps files in the current folder from being imported.
+    """
+    module, _, name = function.rpartition(".")
+    root = str(Path(__file__).resolve().parents[4])
+    code = f"import sys; sys.path.insert(0, {root!r}); from yamsim_cli.{module} import {name}; {name}(*{arguments!r})"
+    return [sys.executable, "-P", "-c", code]
+
+
+def run_child(
+    command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
+) -> ChildResult:
+    """Run a program to its end; at a time limit, kill the program and its children.
+
+    Args:
+        command: the program and its arguments; it inherits the environment.
+        scratch: folder for files with its output, so that no full pipe can block it.
+        limit_s: longest time in all, s.
+        idle_s: longest time without a change of `watch`, s: a dead line is given up early, and a slow one is not.
+        watch: returns the progress of the program; called ten times a second.
+
+    Raises SourceError if the program could not be started, or a limit was reached.
+    """
+    out, err = scratch / "stdout.txt", scratch / "stderr.txt"
+    with out.open("wb") as stdout, err.open("wb") as stderr:
+        try:
+            # A session of its own can be killed as a whole, and Ctrl-C in the terminal does not reach it.
+            child = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stdout,
+                stderr=stderr,
+                start_new_session=True,
+                preexec_fn=functools.partial(_end_with_parent, os.getpid()),
+            )
+        except OSError as error:
+            raise SourceError(f"cannot run {command[0]}: {error.strerror}") from error
+        try:
+            _wait(child, limit_s, idle_s, watch)
+        finally:
+            if child.poll() is None:
+                os.killpg(child.pid, signal.SIGKILL)
+                child.wait()
+    return ChildResult(child.returncode, out.read_text(errors="replace"), err.read_text(errors="replace"))
+
+
+def _end_with_parent(parent: int) -> None:
+    """Have the kernel kill this process, a new child, when its parent ends for any reason."""
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
+
+
+def _wait(child: subprocess.Popen[bytes], limit_s: float, idle_s: float, watch: Callable[[], int] | None) -> None:
+    start = moved = time.monotonic()
+    seen = None
+    while True:
+        try:
+            child.wait(_POLL_S)
+            return
+        except subprocess.TimeoutExpired:
+            now = time.monotonic()
+        if watch is not None and (value := watch()) != seen:
+            seen, moved = value, now
+        if now - start > limit_s:
+            raise SourceError(f"not done after {limit_s:g} s")
+        if watch is not None and now - moved > idle_s:
+            raise SourceError(f"nothing arrived for {idle_s:g} s")

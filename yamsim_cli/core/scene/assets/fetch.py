@@ -1,0 +1,175 @@
+"""Fetch missing asset sets into the store: every set from the first source that gives the locked files."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import uuid
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import ResourceError
+from ...files.writing import exclusive_lock
+from .downloads import MadeHere, Menagerie, PinnedArchives
+from .lock import AssetLock, AssetSet
+from .sources import AssetSource, FetchProgress, SourceError, no_progress
+from .store import AssetStore, MismatchError
+
+STORE = "store"  # the source, in a report, of a set that was in the store before
+
+
+@dataclass(frozen=True)
+class FetchedSet:
+    """A set in the store: its name, its source (`"store"` if it was there before), and its folder."""
+
+    name: str
+    source: str
+    directory: Path
+
+
+@dataclass(frozen=True)
+class FetchReport:
+    """Every requested set, in the lock's order."""
+
+    sets: tuple[FetchedSet, ...]
+
+
+def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
+    """The sources, the most official first."""
+    return MadeHere(lock.made), Menagerie(), PinnedArchives(lock.archives)
+
+
+def fetch(
+    lock: AssetLock,
+    names: Iterable[str],
+    store: AssetStore,
+    sources: Sequence[AssetSource],
+    progress: FetchProgress = no_progress,
+    *,
+    stop_at_failure: bool = False,
+) -> FetchReport:
+    """Fetch the named sets that are not in the store. A set is published whole or not at all.
+
+    Of two processes that fetch at once, one does the work and the other waits.
+
+    Args:
+        names: names of sets in `lock`; if empty, all sets that are not on demand.
+        sources: tried in this order for each set.
+        stop_at_failure: skip all sets after one that no source gives.
+
+    Raises:
+        UsageError: a name is not in the lock.
+        ResourceError: the store cannot be written to, or no source gives a set; the other sets are published.
+    """
+    wanted = lock.select(names)
+    found = {assets.name: store.resolve(assets) for assets in wanted}
+    sets = {name: FetchedSet(name, STORE, directory) for name, directory in found.items() if directory is not None}
+    missing = [assets for assets in wanted if assets.name not in sets]
+    failures = []
+    if missing:
+        with store.writing() as staging:
+            for assets in missing:
+                try:
+                    sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
+                except SourceError as error:
+                    failures.append(f"{assets.name} ({error})")
+                    if stop_at_failure:
+                        break
+            if not failures:
+                store.failure_mark.unlink(missing_ok=True)
+    if failures:
+        raise ResourceError(
+            f"could not fetch {', '.join(failures)}; check the network and run `yamsim assets fetch` again, or copy "
+            f"the files by hand into {store.root}/<set>/ (`yamsim assets list` names them)"
+        )
+    return FetchReport(tuple(sets[assets.name] for assets in wanted))
+
+
+def _obtain(
+    assets: AssetSet,
+    lock: AssetLock,
+    store: AssetStore,
+    sources: Sequence[AssetSource],
+    staging: Path,
+    progress: FetchProgress,
+) -> FetchedSet:
+    """Publish a set from the first source that gives the locked files; to be called within `store.writing`."""
+    if (present := store.resolve(assets)) is not None:
+        # Another process fetched the set while this one waited for the store.
+        return FetchedSet(assets.name, STORE, present)
+    reasons = []
+    for source in sources:
+        if not source.offers(assets):
+            continue
+        try:
+            files = _read(source, assets, staging / uuid.uuid4().hex, progress)
+            directory = store.publish(assets, files, lock.notices[assets.notice])
+        except (SourceError, MismatchError) as error:
+            reasons.append(f"{source.name}: {error}")
+        else:
+            return FetchedSet(assets.name, source.name, directory)
+    raise SourceError("; ".join(reasons) or "no source offers it")
+
+
+def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+    """The files that a source gives; an OSError counts as the source's failure."""
+    try:
+        scratch.mkdir()
+        return source.read(assets, scratch, progress)
+    except OSError as error:
+        raise SourceError(str(error)) from error
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+FAILURE_VALID_S = 3600.0  # s, after a failed download, how long later commands do not try again
+IDLE_S = 7.0  # s, longest time without a byte; with Menagerie's probe of 2 s, a download without network ends in 10 s
+ARCHIVE_S = 300.0  # s, longest time for one archive of 33 MB at most: 110 kB/s is enough
+MENAGERIE_S = 30.0  # s, longest time for the 5 MB of Menagerie's model; the pinned archive is tried after it
+
+_LOCK = ".first-use"
+
+
+def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
+    """Fetch sets for a command that shows them, and stop at the first failure.
+
+    A failure is noted in the store: for `FAILURE_VALID_S`, no source on the network is tried again.
+
+    Raises ResourceError if a set could not be fetched, now or within `FAILURE_VALID_S`.
+    """
+    try:
+        store.root.mkdir(parents=True, exist_ok=True)
+        with exclusive_lock(store.root / _LOCK):
+            if made := [name for name in names if name in lock.made]:
+                fetch(lock, made, store, (MadeHere(lock.made),))
+            if downloaded := [name for name in names if name not in lock.made]:
+                _download(lock, downloaded, store, progress)
+    except OSError as error:
+        raise ResourceError(f"cannot write to the asset store {store.root}: {error.strerror or error}") from error
+
+
+def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
+    absent = [name for name in names if store.resolve(lock.sets[name]) is None]
+    if not absent:
+        return
+    if _failed_lately(store):
+        raise ResourceError("fetching them failed less than an hour ago; run `yamsim assets fetch` to try again now")
+    sources = (Menagerie(limit_s=MENAGERIE_S), PinnedArchives(lock.archives, idle_s=IDLE_S, limit_s=ARCHIVE_S))
+    try:
+        fetch(lock, absent, store, sources, progress, stop_at_failure=True)
+    except ResourceError:
+        with contextlib.suppress(OSError):
+            store.failure_mark.touch()
+        raise
+
+
+def _failed_lately(store: AssetStore) -> bool:
+    lock = store.root / _LOCK
+    try:
+        # Both times are from the file system's clock, which can differ from the machine's clock.
+        lock.touch()
+        age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
+    except OSError:
+        return False
+    return 0 <= age_s < FAILURE_VALID_S

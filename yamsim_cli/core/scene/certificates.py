@@ -1,0 +1,124 @@
+"""Stored certificates: the results of a thing's checks, by a hash over everything that was checked."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from ..config.things.made import MADE, made_files
+from ..config.things.thing import ObjectConfig
+from ..errors import ResourceError
+from ..files.writing import sha256_bytes, write_file
+from .assets import AssetLock
+
+_CHECKS_VERSION = 3  # grows with every change of a check's decisions, which makes older certificates stale
+_FOLDER = "certificates"
+_CONTENT = re.compile(r"-[0-9a-f]{12}$")  # the content hash at the end of the name of an imported set
+
+
+class Standing(StrEnum):
+    """The state of a thing's certificate."""
+
+    NONE = "not certified"
+    GOOD = "certified"
+    FAILED = "failed"
+    STALE = "stale"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A stored result: its state now, the codes of the failed checks, and its file if there is one."""
+
+    standing: Standing
+    failed: tuple[str, ...] = ()
+    path: Path | None = None
+
+
+def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
+    """SHA-256 over everything that decides a certificate: config, meshes, and the version of the checks."""
+    files = {}
+    for mesh in item.all_meshes:
+        # The name of an imported set contains a hash of its content; other folders have no known hash.
+        locked = lock.sets.get(mesh.set)
+        files[f"{mesh.set}/{mesh.file}"] = (
+            locked.files[mesh.file].sha256 if locked and mesh.file in locked.files else ""
+        )
+    if item.shape is not None:
+        made = made_files(item.name, item.shape)
+        files |= {f"{MADE}/{name}": sha256_bytes(data) for name, data in made.items()}
+    inputs = {"checks": _CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
+    return sha256_bytes(json.dumps(inputs, sort_keys=True).encode())
+
+
+def store_certificate(
+    assets: Path, item: ObjectConfig, lock: AssetLock, found: Mapping[str, Any], made_with: Mapping[str, str]
+) -> Path:
+    """Write the certificate of a thing as it is now, and return its file. Certificates of other contents stay.
+
+    Args:
+        assets: the cache of meshes.
+        found: the results, as JSON.
+        made_with: names and versions of the programs.
+
+    Raises:
+        ResourceError: the certificate cannot be written.
+    """
+    inputs = inputs_hash(item, lock)
+    path = _path(assets, item, inputs)
+    text = json.dumps({"inputs": inputs, "made_with": dict(made_with), **found}, indent=1) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, text.encode())
+    except OSError as error:
+        raise ResourceError(f"the certificate {path} cannot be written: {error.strerror}") from error
+    return path
+
+
+def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
+    """The certificate of a thing as it is now, else the newest of its earlier contents, as stale.
+
+    Certificates that cannot be read are ignored.
+    """
+    inputs = inputs_hash(item, lock)
+    path = _path(assets, item, inputs)
+    if (failed := _failed_checks(path, inputs)) is not None:
+        return Certificate(Standing.FAILED if failed else Standing.GOOD, failed, path)
+    for older in _older(path, item):
+        if (failed := _failed_checks(older)) is not None:
+            return Certificate(Standing.STALE, failed, older)
+    return Certificate(Standing.NONE)
+
+
+def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:
+    """The codes that failed in a stored certificate; None if the file is unreadable or of other inputs."""
+    try:
+        stored = json.loads(path.read_bytes())
+        if inputs not in (None, stored["inputs"]):
+            return None
+        return tuple(str(check["code"]) for check in stored["checks"] if check["ok"] is False)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
+    return assets / _FOLDER / f"{item.name}-{_identity(item, item.mesh.set)}-{inputs[:12]}.json"
+
+
+def _older(path: Path, item: ObjectConfig) -> list[Path]:
+    """Certificates of other contents of the same thing, the newest first.
+
+    Up to version 0.2.0 a file's name had no content hash, and imports of different files under one name shared it.
+    """
+    shared = f"{item.name}-{_identity(item, _CONTENT.sub('', item.mesh.set))}.json"
+    found = path.parent.glob(f"{item.name}-{_identity(item, item.mesh.set)}-*.json")
+    return [*sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True), path.with_name(shared)]
+
+
+def _identity(item: ObjectConfig, mesh_set: str) -> str:
+    """A digest over the mesh, which tells two things of one name apart."""
+    return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]

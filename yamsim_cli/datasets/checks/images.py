@@ -1,0 +1,221 @@
+"""Checks of images and of ground truth: they decode, have the right sizes, and images change when the arm moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.dataset.checks.problem import Problems
+from yamsim_cli.core.dataset.layout import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
+from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import ImageHeader, ImageLook
+
+_MAX_PIXELS = 2**26  # of an image that is decoded: a header can announce gigabytes
+
+# Measured on a smaller copy of the picture, so that neither noise nor a few bad pixels count.
+_UNIFORM_CONTRAST = 2.0  # 0 .. 255, contrast below which an image is uniform
+_BLACK_BRIGHTNESS = 16.0  # 0 .. 255, brightness below which a uniform image is black
+
+# A camera is frozen if `_FROZEN_RUN` images in a row are equal while a joint moves by `_FROZEN_MOTION` rad. 0.02 rad
+# move the hand, half a metre away, by 10 mm or 5 pixels in the task's camera. Images of a slower arm may be equal.
+_FROZEN_RUN = 3
+_FROZEN_MOTION = 0.02
+
+# Gets a file's path and content, and notes a wrong hash.
+HashCheck = Callable[[str, bytes], object]
+# Gets a file's path, and returns its content or None.
+Read = Callable[[str], bytes | None]
+
+
+class ImageReader(Protocol):
+    """Decodes images. Callers pass it in, since this package does not know OpenCV."""
+
+    def header(self, data: bytes) -> ImageHeader | None:
+        """Size and channels; None if `data` is no whole image."""
+        ...
+
+    def look(self, data: bytes) -> ImageLook | None:
+        """Measures of the decoded image; None if `data` cannot be decoded."""
+        ...
+
+    def labels(self, data: bytes) -> NDArray[np.uint8] | None:
+        """A decoded segmentation image (height, width); None if `data` is no whole one."""
+        ...
+
+
+class CameraChecks:
+    """Checks one camera's images, one after the other.
+
+    Args:
+        size: width and height that images should have; None takes those of the first image.
+    """
+
+    def __init__(self, camera: str, size: tuple[int, int] | None, reader: ImageReader, problems: Problems) -> None:
+        self._camera = camera
+        self._stated = size
+        self._reader = reader
+        self._problems = problems
+        self.size = size
+        self.fingerprints: dict[int, int] = {}
+
+    def check(self, number: int, name: str, data: bytes) -> bool:
+        """Note an image's faults; returns whether the image could be decoded."""
+        header = self._reader.header(data)
+        if header is None:
+            self._problems.add("image.decode", name, f"{len(data)} bytes")
+            return False
+        size = (header.width, header.height)
+        if header.width * header.height > _MAX_PIXELS:
+            self._add("image.size", name, _by(size), f"at most {_MAX_PIXELS} pixels")
+            return True
+        if self.size is None:
+            self.size = size
+        if size != self.size:
+            self._add("image.size", name, _by(size), _by(self.size) + ("" if self._stated else ", as the first one"))
+        if header.channels != 3:
+            self._add("image.colour", name, f"{header.channels} channel", "3 channels")
+        look = self._reader.look(data)
+        if look is None or look.complaint:
+            self._problems.add("image.decode", name, look.complaint if look else f"{len(data)} bytes")
+            return False
+        if look.contrast < _UNIFORM_CONTRAST:
+            code = "image.black" if look.brightness < _BLACK_BRIGHTNESS else "image.uniform"
+            self._add(code, name, f"brightness {look.brightness:.0f} of 255, contrast {look.contrast:.1f}")
+        self.fingerprints[number] = look.fingerprint
+        return True
+
+    def _add(self, code: str, name: str, value: str, valid: str = "") -> None:
+        self._problems.add(code, name, value, valid, about=self._camera)
+
+
+def check_frozen(
+    fingerprints: Mapping[int, int], names: Mapping[int, str], joints: Mapping[int, Array], problems: Problems
+) -> None:
+    """Note runs of equal images during which the arm moves.
+
+    Args:
+        fingerprints: frame -> its image's fingerprint.
+        joints: frame -> joint angles, rad.
+    """
+    for run in _equal_runs(fingerprints):
+        known = [joints[k] for k in run if k in joints]
+        if len(run) < _FROZEN_RUN or len(known) < 2:
+            continue
+        motion = float(np.max(np.ptp(np.array(known), axis=0)))
+        if motion > _FROZEN_MOTION:
+            value = f"frames {run[0]} to {run[-1]} are the same image while a joint moves {motion:.2f} rad"
+            problems.add("image.frozen", names[run[0]], value)
+
+
+def _equal_runs(fingerprints: Mapping[int, int]) -> list[Sequence[int]]:
+    runs: list[list[int]] = []
+    for number in sorted(fingerprints):
+        last = runs[-1][-1] if runs else None
+        if last == number - 1 and fingerprints[number] == fingerprints[last]:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return list(runs)
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
+
+
+class TruthChecks:
+    """Checks the ground truth of one episode, of which `record` states it.
+
+    Args:
+        hash_fits: called for each image that is whole.
+    """
+
+    def __init__(
+        self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: Problems
+    ) -> None:
+        self._record = record
+        self._reader = reader
+        self._read = read
+        self._hash_fits = hash_fits
+        self._problems = problems
+        self._labels = self._read_labels()
+
+    def _read_labels(self) -> TruthLabels | None:
+        data = self._read(TRUTH_LABELS)
+        if data is None:
+            return None
+        try:
+            labels = from_json(TruthLabels, data, TRUTH_LABELS)
+        except DatasetError as error:
+            self._problems.add("truth.damaged", TRUTH_LABELS, str(error).removeprefix(f"{TRUTH_LABELS}: "))
+            return None
+        if labels.cloths != self._record.cloths:
+            self._problems.add("truth.cloth", TRUTH_LABELS, _grids(labels.cloths), _grids(self._record.cloths))
+        return labels
+
+    def check_missing(self, present: Mapping[str, int]) -> None:
+        """Note files that are neither present nor recorded; recorded files that are missing are noted elsewhere."""
+        for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
+            if name not in present and name not in self._record.files:
+                self._problems.add("truth.missing", name)
+
+    def check_arrays(self, camera: str) -> None:
+        """Check one camera's arrays of poses, keypoints and boxes."""
+        name = truth_name(camera)
+        data = self._read(name)
+        if data is None:
+            return
+        try:
+            arrays = load_truth(data)
+        except DatasetError as error:
+            self._problems.add("truth.damaged", name, str(error))
+            return
+        if self._labels is not None:
+            for fault in array_faults(arrays, self._labels, self._record.frames):
+                self._problems.add("truth.shape", name, fault)
+
+    def check_depth(self, camera: str, name: str) -> None:
+        """Check one depth image."""
+        data = self._read(name)
+        if data is None:
+            return
+        try:
+            depth = load_depth(data)
+        except DatasetError as error:
+            self._problems.add("depth.decode", name, str(error))
+            return
+        self._check_size("depth.size", camera, name, depth)
+        self._hash_fits(name, data)
+
+    def check_segmentation(self, camera: str, name: str) -> None:
+        """Check one segmentation image."""
+        data = self._read(name)
+        if data is None:
+            return
+        labels = self._reader.labels(data)
+        if labels is None:
+            self._problems.add("segmentation.decode", name, f"{len(data)} bytes")
+            return
+        self._check_size("segmentation.size", camera, name, labels)
+        if self._labels is not None:
+            known = {label.id for label in self._labels.labels}
+            unknown = sorted(set(np.unique(labels).tolist()) - known)
+            if unknown:
+                value = ", ".join(map(str, unknown))
+                self._problems.add("segmentation.label", name, value, f"0 to {max(known)}", about=camera)
+        self._hash_fits(name, data)
+
+    def _check_size(self, code: str, camera: str, name: str, image: NDArray[np.generic]) -> None:
+        height, width = image.shape
+        wanted = self._record.cameras[camera]
+        if (width, height) != wanted:
+            self._problems.add(code, name, f"{width}x{height}", f"{wanted[0]}x{wanted[1]}", about=(code, camera))
+
+
+def _grids(cloths: Mapping[str, tuple[int, int]]) -> str:
+    return ", ".join(f"{name} of {x} x {y} points" for name, (x, y) in sorted(cloths.items())) or "no cloth"

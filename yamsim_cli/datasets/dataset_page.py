@@ -1,0 +1,270 @@
+"""A dataset's report as one HTML page without other files, for a browser, a wiki or a printer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..core import plots
+from ..core.errors import file_size
+from ..core.markup import (
+    Child,
+    Markup,
+    captioned,
+    document,
+    grid_section,
+    jpeg,
+    key_figures,
+    legend,
+    percent,
+    rows,
+    section,
+    tag,
+    verdict,
+)
+from ..core.plots import Places, Point, workspace
+from .checks.facts import EpisodeFacts
+from .summary import Survey, within, workspace_coverage
+
+_MAX_CAUSES = 12  # causes of failure in the plot
+_MAX_EXAMPLES = 5  # examples of each problem's code; --json has them all
+_MAX_OBJECTS = 4  # objects with plots of the workspace
+_MOVED = 0.02  # m; only an object that moved farther in some episode gets a plot of its ends
+_WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
+_SPREAD = {"median": "median", "p95": "95 %", "max": "largest"}
+
+
+@dataclass(frozen=True)
+class Strip:
+    """JPEG files of an episode's first, middle and last frame, as far as they can be shown."""
+
+    episode: str
+    caption: str
+    pictures: Sequence[bytes]
+
+
+def dataset_page(survey: Survey, summary: Mapping[str, Any], strips: Sequence[Strip], made: str) -> str:
+    """The page as HTML.
+
+    Args:
+        summary: the survey's figures by `dataset.summary.summarize`.
+        made: see `markup.document`.
+    """
+    path = survey.path.absolute()
+    name = path.name or str(survey.path)
+    body = [
+        tag("p", str(path), class_="where"),
+        _verdict(summary),
+        _figures(summary),
+        _problems(summary["problems"]),
+        _success(summary),
+        _workspace(survey, summary),
+        _contact_sheet(strips),
+        _details(summary),
+    ]
+    return document(f"{name}: dataset report", "Dataset report", name, body, made)
+
+
+def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
+    """The numbers of errors and of warnings: ``"1 error"``, ``"1,200 warnings"``."""
+    errors, warnings = summary["errors"], summary["warnings"]
+    return f"{errors:,} error{'' if errors == 1 else 's'}", f"{warnings:,} warning{'' if warnings == 1 else 's'}"
+
+
+def by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Problems grouped by their codes, errors first."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for problem in problems:
+        groups.setdefault(problem["code"], []).append(problem)
+    return sorted(groups.items(), key=lambda group: group[1][0]["severity"])
+
+
+def _verdict(summary: Mapping[str, Any]) -> Markup:
+    errors, warnings = problem_counts(summary)
+    if summary["errors"]:
+        return verdict(f"{errors} and {warnings}: not to be trained on as it is.", "error")
+    if not summary["episodes"]:
+        return verdict("There is no episode in it yet.", "warning")
+    if summary["warnings"]:
+        return verdict(f"Whole, with {warnings} to look at.", "warning")
+    return verdict("Whole: every file was opened and is as it should be.", "fine")
+
+
+def _figures(summary: Mapping[str, Any]) -> Markup:
+    figures = [
+        (f"{summary['episodes']:,}", "episodes"),
+        (f"{summary['frames']:,}", "frames"),
+        (_duration(summary["seconds"]), "of motion"),
+        (file_size(summary["bytes"]), "on the disk"),
+    ]
+    attempts = summary["attempts"]
+    if attempts["n"]:
+        low, high = attempts["wilson95"]
+        label = f"of {attempts['n']:,} attempts ({percent(low, 0)} to {percent(high, 0)})"
+        figures.append((percent(attempts["success_rate"]), label))
+    if spread := summary["dxy_m"]:
+        label = f"median distance (95\N{NO-BREAK SPACE}%: {spread['p95'] * 1000:.1f} mm)"
+        figures.append((f"{spread['median'] * 1000:.1f} mm", label))
+    return key_figures(figures)
+
+
+def _problems(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
+    """A table of the codes that were found, with counts, examples and advice; None without problems."""
+    if not problems:
+        return None
+    headings = (("problem", None), ("found", "number"), ("what and where", None), ("what to do", None))
+    head = tag("tr", [tag("th", text, scope="col", class_=kind) for text, kind in headings])
+    body = [_code_row(code, group) for code, group in by_code(problems)]
+    return section("Problems", tag("div", tag("table", tag("thead", head), tag("tbody", body)), class_="scroll"))
+
+
+def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
+    examples = [tag("li", _example(problem)) for problem in problems[:_MAX_EXAMPLES]]
+    if len(problems) > _MAX_EXAMPLES:
+        examples.append(tag("li", f"and {len(problems) - _MAX_EXAMPLES:,} more"))
+    first = problems[0]
+    # Commands stand between backquotes in advice.
+    advice = [tag("code", part) if k % 2 else part for k, part in enumerate(first["advice"].split("`"))]
+    return tag(
+        "tr",
+        tag("td", tag("code", code, class_=first["severity"]), class_="code"),
+        tag("td", f"{len(problems):,}", class_="number"),
+        tag("td", first["title"], tag("ul", examples)),
+        tag("td", advice, class_="advice"),
+    )
+
+
+def _example(problem: Mapping[str, Any]) -> list[Child]:
+    place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
+    valid = f"; valid: {problem['valid']}" if problem["valid"] else ""
+    more = f" (in {problem['count']} frames)" if problem["count"] > 1 else ""
+    value = f"{problem['value']}{valid}{more}"
+    return [tag("code", place) if place else None, ": " if place and value else None, value]
+
+
+def _success(summary: Mapping[str, Any]) -> Markup | None:
+    attempts = summary["attempts"]
+    figures = []
+    rate_rows = [
+        (f"{label}, {float(limit) * 100:g} cm", rate, intervals[limit])
+        for label, found, intervals in (
+            ("episodes", summary["success_rate"], summary["wilson95"]),
+            *([("attempts", attempts["rates"], attempts["rates_wilson95"])] if attempts["n"] else []),
+        )
+        for limit, rate in found.items()
+        if rate is not None
+    ]
+    if rate_rows:
+        whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
+        figures.append(captioned("Success by threshold", plots.rates(rate_rows), f"{whose}; lines are {_WILSON}."))
+    limits = [float(limit) for limit in summary["success_rate"]]
+    for key, title, marked in (
+        ("dxy_m", "Distance from the target's centre", limits),
+        ("dz_m", "Height over the target", []),
+    ):
+        if spread := summary[key]:
+            bins = spread["histogram"]
+            caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD.items())
+            picture = plots.distances(bins["edges"], bins["counts"], marked, title)
+            figures.append(captioned(title, picture, caption.capitalize() + "."))
+    if causes := attempts["causes"]:
+        caption = f"{sum(causes.values()):,} of {attempts['n']:,} attempts failed."
+        bars = plots.failure_bars(dict(list(causes.items())[:_MAX_CAUSES]))
+        figures.append(captioned("Failures by cause", bars, caption))
+    return grid_section("Success", figures, "columns")
+
+
+def _workspace(survey: Survey, summary: Mapping[str, Any]) -> Markup | None:
+    """Plots of each object's start, and of its end if it moved, coloured by success at the smallest threshold."""
+    names = list(dict.fromkeys(name for episode in survey.episodes for name in episode.starts))[:_MAX_OBJECTS]
+    threshold = min((float(limit) for limit in summary["success_rate"]), default=survey.context.threshold)
+    found = [
+        _panel(survey, name, threshold, last=last)
+        for name in names
+        for last in (False, True)
+        if not last or _moved(survey.episodes, name)
+    ]
+    panels = [panel for panel in found if panel]
+    return grid_section("Workspace", panels, "plans", _workspace_legend(survey, threshold) if panels else None)
+
+
+def _panel(survey: Survey, name: str, threshold: float, *, last: bool) -> Markup | None:
+    good: list[Point] = []
+    bad: list[Point] = []
+    for episode in survey.episodes:
+        point = (episode.ends if last else episode.starts).get(name)
+        if point:
+            (good if within(episode, threshold, survey) or not episode.outcome else bad).append(point)
+    failed = [] if last else _failed_starts(survey, name)
+    if not (good or bad or failed):
+        return None
+    grid = workspace_coverage(survey, good + bad)
+    box = survey.context.sampling
+    title = f"{name}, {'end' if last else 'start'}"
+    frame = "world" if survey.context.recorded else "the robot's base"
+    picture = workspace(Places(good, bad, failed, grid), (box.x, box.y) if box else None, frame, title)
+    known = f"{grid.cells_hit} of {grid.cells} cells hit, {grid.outside} outside the box" if grid else ""
+    return captioned(title, picture, known or "sampling box unknown")
+
+
+def _failed_starts(survey: Survey, name: str) -> list[Point]:
+    layouts = [attempt.layout for attempt in survey.attempts if not attempt.outcome.success]
+    return [(layout[name][0], layout[name][1]) for layout in layouts if name in layout]
+
+
+def _moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
+    pairs = [(e.starts[name], e.ends[name]) for e in episodes if name in e.starts and name in e.ends]
+    return any(math.dist(start, end) > _MOVED for start, end in pairs)
+
+
+def _workspace_legend(survey: Survey, threshold: float) -> Markup:
+    entries: list[tuple[str | None, str]] = [(None, f"episode within {threshold * 100:g} cm")]
+    if any(episode.outcome and not within(episode, threshold, survey) for episode in survey.episodes):
+        entries.append(("bad", f"episode beyond {threshold * 100:g} cm"))
+    if any(not attempt.outcome.success for attempt in survey.attempts):
+        entries.append(("failed", "failed attempt"))
+    if survey.context.sampling:
+        entries.append(("cell", "cell of 5 cm that was hit"))
+    return legend(entries)
+
+
+def _contact_sheet(strips: Sequence[Strip]) -> Markup | None:
+    shown = []
+    for strip in strips:
+        images = [jpeg(data, f"{strip.episode}, picture {k + 1}") for k, data in enumerate(strip.pictures)]
+        caption = tag("figcaption", tag("code", strip.episode), f"  {strip.caption}")
+        shown.append(tag("figure", tag("div", images, class_="strip"), caption))
+    order = "First, middle and last frame; the episodes that ended farthest from the target come first."
+    return grid_section("Pictures", shown, "strips", tag("p", order, class_="note"))
+
+
+def _details(summary: Mapping[str, Any]) -> Markup | None:
+    known = [
+        ("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in summary["cameras"].items())),
+        ("tasks", ", ".join(summary["tasks"])),
+        ("grasp", ", ".join(summary["grasps"])),
+        ("frames an episode", _range(summary["frames_per_episode"], str)),
+        ("size of an episode", _range(summary["bytes_per_episode"], file_size)),
+        *(
+            ("versions", ", ".join(f"{name} {number}" for name, number in versions.items()))
+            for versions in summary["versions"]
+        ),
+    ]
+    cells = rows((name, value) for name, value in known if value)
+    return section("How it was made", tag("table", tag("tbody", cells))) if cells else None
+
+
+def _range(spread: Mapping[str, Any] | None, shown: Callable[[Any], str]) -> str:
+    if not spread:
+        return ""
+    if spread["min"] == spread["max"]:
+        return shown(spread["min"])
+    return f"{shown(spread['min'])} to {shown(spread['max'])}, median {shown(spread['median'])}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds >= 7200:
+        return f"{seconds / 3600:.1f} h"
+    return f"{seconds / 60:.1f} min" if seconds >= 120 else f"{seconds:.0f} s"

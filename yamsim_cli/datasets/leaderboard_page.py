@@ -1,0 +1,79 @@
+"""Evaluations of policies on the same trials as one HTML page, the best first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..core.markup import Markup, document, percent, section, table, tag
+
+# Outcomes of a pair of policies on a trial, in the order of the table.
+_OUTCOMES = ("both", "only_first", "only_second", "neither")
+
+
+def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], made: str) -> str:
+    """The page as HTML.
+
+    Args:
+        reports: of `evaluate.evaluation.summary`, the evaluated policy's first.
+        pairs: of `evaluate.compare.compare`, of the first with each of the others.
+        made: see `markup.document`.
+    """
+    first = reports[0]
+    ranked = sorted(reports, key=lambda report: -report["stats"]["success_rate"])
+    title = f"{first['task']} on {first['rig']}"
+    headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
+    body = [
+        tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, held by {first['grasp']}"),
+        table(headings, map(_row, ranked)),
+        _pairs(first, pairs),
+        _instances(ranked),
+    ]
+    return document(f"{title}: leaderboard", "Leaderboard", title, body, made)
+
+
+def _row(report: Mapping[str, Any]) -> list[str]:
+    stats = report["stats"]
+    chunks = stats["chunks"]
+    return [
+        report["policy"],
+        f"{stats['n_success']} of {stats['n']} ({percent(stats['success_rate'])})",
+        _interval(stats["wilson95"]),
+        _ms(stats["policy_s"], "median"),
+        _ms(stats["policy_s"], "p95"),
+        f"{chunks['actions']:,}",
+        f"{chunks['stale']:,}",
+        f"{chunks['waited_s']:.2f} s",
+    ]
+
+
+def _pairs(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Markup | None:
+    if not pairs:
+        return None
+    cells = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
+    headings = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
+    return section("Trial by trial", table(headings, cells))
+
+
+def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
+    cells = [
+        [
+            one["instance"],
+            report["policy"],
+            f"{one['n_success']} of {one['n']}",
+            _interval(one["wilson95"]),
+            _ms(one["policy_s"], "median"),
+        ]
+        for report in reports
+        for one in report["stats"]["by_instance"]
+    ]
+    cells.sort(key=lambda row: row[0])
+    return section("By instance", table(("instance", "policy", "success", "95 % interval", "answer, median"), cells))
+
+
+def _interval(bounds: Sequence[float]) -> str:
+    return f"{percent(bounds[0])} to {percent(bounds[1])}"
+
+
+def _ms(spread: Mapping[str, float] | None, which: str) -> str:
+    return f"{spread[which] * 1000:.1f} ms" if spread else "none"

@@ -1,0 +1,385 @@
+"""Verify a dataset: worker processes simulate its episodes again, and compare them with what is stored.
+
+An episode is simulated again from its seed (`SEED`), from its recorded actions (`ACTIONS`), and its pictures are
+rendered again (`IMAGES`).
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.closing import Closing
+from ..core.config.session import Session
+from ..core.config.shown_meshes import differences, shown
+from ..core.dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
+from ..core.dataset.lowdim import recorded_actions
+from ..core.dataset.reader import StoredEpisode, open_episode
+from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
+from ..core.episode.engine import demonstrate, repeat
+from ..core.episode.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, image_files, versions
+from ..core.episode.payload import frames as made_frames
+from ..core.episode.rules import EXPERT_RULES, REPEATED_RULES
+from ..core.episode.sampling import sample
+from ..core.episode.simulator import Simulator, Simulators, simulator_for
+from ..core.errors import DatasetError, InterruptedJobError, ranges
+from ..core.images.jpeg import decode_jpeg
+from ..core.progress import Progress
+from ..core.scene.build import shown_meshes
+from ..core.types import EpisodeJob
+from ..core.workers.executor import run_all
+from ..core.workers.processes import WorkerPool
+from .compare import Comparison, Difference, compare_frames, compare_values
+
+# The checks, in the order in which their differences are reported.
+SEED, ACTIONS, IMAGES = "seed", "actions", "images"
+CHECKS = (SEED, ACTIONS, IMAGES)
+
+Frames = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How much may differ.
+
+    Attributes:
+        values: of a number, see `dataset.compare.Comparison`.
+        images: mean difference of an image's pixels, 0 .. 255; at 0 the files have to be the same byte for byte. None
+            leaves images out.
+    """
+
+    values: float
+    images: float | None
+
+
+@dataclass(frozen=True)
+class EpisodeVerdict:
+    """The result of verifying one episode.
+
+    Attributes:
+        episode: the episode's number.
+        checks: check -> comparison of the stored episode with the simulated one.
+        skipped: check -> why the check was not possible.
+        problems: file -> fault besides different values; "" for the whole episode.
+        changed: name -> version at the recording and now, where these differ.
+    """
+
+    episode: int
+    checks: Mapping[str, Comparison] = field(default_factory=dict)
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    problems: Mapping[str, str] = field(default_factory=dict)
+    changed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the episode has no fault and no difference."""
+        return not self.problems and all(check.first is None for check in self.checks.values())
+
+
+class EpisodeVerifier(Closing):
+    """Verifies episodes of one dataset; a context manager, since a verifier may own a renderer.
+
+    Args:
+        session: of the dataset's own config; its meshes matter to images alone.
+    """
+
+    def __init__(self, session: Session, tolerances: Tolerances) -> None:
+        self._simulators = Simulators(session)
+        self._session = session
+        self._tolerances = tolerances
+
+    def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
+        """Verify one episode, given by its number and its directory."""
+        number, directory = job
+        problems: dict[str, str] = {}
+        checks: dict[str, Comparison] = {}
+        skipped: dict[str, str] = {}
+        changed: dict[str, tuple[str, str]] = {}
+        try:
+            episode = open_episode(directory)
+            if others := self._other_meshes(episode):
+                problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
+            changed = self._changed(episode)
+            frames = _read_frames(episode, problems)
+            if episode.record.source != "record":
+                skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
+            elif (engine := _engine(episode.record)) != ENGINE:
+                version = episode.record.versions.get("yamsim", "unknown")
+                skipped[SEED] = (
+                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
+                    "makes other episodes of the same seeds; its actions are repeated"
+                )
+                if self._tolerances.images is not None:
+                    skipped[IMAGES] = skipped[SEED]
+            else:
+                checks |= self._from_seed(episode, frames, skipped)
+            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._tolerances.values):
+                checks[ACTIONS] = repeated
+            else:
+                skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
+        except DatasetError as error:
+            # Stands first: the error says more than that a file was altered.
+            problems = {"": str(error)} | problems
+        return EpisodeVerdict(number, checks, skipped, problems, changed)
+
+    def _from_seed(self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]) -> dict[str, Comparison]:
+        """Simulate the attempt from its seed and number; `skipped` gets why its images are not compared."""
+        record, simulator = episode.record, self._simulator(episode.record)
+        done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
+        made = made_frames(simulator, done.attempt, done.states)
+        once = compare_values(
+            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
+            | {"randomized": asdict(record.randomized)},
+            {"outcome": _judgement(OutcomeRecord.of(done.outcome)), "start": _arrays(done.attempt.places)}
+            | {"randomized": asdict(done.attempt.variation)},
+            self._tolerances.values,
+        )
+        checks = {SEED: _together(compare_frames(frames, made, self._tolerances.values), once)}
+        if self._tolerances.images is None:
+            return checks
+        if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
+            skipped[IMAGES] = (
+                f"its pictures are of looks revision {looks}, and this version draws revision {LOOKS}: they differ as "
+                "intended, which is no damage"
+            )
+        elif done.states:
+            images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
+            checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
+        return checks
+
+    def _simulator(self, record: EpisodeRecord) -> Simulator:
+        return self._simulators.of(EpisodeJob(record.seed, record.attempt))
+
+    def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
+        first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
+        then, now = first | episode.record.versions, versions()
+        simulator = self._simulator(episode.record)
+        if self._tolerances.images is not None:
+            then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
+            for name, text in (episode.record.meshes or {}).items():
+                then[f"meshes {name}"] = shown(text)
+                now[f"meshes {name}"] = shown(self._shown.get(name))
+        return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
+
+    @functools.cached_property
+    def _shown(self) -> dict[str, str]:
+        """Which meshes of each set this machine shows."""
+        return shown_meshes(self._session)
+
+    def _other_meshes(self, episode: StoredEpisode) -> list[str]:
+        stated, own = self._session.config.meshes, episode.record.meshes
+        return differences(own, stated, ("here", "there")) if stated is not None and own is not None else []
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._simulators.close()
+
+
+def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float) -> Comparison | None:
+    """Repeat an episode's actions in physics from its recorded start, and compare with the stored frames.
+
+    Args:
+        simulator: of the config that the episode was recorded with.
+        tolerance: see `dataset.compare`.
+
+    Returns:
+        None if the episode holds no actions that physics can repeat.
+
+    Raises:
+        DatasetError: the episode is of another scene.
+    """
+    model = simulator.scene.model
+    recorded = recorded_actions(frames, model.nq, model.nu)
+    if recorded is None:
+        return None
+    start, actions = recorded
+    stored = episode.record.outcome
+    attempt = recorded_attempt(episode.record, start)
+    rules = EXPERT_RULES if episode.record.source == "record" else REPEATED_RULES
+    done = repeat(simulator, attempt, actions, rules)
+    # Actions do not show which skills the expert tried again.
+    judged = OutcomeRecord.of(done.outcome).model_copy(update={"recoveries": stored.recoveries})
+    # Earlier engines judged and measured otherwise; where things ended does not depend on that.
+    keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
+    once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
+    return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
+
+
+def repeat_episode(episode: StoredEpisode, session: Session) -> Comparison | None:
+    """Repeat an episode's actions in physics; None if the episode holds no actions that physics can repeat.
+
+    Args:
+        session: of the dataset's own config.
+
+    Raises:
+        DatasetError: a file is damaged, or the episode is of another scene.
+    """
+    job = EpisodeJob(episode.record.seed, episode.record.attempt)
+    with simulator_for(session.without_meshes(), job) as simulator:
+        return repeat_actions(simulator, episode, episode.frames(), tolerance=0.0)
+
+
+def _engine(record: EpisodeRecord) -> str:
+    """The revision of the engine that made a recording."""
+    return record.versions.get("engine", FIRST_ENGINE)
+
+
+def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
+    """All frames of an episode; altered files are noted in `problems`, and read too."""
+    frames = []
+    for k in range(episode.record.frames):
+        data = episode.read(name := lowdim_name(k))
+        if episode.altered(name, data):
+            problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
+        frames.append(episode.frame(k, data))
+    return frames
+
+
+def _judgement(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
+    """An outcome's numbers and verdict, or the `keys` of them; without the text, which says the same."""
+    return outcome.model_dump(include=keys, exclude={"detail"})
+
+
+def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    return {name: np.array(values) for name, values in poses.items()}
+
+
+def _together(frames: Comparison, once: Comparison) -> Comparison:
+    """One comparison of both. Where only the number of frames differs, the outcome's difference stands first."""
+    first = frames.first or once.first
+    if frames.first and frames.first.frame is None:
+        first = once.first or frames.first
+    return Comparison(frames.largest | once.largest, first)
+
+
+def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> Comparison:
+    """Compare recorded JPEGs with new ones; `largest` holds each camera's largest mean difference, 0 .. 255."""
+    result = Comparison()
+    record = episode.record
+    for k in range(record.frames):
+        for camera in record.cameras:
+            name = image_name(camera, k)
+            stored, made = episode.read(name), images.get(name, b"")
+            apart = 0.0 if stored == made else _pixels_apart(stored, made)
+            result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
+            if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
+                shown = [f"{len(data)} bytes" for data in (stored, made)]
+                result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+    if limit == 0.0 and result.first is None:
+        result.first = _first_other_truth(episode, images)
+    return result
+
+
+def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
+    """The first file of ground truth whose bytes differ; None if none does."""
+    for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
+        stored, made = episode.read(name), images.get(name, b"")
+        if stored != made:
+            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+    return None
+
+
+def _pixels_apart(stored: bytes, made: bytes) -> float | None:
+    """Mean difference of two JPEGs' pixels, 0 .. 255; None if one is damaged or has another size."""
+    one, other = decode_jpeg(stored), decode_jpeg(made)
+    if one is None or other is None or one.shape != other.shape:
+        return None
+    return float(np.abs(one.astype(float) - other).mean())
+
+
+def verify(
+    episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
+) -> dict[str, Any]:
+    """Verify episodes of one dataset.
+
+    Args:
+        episodes: number and directory of each.
+        session: of the dataset's own config; its meshes matter to images alone.
+
+    Returns:
+        JSON-ready: episodes, agree, max_error, first_divergence, divergences, problems, checks, versions_changed,
+        skipped, tolerance, seconds.
+
+    Raises:
+        InterruptedJobError: stopped by the user.
+    """
+    began = time.monotonic()
+    factory = functools.partial(EpisodeVerifier, session, tolerances)
+    verdicts: list[EpisodeVerdict] = []
+    try:
+        with WorkerPool[tuple[int, Path], EpisodeVerdict](factory, min(workers, len(episodes))) as pool:
+            for _, verdict in run_all(pool, episodes):
+                verdicts.append(verdict)
+                progress(len(verdicts), len(episodes))
+    except KeyboardInterrupt:
+        raise InterruptedJobError(
+            f"interrupted after {len(verdicts)} of {len(episodes)} episodes, "
+            f"{sum(verdict.agrees for verdict in verdicts)} of which agree"
+        ) from None
+    verdicts.sort(key=lambda verdict: verdict.episode)
+    return _report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
+
+
+def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
+    divergences = [
+        {"episode": verdict.episode, "check": check, **asdict(comparison.first)}
+        for verdict in verdicts
+        for check in CHECKS
+        if (comparison := verdict.checks.get(check)) and comparison.first
+    ]
+    checks = {check: _check_report(verdicts, check) for check in CHECKS}
+    remade = [found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])]
+    return {
+        "episodes": len(verdicts),
+        "agree": sum(verdict.agrees for verdict in verdicts),
+        # Images are left out: their differences have another unit.
+        "max_error": max(remade, default=0.0),
+        "first_divergence": divergences[0] if divergences else None,
+        "divergences": divergences,
+        "problems": [
+            {"episode": verdict.episode, "file": file, "problem": problem}
+            for verdict in verdicts
+            for file, problem in verdict.problems.items()
+        ],
+        "checks": checks,
+        "versions_changed": _versions(verdicts),
+        "tolerance": tolerances.values,
+        "image_tolerance": tolerances.images,
+    }
+
+
+def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
+    """One check over all its episodes; None if no episode was checked or skipped, as when images are left out."""
+    found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
+    reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
+    if not found and not reasons:
+        return None
+    largest: dict[str, float] = {}
+    for comparison in found:
+        for quantity, apart in comparison.largest.items():
+            largest[quantity] = max(largest.get(quantity, 0.0), apart)
+    return {
+        "episodes": len(found),
+        "agree": sum(comparison.first is None for comparison in found),
+        "max_error": max(largest.values(), default=0.0),
+        "largest": largest,
+        "skipped": reasons,
+    }
+
+
+def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
+    """Versions that changed since the recording, each with its episodes."""
+    concerned: dict[tuple[str, str, str], list[int]] = {}
+    for verdict in verdicts:
+        for name, (then, now) in verdict.changed.items():
+            concerned.setdefault((name, then, now), []).append(verdict.episode)
+    return [
+        {"name": name, "recorded": then, "now": now, "episodes": ranges(numbers)}
+        for (name, then, now), numbers in sorted(concerned.items())
+    ]

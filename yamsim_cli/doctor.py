@@ -1,0 +1,278 @@
+"""Checks of this machine for `yamsim doctor`, each with a fix where something is wrong."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from . import __version__
+from .core.errors import ResourceError, YamsimError
+from .core.files.mounts import network_mount, read_mounts
+from .core.files.resources import Locations
+from .core.files.writing import nearest_directory, obstacle, publish_directory
+from .core.machine import usable_cores, usable_memory
+from .core.scene.assets import AssetSet, AssetStore, find_reduced, load_lock
+from .core.scene.assets.store import FileStatus
+from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
+
+# Packages that every command needs.
+PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
+# Extra -> its package, and its purpose.
+EXTRAS = {
+    "view": ("viser", "the browser page of view and replay"),
+    "video": ("av", "MP4"),
+    "print": ("reportlab", "boards as PDF"),
+    "lerobot": ("pyarrow", "export lerobot"),
+    "rerun": ("rerun-sdk", "export rerun"),
+    "gym": ("gymnasium", "the gymnasium environment"),
+    "remote": ("msgpack", "policies in another process, serve-robot --portal"),
+    "ray": ("ray", "record --executor ray"),
+    "import": ("coacd", "assets import of glTF, SDFormat and other files"),
+    "inspect": ("kitchenbench", "six of KitchenBench's tasks on the station"),
+    "mcap": ("mcap", "import of MCAP files"),
+    "menagerie": ("mujoco-menagerie", "one more source of meshes"),
+}
+
+# Resident memory. Source: measured at 640x480, rounded up.
+_WORKER_BYTES = 300_000_000  # of a worker that renders
+_RECORDER_BYTES = 150_000_000
+
+# An episode with one camera at 640x480, roughly.
+_FRAMES = 57
+_IMAGE_BYTES = 22_000  # of a frame
+_LOWDIM_BYTES = 2_000  # of a frame
+_BLOCK_BYTES = 4096  # of a file system, which rounds files up
+
+_EPISODES_WRITTEN = 3  # to measure the disk
+_SLOW_S = 1.0  # s to write an episode, above which the disk keeps up with one worker at most
+_FEW_EPISODES = 500  # room for fewer episodes gives a warning
+
+_GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")
+
+
+class Health(StrEnum):
+    """The result of a check. Only a fault keeps something from working."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class HealthCheck:
+    """One check of the machine.
+
+    Attributes:
+        detail: the result in words.
+        fix: what to do; empty where nothing has to be done.
+        figures: measured values by name, in SI units and bytes.
+    """
+
+    name: str
+    health: Health
+    detail: str
+    fix: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+def examine(
+    environ: Mapping[str, str],
+    locations: Locations,
+    out: Path,
+    on_check: Callable[[HealthCheck], None] = lambda check: None,
+) -> list[HealthCheck]:
+    """The results of all checks. Nothing is changed, and every wait has a time limit.
+
+    Args:
+        environ: the process's environment.
+        out: directory of future datasets, which need not exist.
+        on_check: called with each check as it ends.
+    """
+    checks: list[HealthCheck] = []
+    for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
+        for check in part:
+            checks.append(check)
+            on_check(check)
+    return checks
+
+
+def _packages() -> Iterator[HealthCheck]:
+    found = {name: _version(name) for name in PACKAGES}
+    text = ", ".join(f"{name} {there}" for name, there in found.items() if there)
+    detail = f"yamsim {__version__}, Python {platform.python_version()}, {text}"
+    missing = [name for name, there in found.items() if there is None]
+    if missing:
+        yield HealthCheck(
+            "packages", Health.FAULT, f"not installed: {', '.join(missing)}", "install yamsim's requirements"
+        )
+    else:
+        yield HealthCheck("packages", Health.OK, detail)
+    for extra, (package, purpose) in EXTRAS.items():
+        there = _version(package)
+        state = f"{package} {there}" if there else f"not installed: {purpose}"
+        yield HealthCheck(f"extra.{extra}", Health.OK, state, "" if there else f"pip install 'yamsim[{extra}]'")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
+    wanted = environ.get("MUJOCO_GL")
+    names = dict.fromkeys([*([wanted] if wanted else []), *LINUX_BACKENDS])
+    found: dict[str, GlBackend | str] = {}
+    for name in names:
+        began = time.monotonic()
+        found[name] = backend = probe_backend(name, environ)
+        seconds = time.monotonic() - began
+        if isinstance(backend, GlBackend):
+            kind = "software" if backend.software else "GPU"
+            detail = f"works: {backend.renderer} ({kind}), started in {seconds:.1f} s"
+            yield HealthCheck(f"gl.{name}", Health.OK, detail, figures={"start_s": seconds})
+        else:
+            others = any(isinstance(other, GlBackend) for other in found.values())
+            health = Health.OK if others and name != wanted else Health.WARNING
+            yield HealthCheck(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
+    yield _chosen_gl(wanted, found)
+
+
+def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
+    working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
+    if wanted and not isinstance(found[wanted], GlBackend):
+        detail = f"MUJOCO_GL={wanted} is set, which does not work, and so no other is tried"
+        return HealthCheck("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
+    if not working:
+        return HealthCheck("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
+    chosen = found[wanted] if wanted else working[0]
+    assert isinstance(chosen, GlBackend)
+    gpu = next((device for device in _GPUS if Path(device).exists()), None)
+    if chosen.software and gpu:
+        fix = (
+            "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container let it in "
+            "(NVIDIA_DRIVER_CAPABILITIES=all)"
+        )
+        return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
+    quality = "balanced" if chosen.software else "high"
+    return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
+
+
+def _meshes(locations: Locations) -> Iterator[HealthCheck]:
+    try:
+        lock, store = load_lock(locations), AssetStore(locations.assets)
+    except YamsimError as error:
+        yield HealthCheck("meshes", Health.FAULT, str(error), "reinstall yamsim")
+        return
+    for assets in lock.sets.values():
+        name = f"meshes.{assets.name}"
+        states = store.status(assets)
+        bad = [state for state in states if state.status is not FileStatus.OK]
+        changed = [state.name for state in bad if state.status is FileStatus.CHANGED]
+        if changed:
+            detail = f"not the locked files: {', '.join(changed)} in {states[0].path.parent}"
+            yield HealthCheck(name, Health.FAULT, detail, f"yamsim assets fetch {assets.name}")
+        elif bad and assets.on_demand:
+            detail = f"fetched on demand; without, primitives are drawn: yamsim assets fetch {assets.name}"
+            yield HealthCheck(name, Health.OK, detail)
+        elif bad:
+            detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
+            yield HealthCheck(name, Health.WARNING, detail, "yamsim assets fetch")
+        else:
+            yield _reduced(name, f"{len(states)} files, every hash is right", store, assets)
+
+
+def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
+    try:
+        reduced = find_reduced(store, assets)
+    except ResourceError as error:
+        detail = f"{detail}; they cannot be reduced: {error}"
+        return HealthCheck(name, Health.WARNING, detail, "install yamsim's requirements")
+    if reduced is None:
+        return HealthCheck(
+            name, Health.WARNING, f"{detail}; they are not reduced yet", f"yamsim assets fetch {assets.name}"
+        )
+    return HealthCheck(name, Health.OK, f"{detail}; reduced from {reduced.source_faces} faces to {reduced.faces}")
+
+
+def _disk(out: Path) -> Iterator[HealthCheck]:
+    mount = network_mount(out, read_mounts())
+    if mount is not None:
+        # The mount is not touched: a server that does not answer would block this process for ever.
+        detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
+        yield HealthCheck("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
+        return
+    if (fault := obstacle(out)) is not None:
+        yield HealthCheck("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
+        return
+    place = nearest_directory(out)
+    if not os.access(place, os.W_OK | os.X_OK):
+        yield HealthCheck("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
+        return
+    try:
+        seconds = _write_episodes(place)
+    except OSError as error:
+        detail = f"writing to {place} fails: {error.strerror or error}"
+        yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
+        return
+    free = shutil.disk_usage(place).free
+    fit = free // (_FRAMES * (_IMAGE_BYTES + _LOWDIM_BYTES + _BLOCK_BYTES))
+    detail = (
+        f"{place}: {free / 1e9:.1f} GB free, room for some {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
+    )
+    figures = {"free_bytes": float(free), "episodes": float(fit), "episode_s": seconds}
+    if fit < _FEW_EPISODES:
+        yield HealthCheck("disk", Health.WARNING, detail, "make room, or choose another --out", figures)
+    elif seconds > _SLOW_S:
+        yield HealthCheck(
+            "disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a faster disk", figures
+        )
+    else:
+        yield HealthCheck("disk", Health.OK, detail, figures=figures)
+
+
+def _write_episodes(place: Path) -> float:
+    """Seconds to write the slowest of a few made-up episodes as `record` does; the episodes are removed again.
+
+    Raises:
+        OSError: the disk refused a file.
+    """
+    files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
+    files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
+    worst = 0.0
+    with tempfile.TemporaryDirectory(prefix=".yamsim-doctor-", dir=place) as scratch:
+        for k in range(_EPISODES_WRITTEN):
+            began = time.monotonic()
+            publish_directory(Path(scratch, f"{k}"), files, Path(scratch, "staging"))
+            worst = max(worst, time.monotonic() - began)
+    return worst
+
+
+def _workers() -> Iterator[HealthCheck]:
+    cores, memory = usable_cores(), usable_memory()
+    fit = cores if memory is None else (memory - _RECORDER_BYTES) // _WORKER_BYTES
+    best = max(1, min(cores, fit))
+    amount = "" if memory is None else f", {memory / 1e9:.1f} GB of memory free"
+    detail = f"{cores} cores{amount}: yamsim record --workers {best}"
+    figures = {"cores": float(cores), "workers": float(best)} | ({} if memory is None else {"memory": float(memory)})
+    if fit < 1:
+        detail = f"{detail[: detail.index(':')]}, and a worker takes {_WORKER_BYTES / 1e9:.1f}"
+        yield HealthCheck("workers", Health.FAULT, detail, "give this machine or container more memory", figures)
+    elif fit < cores:
+        yield HealthCheck("workers", Health.WARNING, f"{detail}, for memory's sake", "more memory", figures)
+    else:
+        yield HealthCheck("workers", Health.OK, detail, figures=figures)
+
+
+def faults(checks: Sequence[HealthCheck]) -> list[HealthCheck]:
+    """The checks that ended in a fault."""
+    return [check for check in checks if check.health is Health.FAULT]

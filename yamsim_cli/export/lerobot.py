@@ -1,0 +1,368 @@
+"""Export to LeRobotDataset v3.0, episode by episode and without torch; see `lerobot_schema`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.extras import require_library
+
+from ..core.closing import Closing
+from ..core.dataset.environment_state import joints_key, object_pose_keys, state_names, state_row
+from ..core.dataset.lowdim import ACTION, BETWEEN_BASES, STATE
+from ..core.dataset.reader import RecordedEpisode, StoredEpisode, recorded_images
+from ..core.errors import DatasetError
+from ..core.images.video import BT601, VideoWriter, require_encoder
+from ..core.progress import Progress
+from . import lerobot_schema as schema
+from .lerobot_schema import Feature, FilePlace, TableSeries, episode_table, frames_table, write_tasks
+from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
+from .source import ActionSource, AnySource, Frames, RealEpisode, RealSource, Source
+from .target import Exported, export_directory
+
+Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of an episode
+
+_APART = "unlike the first one: export them apart, see --episodes"
+
+
+def export_lerobot(
+    source: Source,
+    out: Path,
+    progress: Progress,
+    *,
+    pictures: bool = True,
+    environment_state: bool = False,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
+
+    Args:
+        pictures: write videos of all cameras, and the cameras' matrices.
+        environment_state: write poses of things, see `core.dataset.environment_state`.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged, or episodes have things with other joints.
+        ResourceError: pyarrow or PyAV is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
+
+
+def export_real_lerobot(
+    source: RealSource,
+    out: Path,
+    progress: Progress,
+    *,
+    pictures: bool = True,
+    actions: ActionSource = "recorded",
+    overwrite: bool = False,
+) -> Exported:
+    """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
+
+    Args:
+        pictures: write videos of all cameras, and the known matrices of cameras.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or an episode has
+            other features than the first.
+        ResourceError: pyarrow or PyAV is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
+
+
+def _export(source: AnySource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> Exported:
+    require_library("a LeRobot dataset", "pyarrow", "lerobot")
+    if content.pictures and source.cameras:
+        require_encoder()
+    with export_directory(out, overwrite=overwrite) as stage:
+        with _LeRobotWriter(stage.path, source, content) as writer:
+            for number, episode in enumerate(source.episodes()):
+                writer.add(episode)
+                progress(number + 1, len(source))
+        writer.write_meta()
+    return Exported(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
+
+
+class _Content(ABC):
+    """The features of an export, except images and those that the format itself adds.
+
+    Attributes:
+        pictures: whether the export has videos.
+        about: the dataset's entries in the provenance file, complete after the last episode.
+        notes: lines for the user, complete after the last episode.
+    """
+
+    def __init__(self, pictures: bool, about: dict[str, Any]) -> None:
+        self.pictures = pictures
+        self.about = about
+        self.notes: list[str] = []
+
+    @abstractmethod
+    def columns(self) -> dict[str, Feature]:
+        """The features in the Parquet files."""
+
+    @abstractmethod
+    def values(self, episode: Any, frames: Frames) -> Values:
+        """An episode's values by feature.
+
+        Raises:
+            DatasetError: the episode has other features than the first.
+        """
+
+    @abstractmethod
+    def origin(self, episode: Any) -> dict[str, Any]:
+        """An episode's entry in the provenance file."""
+
+
+class _SimulatedContent(_Content):
+    """Joints, commands of drives and welds, and poses of things."""
+
+    def __init__(self, source: Source, pictures: bool, environment_state: bool) -> None:
+        super().__init__(pictures, {})
+        self._source = source
+        self._cameras = tuple(source.cameras) if pictures else ()
+        self._things = tuple(object_pose_keys(source.config)) if environment_state else ()
+
+    def columns(self) -> dict[str, Feature]:
+        source = self._source
+        features = {
+            schema.STATE: schema.rows(source.drives),
+            schema.ACTION: schema.rows((*source.drives, *source.welds)),
+        }
+        if self._things:
+            names = state_names(self._things, source.first.record.joints)
+            features[schema.ENVIRONMENT_STATE] = schema.rows(names)
+        return features | schema.matrices(self._cameras, self._cameras)
+
+    def values(self, episode: StoredEpisode, frames: Frames) -> Values:
+        joints, first = episode.record.joints, self._source.first
+        if self._things and joints != first.record.joints:
+            raise DatasetError(
+                f"{episode.directory} has things with other joints than {first.directory.name} ({joints}, not "
+                f"{first.record.joints}): export them apart, see --episodes, or without --environment-state"
+            )
+        if BETWEEN_BASES in frames[0]:
+            self.about[BETWEEN_BASES] = frames[0][BETWEEN_BASES].tolist()
+        states, actions = zip(*(_state_and_action(frame) for frame in frames), strict=True)
+        values = {schema.STATE: np.array(states), schema.ACTION: np.array(actions)}
+        if self._things:
+            values[schema.ENVIRONMENT_STATE] = np.array(
+                [
+                    state_row([(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in self._things])
+                    for frame in frames
+                ]
+            )
+        return values | _matrices(self._cameras, self._cameras, frames)
+
+    def origin(self, episode: StoredEpisode) -> dict[str, Any]:
+        return {"seed": episode.record.seed, "attempt": episode.record.attempt}
+
+
+class _RealContent(_Content):
+    """Measurements, commands, recorded times, and known matrices of cameras.
+
+    Grippers are shares of their opening, as in public datasets of real stations.
+    """
+
+    def __init__(self, source: RealSource, pictures: bool, actions: ActionSource) -> None:
+        super().__init__(pictures, {"source": "real", "actions": actions, "gripper": "share"})
+        self._source, self._actions = source, actions
+        frame = source.first.frames()[0]
+        self._velocities = "joint_velocities" in frame
+        self._intrinsics = tuple(frame.get("intrinsics", ())) if pictures else ()
+        self._extrinsics = tuple(frame.get("extrinsics", ())) if pictures else ()
+
+    def columns(self) -> dict[str, Feature]:
+        source = self._source
+        features = {schema.STATE: schema.rows(source.drives)}
+        if self._actions != "none":
+            features[schema.ACTION] = schema.rows(source.drives)
+        features[schema.RECORDED_TIME] = Feature("float64", (1,))
+        if self._velocities:
+            named = zip(source.prefixes, source.rig.recorded, strict=True)
+            joints = [prefix + name for prefix, k in named for name in source.rig.arms[k].robot.joint_drives]
+            features[schema.VELOCITIES] = schema.rows(joints)
+        return features | schema.matrices(self._intrinsics, self._extrinsics)
+
+    def values(self, episode: RealEpisode, frames: Frames) -> Values:
+        source, n = self._source, len(frames)
+        values: Values = {schema.STATE: source.shares([frame["joints"] for frame in frames]).reshape(n, -1)}
+        if self._actions != "none":
+            values[schema.ACTION] = source.actions(episode, frames, self._actions).reshape(n, -1)
+        values[schema.RECORDED_TIME] = np.array([frame["timestamp"] for frame in frames])
+        if self._velocities:
+            values[schema.VELOCITIES] = np.reshape(_of_all(episode, frames, "joint_velocities"), (n, -1))
+        for key, cameras in (("intrinsics", self._intrinsics), ("extrinsics", self._extrinsics)):
+            for camera in cameras:
+                if not all(camera in matrices for matrices in _of_all(episode, frames, key)):
+                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_APART}")
+        values |= _matrices(self._intrinsics, self._extrinsics, frames)
+        if (note := source.unevenness(episode, frames)) is not None:
+            self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
+        return values
+
+    def origin(self, episode: RealEpisode) -> dict[str, Any]:
+        return {"imported": episode.record.imported.model_dump()}
+
+
+def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
+    """A frame's state and action: its `state` and `action` if it has them, else its joints, and drives and welds."""
+    if ACTION in frame:
+        return frame[STATE], frame[ACTION]
+    return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
+
+
+def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
+    """Matrices of cameras, row by row."""
+    found = {
+        schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
+        for camera in intrinsics
+    }
+    return found | {
+        schema.extrinsics_key(camera): np.array([np.ravel(frame["extrinsics"][camera]) for frame in frames])
+        for camera in extrinsics
+    }
+
+
+def _of_all(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
+    """The value under a key of each frame.
+
+    Raises:
+        DatasetError: a frame has no such key.
+    """
+    if not all(key in frame for frame in frames):
+        raise DatasetError(f"{episode.directory} has no {key}, {_APART}")
+    return [frame[key] for frame in frames]
+
+
+def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: float) -> tuple[float, Stats]:
+    """Write an episode's images of one camera to a file of its own; returns its length (s) and the statistics.
+
+    lerobot's tools delete and split such episodes by copying files. Where several episodes share a file, the tools
+    encode the file anew at a whole number of frames per second (seen in 0.6.1), which shifts all frames in time.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    counts = PixelCounts()
+    # lerobot's decoder, which uses a PyAV older than 17, ignores the tag for the colours' encoding and assumes BT.601.
+    with VideoWriter(path, period, key_frame_interval=schema.KEY_FRAME_INTERVAL, matrix=BT601) as video:
+        for image in recorded_images(episode, (camera,)):
+            video.write(image)
+            counts.add(image)
+    return video.frames * period, counts.stats()
+
+
+class _LeRobotWriter(Closing):
+    """Writes a dataset's episodes into a directory; leaving it closes all files.
+
+    Attributes:
+        frames: number of frames written.
+    """
+
+    def __init__(self, root: Path, source: AnySource, content: _Content) -> None:
+        self.frames = 0
+        self._root, self._source, self._content = root, source, content
+        self._cameras = source.cameras if content.pictures else {}
+        self._columns = content.columns() | dict(schema.INDEX_FEATURES)
+        self._tasks: dict[str, int] = {}
+        self._total = RunningStats()
+        self._provenance: list[dict[str, Any]] = []
+        self._open = contextlib.ExitStack()
+        self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
+        self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
+        # Decoding and encoding leave the interpreter free, so cameras are encoded in parallel.
+        self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
+
+    def close(self) -> None:
+        """Close all files."""
+        self._open.close()
+
+    def add(self, episode: RecordedEpisode) -> None:
+        """Write one episode.
+
+        Raises:
+            DatasetError: the episode has other features than the first.
+        """
+        number, period = len(self._provenance), self._source.frame_period
+        video_place, encoding = FilePlace(number), {}
+        for camera in self._cameras:
+            path = self._root / video_place.path(schema.VIDEO, video_key=schema.image_key(camera))
+            encoding[camera] = self._threads.submit(_write_video, path, episode, camera, period)
+        frames = episode.frames()
+        task = frames[0].get("language_prompt", "")
+        values = self._content.values(episode, frames)
+        values |= self._indices(len(frames), number, self._tasks.setdefault(task, len(self._tasks)))
+        videos = {schema.image_key(camera): video.result() for camera, video in encoding.items()}
+        stats = {key: found for key, (_, found) in videos.items()}
+        stats |= {key: column_stats(value) for key, value in values.items()}
+        place, rows_place = self._data.next_place(), self._episodes.next_place()
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [task],
+            "length": len(frames),
+            "data/chunk_index": place.chunk,
+            "data/file_index": place.file,
+            "dataset_from_index": self.frames,
+            "dataset_to_index": self.frames + len(frames),
+            "meta/episodes/chunk_index": rows_place.chunk,
+            "meta/episodes/file_index": rows_place.file,
+        }
+        for key, (end, _) in videos.items():
+            row |= {f"videos/{key}/chunk_index": video_place.chunk, f"videos/{key}/file_index": video_place.file}
+            row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": end}
+        row |= {
+            f"stats/{key}/{name}": value for key, found in stats.items() for name, value in _plain_stats(found).items()
+        }
+        self._data.write(frames_table(self._columns, values))
+        self._episodes.write(episode_table(row))
+        self._total.add(stats)
+        self.frames += len(frames)
+        origin = {"episode": episode.directory.name, **self._content.origin(episode)}
+        self._provenance.append({"episode_index": number} | origin)
+
+    def _indices(self, frames: int, number: int, task: int) -> Values:
+        """Values of the features that every dataset of the format has."""
+        return {
+            "timestamp": np.arange(frames) * self._source.frame_period,
+            "frame_index": np.arange(frames),
+            "episode_index": np.full(frames, number),
+            "index": np.arange(self.frames, self.frames + frames),
+            "task_index": np.full(frames, task),
+        }
+
+    def write_meta(self) -> None:
+        """Write the files that describe the whole dataset, after all episodes."""
+        source = self._source
+        write_tasks(self._root, list(self._tasks))
+        # A video's width and height are even.
+        sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in self._cameras.items()}
+        counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
+        robots = [source.rig.arms[k].model.name for k in source.rig.recorded]
+        stats = self._total.stats().items()
+        contents: dict[str, dict[str, Any]] = {
+            schema.INFO: schema.info(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts),
+            schema.STATS: {
+                key: {name: value.tolist() for name, value in _plain_stats(found).items()} for key, found in stats
+            },
+            schema.PROVENANCE: {
+                "dataset": source.path.absolute().name,
+                **self._content.about,
+                "episodes": self._provenance,
+            },
+        }
+        for name, content in contents.items():
+            text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
+            (self._root / name).write_text(text + "\n", encoding="utf-8")
+
+
+def _plain_stats(stats: Stats) -> dict[str, NDArray[Any]]:
+    """Statistics with their count as a whole number."""
+    return {name: value.astype(np.int64) if name == "count" else value for name, value in stats.items()}

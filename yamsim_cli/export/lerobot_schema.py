@@ -1,0 +1,273 @@
+"""The files of LeRobotDataset v3.0: their places, features, `meta/info.json`, and tables in Parquet.
+
+Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.closing import Closing
+from ..core.images.video import ENCODER
+
+VERSION = "v3.0"
+CHUNK_FILES = 1000  # files in a chunk
+DATA_FILE_MB = 100  # size at which a new Parquet file begins
+VIDEO_FILE_MB = 200  # size up to which lerobot's tools join videos; this export writes one video for each episode
+KEY_FRAME_INTERVAL = 2  # frames; training reads single frames at random. Source: lerobot's own encoding
+
+INFO = "meta/info.json"
+STATS = "meta/stats.json"
+TASKS = "meta/tasks.parquet"
+# Not part of the format: the recorded episode of each exported one, and its seed for simulating it again.
+PROVENANCE = "meta/yamsim.json"
+
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA = f"data/{_FILE}.parquet"
+EPISODES = f"meta/episodes/{_FILE}.parquet"
+VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
+
+STATE = "observation.state"
+# lerobot gives this key to policies in place of pictures.
+ENVIRONMENT_STATE = "observation.environment_state"
+ACTION = "action"
+# Of real recordings: measured velocities of the joints, rad/s, and recorded times of the frames, s. Other programs
+# ignore both, since their names begin neither with `observation` nor with `action`.
+VELOCITIES = "joint_velocities"
+RECORDED_TIME = "recorded_time"
+
+_TWO = "bi_"  # prefix of a robot's type for two arms, as in lerobot's own names
+
+
+@dataclass(frozen=True)
+class FilePlace:
+    """A file of a series, by its number."""
+
+    number: int
+
+    @property
+    def chunk(self) -> int:
+        """Number of the file's chunk."""
+        return self.number // CHUNK_FILES
+
+    @property
+    def file(self) -> int:
+        """Number of the file within its chunk."""
+        return self.number % CHUNK_FILES
+
+    def path(self, pattern: str, **keys: str) -> str:
+        """The relative path by one of the patterns above."""
+        return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A column: dtype and shape of a frame's value, (1,) or a row, and the names of the row's elements."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...] | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The feature's entry in `info.json`."""
+        return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
+
+
+# Features that every dataset of the format has.
+INDEX_FEATURES: Mapping[str, Feature] = {
+    "timestamp": Feature("float32", (1,)),
+    "frame_index": Feature("int64", (1,)),
+    "episode_index": Feature("int64", (1,)),
+    "index": Feature("int64", (1,)),
+    "task_index": Feature("int64", (1,)),
+}
+
+
+def _matrix(letter: str, size: int) -> Feature:
+    """The feature of a square matrix, row by row, with elements named by row and column from 0, such as `K02`.
+
+    The feature is flat, since lerobot's tools for editing datasets cannot write arrays of two dimensions.
+    """
+    names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
+    return Feature("float32", (len(names),), names)
+
+
+def image_key(camera: str) -> str:
+    """Key of a camera's images."""
+    return f"observation.images.{camera}"
+
+
+def intrinsics_key(camera: str) -> str:
+    """Key of a camera's matrix K."""
+    return f"camera.intrinsics.{camera}"
+
+
+def extrinsics_key(camera: str) -> str:
+    """Key of a camera's pose in the robot's base; with two arms, in the left arm's base."""
+    return f"camera.extrinsics.{camera}"
+
+
+def rows(names: Sequence[str]) -> Feature:
+    """The feature of a row of numbers with names."""
+    return Feature("float32", (len(names),), tuple(names))
+
+
+def matrices(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, Feature]:
+    """The features of cameras with a known K, and of cameras with a known pose."""
+    features = {}
+    for camera in dict.fromkeys((*intrinsics, *extrinsics)):
+        if camera in intrinsics:
+            features[intrinsics_key(camera)] = _matrix("K", 3)
+        if camera in extrinsics:
+            features[extrinsics_key(camera)] = _matrix("T", 4)
+    return features
+
+
+def info(
+    cameras: Mapping[str, tuple[int, int]],
+    fps: float,
+    robots: Sequence[str],
+    features: Mapping[str, Feature],
+    *,
+    episodes: int,
+    frames: int,
+    tasks: int,
+) -> dict[str, Any]:
+    """The content of `meta/info.json`.
+
+    Args:
+        cameras: camera -> width and height (px) of its images in the videos.
+        robots: the model of each arm.
+        features: of the Parquet files.
+    """
+    images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
+    return {
+        "codebase_version": VERSION,
+        "robot_type": robots[0] if len(robots) == 1 else _TWO + "_".join(dict.fromkeys(robots)),
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": CHUNK_FILES,
+        "data_files_size_in_mb": DATA_FILE_MB,
+        "video_files_size_in_mb": VIDEO_FILE_MB,
+        "fps": int(fps) if fps == int(fps) else fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": DATA,
+        "video_path": VIDEO if cameras else None,
+        "features": images | {key: feature.plain() for key, feature in features.items()},
+    }
+
+
+def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
+    width, height = size
+    details = {
+        "video.height": height,
+        "video.width": width,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": int(fps) if fps == int(fps) else fps,
+        "video.channels": 3,
+        "has_audio": False,
+        # lerobot uses these when encoding a video again.
+        "video.g": KEY_FRAME_INTERVAL,
+        "video.crf": int(ENCODER["crf"]),
+        "video.preset": ENCODER["preset"],
+        "video.fast_decode": 0,
+        "video.extra_options": {key: ENCODER[key] for key in ("bf", "mbtree")},
+    }
+    return {
+        "dtype": "video",
+        "shape": [height, width, 3],
+        "names": ["height", "width", "channels"],
+        "info": details,
+    }
+
+
+class TableSeries(Closing):
+    """Writes tables with the same columns to a series of Parquet files.
+
+    Use it as a context manager: leaving it writes the last file's footer.
+
+    Args:
+        root: the dataset's directory.
+        pattern: the pattern of the files' paths.
+        limit_mb: size at which a file is closed, MB.
+    """
+
+    def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:
+        self._root, self._pattern, self._limit = root, pattern, limit_mb * 1e6
+        self._writer: Any = None
+        self._place = FilePlace(0)
+        self._path = root
+
+    def next_place(self) -> FilePlace:
+        """The file for the next table."""
+        if self._writer is not None and self._path.stat().st_size >= self._limit:
+            self.close()
+            self._place = FilePlace(self._place.number + 1)
+        return self._place
+
+    def write(self, table: Any) -> None:
+        """Add a table."""
+        import pyarrow.parquet
+
+        place = self.next_place()
+        if self._writer is None:
+            self._path = self._root / place.path(self._pattern)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pyarrow.parquet.ParquetWriter(self._path, table.schema, compression="snappy")
+        self._writer.write_table(table)
+
+    def close(self) -> None:
+        """Write the last file's footer."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def frames_table(columns: Mapping[str, Feature], values: Mapping[str, NDArray[Any]]) -> Any:
+    """A table of an episode's frames, from values (frames, ...) by feature."""
+    import pyarrow
+
+    def array(key: str, feature: Feature) -> Any:
+        flat = pyarrow.array(np.asarray(values[key], feature.dtype).ravel())
+        (width,) = feature.shape
+        return flat if width == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, width)
+
+    return pyarrow.table([array(key, feature) for key, feature in columns.items()], names=list(columns))
+
+
+def episode_table(row: Mapping[str, Any]) -> Any:
+    """A table of one episode's row in `meta/episodes`: numbers, a list of texts, and statistics as arrays."""
+    import pyarrow
+
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}
+    return pyarrow.table({key: pyarrow.array([value]) for key, value in plain.items()})
+
+
+def write_tasks(root: Path, tasks: Sequence[str]) -> None:
+    """Write `meta/tasks.parquet`: the tasks' numbers, with the texts as pandas' index."""
+    import pyarrow
+    import pyarrow.parquet
+
+    def column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+        return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
+
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "pandas_version": "2.0.0",
+    }
+    table = pyarrow.table({"task_index": pyarrow.array(range(len(tasks)), pyarrow.int64()), "task": list(tasks)})
+    table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    (root / TASKS).parent.mkdir(parents=True, exist_ok=True)
+    pyarrow.parquet.write_table(table, root / TASKS)

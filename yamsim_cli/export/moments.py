@@ -1,0 +1,50 @@
+"""Samples states of a running simulation at given times, also between its steps."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..core.geometry.se3 import Array
+
+_ROUNDING_S = 1e-9  # s, tolerance of comparisons of times, which are sums of steps
+
+
+class StateSampler:
+    """Stores MuJoCo's positions at given times while a simulation runs, as the `on_step` of `episode.Episode`.
+
+    A sample at the time of a step is that step's state, bit for bit. Between two steps, positions are interpolated.
+
+    Attributes:
+        qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
+
+    Args:
+        model: the simulation's model.
+        times: the times (n,), in order, s.
+    """
+
+    def __init__(self, model: mujoco.MjModel, times: Array) -> None:
+        self._model = model
+        self._times = times
+        self._next = 0
+        self._before = (0.0, np.zeros(model.nq))
+        self.qpos = np.full((len(times), model.nq), np.nan)
+
+    def __call__(self, data: mujoco.MjData) -> None:
+        """Store the samples up to the present state: the start, or the state after a step."""
+        while self._next < len(self._times) and self._times[self._next] <= data.time + _ROUNDING_S:
+            self.qpos[self._next] = self._at(self._times[self._next], data)
+            self._next += 1
+        self._before = (data.time, data.qpos.copy())
+
+    def _at(self, time: float, data: mujoco.MjData) -> Array:
+        then, qpos = self._before
+        if abs(time - data.time) <= _ROUNDING_S:
+            present: Array = data.qpos.copy()
+            return present
+        if abs(time - then) <= _ROUNDING_S:
+            return qpos
+        velocity, found = np.zeros(self._model.nv), qpos.copy()
+        mujoco.mj_differentiatePos(self._model, velocity, 1.0, qpos, data.qpos)
+        mujoco.mj_integratePos(self._model, found, velocity, (time - then) / (data.time - then))
+        return found

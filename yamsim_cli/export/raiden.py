@@ -1,0 +1,265 @@
+"""Export to the converted layout of the real stack, for programs that read real recordings; see `raiden_schema`."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.config.recording import RecordConfig
+from ..core.config.session import Session
+from ..core.dataset.lowdim import dump_frame
+from ..core.dataset.reader import RecordedEpisode
+from ..core.errors import DatasetError, UsageError
+from ..core.files.resources import Locations
+from ..core.progress import Progress
+from ..core.workers.executor import Executor, Factory, InlineExecutor
+from ..core.workers.processes import WorkerPool
+from . import raiden_schema as schema
+from .raiden_episode import EpisodeMaker, MadeEpisode, copy_images
+from .raiden_frames import FrameConverter, calibration, camera_names, hand_frame
+from .raiden_schema import RaidenOptions
+from .source import ActionSource, Frames, RealEpisode, RealSource, Source, depth_cameras
+from .target import Exported, export_directory
+
+_CONTROL = {"record": "plan"}  # source of a simulated episode -> how the arm was driven, if named otherwise
+_REAL_CONTROL = "unknown"  # real recordings do not say how the arm was driven
+
+Job = tuple[Path, Path]  # an episode's directory, and the directory to export it to
+
+
+def export_raiden(
+    source: Source,
+    out: Path,
+    locations: Locations,
+    progress: Progress,
+    options: RaidenOptions,
+    *,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a simulated dataset in the real stack's layout.
+
+    The global frame is the base of the left arm. A lone arm is the left one; the right arm then stands still with all
+    joints 0, unless `options.single` leaves it out. Grippers are shares of the opening, 0 closed to 1 open, as the real
+    arm's drive reports them.
+
+    Args:
+        locations: of the meshes that are rendered.
+        workers: number of processes that render.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged, or physics no longer leads to the recorded states.
+        ResourceError: nothing can render here.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also for two arms with
+            `options.single`.
+    """
+    converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
+    config = _as_recorded(source) if options.renders else source.config
+    factory = functools.partial(EpisodeMaker, Session(config, locations), converter.names, options)
+    frames: dict[str, int] = {}
+    with export_directory(out, overwrite=overwrite) as stage:
+        episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
+        jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
+        for folder, made in _make(factory, jobs, workers if options.renders else 0):
+            episode = episodes[folder.name]
+            record = episode.record
+            data = [converter.frame(frame) for frame in made.frames]
+            metadata = _metadata(
+                episode,
+                converter.names,
+                data,
+                options,
+                framerate=1 / record.frame_period_s if options.fps is None else options.fps,
+                control=_CONTROL.get(record.source, record.source),
+                pictures=made.pictures,
+                depth=bool(depth_cameras(episode)),
+            )
+            _write_episode(folder, made.times, data, metadata)
+            frames[folder.name] = len(data)
+            if folder == jobs[0][1]:
+                _write_json(stage.path / schema.SHARED_METADATA, metadata)
+                _write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
+            progress(len(frames), len(source))
+        _write_split(stage.path, frames)
+    return Exported(out, len(frames), sum(frames.values()), stage.moved_aside)
+
+
+def _as_recorded(source: Source) -> RecordConfig:
+    """The dataset's config, with the size of the recorded pictures."""
+    sizes = set(source.cameras.values())
+    if len(sizes) > 1:
+        raise DatasetError(
+            f"{source.path} has pictures of several sizes, which cannot be rendered: take --pictures nearest"
+        )
+    image = source.config.image.model_copy(update={"size_px": sizes.pop()})
+    return source.config.model_copy(update={"image": image})
+
+
+def _make(factory: Factory[Job, MadeEpisode], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Path, MadeEpisode]]:
+    """Each episode's folder and content, in the order in which the episodes are done.
+
+    Args:
+        workers: number of processes; 0 for this process.
+    """
+    executor: Executor[Job, MadeEpisode] = InlineExecutor(factory)
+    if workers:
+        executor = WorkerPool[Job, MadeEpisode](factory, min(workers, len(jobs)))
+    waiting = list(reversed(jobs))
+    with executor as pool:
+        for _ in jobs:
+            while pool.idle and waiting:
+                pool.submit(waiting.pop())
+            (_, folder), made = pool.result()
+            yield folder, made
+
+
+def export_real_raiden(
+    source: RealSource,
+    out: Path,
+    locations: Locations,
+    progress: Progress,
+    options: RaidenOptions,
+    actions: ActionSource = "recorded",
+    *,
+    overwrite: bool = False,
+) -> Exported:
+    """Write real recordings in the real stack's layout. Each frame is the recorded one nearest to its time.
+
+    Poses of hands follow from the joints by the kinematics that `options` names. Only known matrices of cameras are
+    written, the arrays of a lone arm hold that arm alone, and there is no calibration.
+
+    Args:
+        source: at the rate of `options`.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged; there are no pictures, beside which the layout keeps times;
+            or the requested commands were not recorded.
+        UsageError: the layout has no place for such an arm, or for frames without actions.
+        PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    if actions == "none":
+        raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")
+    if not source.cameras:
+        raise DatasetError(
+            f"{source.path} has no pictures, and raiden's layout keeps its times beside them: export it as lerobot"
+        )
+    names = {camera: camera for camera in source.cameras}
+    single = options.single or len(source.rig.recorded) == 1
+    converter = FrameConverter(source.rig, names, locations, options.hand_frame, single=single)
+    frames: dict[str, int] = {}
+    notes: list[str] = []
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            folder = stage.path / schema.episode_name(number)
+            recorded = episode.frames()
+            data = _converted(source, converter, episode, recorded, actions)
+            copy_images(RecordedEpisode(episode.directory, episode.record), folder, names, episode.chosen, options)
+            times = [k * source.period if source.even else frame["timestamp"] for k, frame in enumerate(recorded)]
+            pictures: dict[str, Any] = {"source": "recorded"}
+            if source.even:
+                pictures = schema.nearest_pictures(episode.chosen, source.first.record.frame_period_s)
+            metadata = _metadata(
+                episode, names, data, options, framerate=1 / source.period, control=_REAL_CONTROL, pictures=pictures
+            )
+            _write_episode(folder, times, data, metadata)
+            if number == 0:
+                _write_json(stage.path / schema.SHARED_METADATA, metadata)
+            if (note := source.unevenness(episode, recorded)) is not None:
+                notes.append(note)
+            frames[folder.name] = len(data)
+            progress(number + 1, len(source))
+        _write_split(stage.path, frames)
+    return Exported(out, len(frames), sum(frames.values()), stage.moved_aside, tuple(notes))
+
+
+def _converted(
+    source: RealSource, converter: FrameConverter, episode: RealEpisode, recorded: Frames, actions: ActionSource
+) -> list[dict[str, Any]]:
+    """An episode's frames in raiden's layout, without unknown matrices of cameras."""
+    if source.first.record.drives != source.rig.drives:
+        raise DatasetError(
+            f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
+            "export it as lerobot"
+        )
+    joints = source.shares([frame["joints"] for frame in recorded])
+    commands = source.actions(episode, recorded, actions)
+    prompt = recorded[0].get("language_prompt", "")
+    common = {"intrinsics": {}, "extrinsics": {}, "language_task": prompt, "language_prompt": prompt}
+    return [
+        converter.converted(common | dict(frame), list(measured), list(command))
+        for frame, measured, command in zip(recorded, joints, commands, strict=True)
+    ]
+
+
+def _metadata(
+    episode: RecordedEpisode,
+    names: Mapping[str, str],
+    data: Frames,
+    options: RaidenOptions,
+    *,
+    framerate: float,
+    control: str,
+    pictures: Mapping[str, Any],
+    depth: bool = False,
+) -> dict[str, Any]:
+    """The content of `metadata.json`.
+
+    Args:
+        names: camera -> its name in raiden's layout.
+        data: the episode's converted frames.
+        framerate: frames per second.
+        control: how the arm was driven.
+        pictures: source of the pictures.
+        depth: whether there are depth images.
+    """
+    sizes = {names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
+    one_size = len({tuple(size) for size in sizes.values()}) == 1
+    task = str(data[0]["language_task"])
+    return {
+        "info": {
+            "name": task,
+            "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
+            "tags": ["robotics"],
+        },
+        "labels": [*(["rgb"] if sizes else []), *(["depth"] if depth else []), "action", "language"],
+        "cameras": list(sizes),
+        "resolution": next(iter(sizes.values())) if one_size else sizes,
+        "framerate": int(framerate) if framerate.is_integer() else framerate,
+        "language": {"task": task, "prompt": [str(data[0]["language_prompt"])]},
+        "num_frames": len(data),
+        "rgb": {"extension": options.images},
+        **({"depth": {"extension": "npz", "sparse": False, "metric": True}} if depth else {}),
+        "intrinsics": {"model": "pinhole"},
+        "extrinsics": {"transform": "cam2world", "metric": True},
+        "action": {"format": "joint_cmd", "dims": len(data[0]["action_joints"])},
+        "control": control,
+        "hand_frame": hand_frame(options.hand_frame),
+        "pictures": dict(pictures),
+    }
+
+
+def _write_episode(folder: Path, times: Sequence[float], data: Frames, metadata: Mapping[str, Any]) -> None:
+    """Write an episode's frames, capture times (s) and metadata, beside its pictures."""
+    stream = io.BytesIO()
+    np.save(stream, np.array([round(time * 1e9) for time in times], dtype=schema.TIMESTAMP_DTYPE))
+    for camera in metadata["cameras"]:
+        (folder / "rgb" / camera / schema.TIMESTAMPS_FILE).write_bytes(stream.getvalue())
+    (folder / "lowdim").mkdir(parents=True)
+    for k, frame in enumerate(data):
+        (folder / "lowdim" / schema.frame_name(k, "pkl")).write_bytes(dump_frame(frame))
+    _write_json(folder / schema.METADATA, metadata)
+
+
+def _write_split(root: Path, frames: Mapping[str, int]) -> None:
+    size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": sum(frames.values())}
+    _write_json(root / schema.SPLIT, {"filters": {}, "size": size, "files": dict(sorted(frames.items()))})
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -1,0 +1,193 @@
+"""Makes one episode's frames and pictures for raiden's layout, as they were recorded or at another rate."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.closing import Closing
+from ..core.config.session import Session
+from ..core.dataset.disk_faults import explain
+from ..core.dataset.layout import depth_name
+from ..core.dataset.reader import RecordedEpisode, StoredEpisode, open_episode
+from ..core.dataset.truth_files import dump_depth
+from ..core.episode.payload import depth_mm, recorded_pictures
+from ..core.episode.simulator import Simulator, Simulators
+from ..core.errors import DatasetError, PartialJobError
+from ..core.images.image import Image
+from ..core.images.jpeg import decode_jpeg, encode_jpeg
+from ..core.images.png import encode_png
+from ..core.types import EpisodeJob
+from . import raiden_schema as schema
+from .raiden_schema import RaidenOptions
+from .resample import Resampled, nearest_frames, resample
+from .source import depth_cameras
+
+# Largest mean difference, of 255, between a picture rendered anew and the recorded one. OpenGL of another machine stays
+# below; missing meshes, or another version's appearance, exceed it.
+_MOST_DIFFERENCE = 3.0
+
+
+@dataclass(frozen=True)
+class MadeEpisode:
+    """An episode's frames, whose pictures are written already.
+
+    Attributes:
+        times: of the frames, s.
+        frames: in the form of recorded ones.
+        pictures: the metadata's entry on the pictures.
+    """
+
+    times: Sequence[float]
+    frames: list[dict[str, Any]]
+    pictures: Mapping[str, Any]
+
+
+class EpisodeMaker(Closing):
+    """Makes episodes of one dataset, and owns a renderer if it renders.
+
+    Args:
+        session: of the dataset's config, with the size of rendered pictures; its meshes are needed only for rendering.
+        names: camera -> its name in raiden's layout.
+    """
+
+    def __init__(self, session: Session, names: Mapping[str, str], options: RaidenOptions) -> None:
+        self._names = names
+        self._options = options
+        self._quality = session.config.image.jpeg_quality
+        self._truth = session.config.truth
+        self._simulators = None if options.fps is None else Simulators(session)
+
+    def run(self, job: tuple[Path, Path]) -> MadeEpisode:
+        """Make an episode and write its pictures.
+
+        Args:
+            job: the episode's directory, and the folder to write into.
+
+        Raises:
+            DatasetError: the episode is damaged, or cannot be resampled; see `resample`.
+            ResourceError: nothing can render here.
+            PartialJobError: the disk refused something.
+        """
+        directory, folder = job
+        try:
+            return self._make(open_episode(directory), folder)
+        except OSError as error:
+            raise PartialJobError(f"{explain(error, folder)}: nothing was exported") from error
+
+    def _make(self, episode: StoredEpisode, folder: Path) -> MadeEpisode:
+        frames = episode.frames()
+        if self._simulators is None or self._options.fps is None:
+            self._copy(episode, folder, range(len(frames)))
+            return MadeEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
+        simulator = self._simulators.of(EpisodeJob(episode.record.seed, episode.record.attempt))
+        made = resample(simulator, episode, self._options.fps)
+        if self._options.renders:
+            self._render(simulator, episode, folder, made)
+            return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
+        nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
+        self._copy(episode, folder, nearest)
+        pictures = schema.nearest_pictures(nearest, episode.record.frame_period_s)
+        return MadeEpisode(made.times.tolist(), made.frames, pictures)
+
+    def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
+        copy_images(episode, folder, self._names, frames, self._options)
+        for camera in depth_cameras(episode):
+            for k, frame in enumerate(frames):
+                place = folder / "depth" / self._names[camera] / schema.frame_name(k, "npz")
+                _write(place, _depth(episode, camera, frame))
+
+    def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
+        depths = depth_cameras(episode)
+        if depths and not self._truth:
+            raise DatasetError(
+                f"{episode.directory} has depth, and its dataset was recorded without --truth, so how to make it is "
+                "not known; take the recorded pictures with --pictures nearest"
+            )
+        for k, camera, image in recorded_pictures(simulator, made.attempt, made.qpos):
+            name = self._names[camera]
+            if k == 0:
+                self._require_same_appearance(episode, camera, image)
+            data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
+            _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
+            if camera in depths:
+                data = dump_depth(depth_mm(simulator, made.attempt, made.qpos[k], camera))
+                _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
+
+    def _require_same_appearance(self, episode: StoredEpisode, camera: str, image: Image) -> None:
+        recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
+        rendered = decode_jpeg(encode_jpeg(image, self._quality))
+        assert rendered is not None
+        difference = np.inf
+        if rendered.shape == recorded.shape:
+            difference = float(np.abs(rendered.astype(np.int16) - recorded).mean())
+        if difference > _MOST_DIFFERENCE:
+            raise DatasetError(
+                f"{episode.directory}: {camera} rendered anew is not what was recorded ({difference:.1f} of 255 off in "
+                f"the mean, at most {_MOST_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are missing, or take "
+                "the recorded pictures with --pictures nearest"
+            )
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._simulators is not None:
+            self._simulators.close()
+
+
+def copy_images(
+    episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
+) -> None:
+    """Copy recorded pictures: JPEGs byte for byte, or PNGs of their pixels.
+
+    Args:
+        names: camera -> its name in raiden's layout.
+        frames: numbers of the recorded frames, which may repeat.
+
+    Raises:
+        DatasetError: a picture is missing, altered or damaged.
+    """
+    for camera, name in names.items():
+        before, data = -1, b""
+        for k, frame in enumerate(frames):
+            if frame != before:
+                data = episode.image(camera, frame)
+                if options.images == "png":
+                    data = encode_png(_decoded(episode, camera, frame, data))
+                before = frame
+            _write(folder / "rgb" / name / schema.frame_name(k, options.images), data)
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+
+
+def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
+    image = decode_jpeg(data)
+    if image is None:
+        raise DatasetError(f"{episode.directory}: frame {frame} of {camera} is no whole JPEG; --images jpg copies it")
+    return image
+
+
+def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
+    """The bytes of a depth image's file, whose content is checked."""
+    name = depth_name(camera, number)
+    data = episode.whole(name)
+    width, height = episode.record.cameras[camera]
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            depth = archive[schema.DEPTH_KEY]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise DatasetError(f"{episode.directory / name} holds no array {schema.DEPTH_KEY!r}: {error}") from error
+    if depth.dtype != schema.DEPTH_DTYPE or depth.shape != (height, width):
+        raise DatasetError(
+            f"{episode.directory / name}: depth is {depth.dtype} {depth.shape}, not {schema.DEPTH_DTYPE} "
+            f"{(height, width)}"
+        )
+    return data

@@ -1,0 +1,268 @@
+"""Frames and the calibration file of raiden's layout: joints, hands and cameras, with the left arm first.
+
+raiden reads a wrist camera's `hand_eye_calibration`, and any other camera's `extrinsics`. The lab's fork reads the
+`extrinsics` of all cameras, so a wrist camera has both. Neither reads `type`.
+
+Source: TRI-ML/raiden 2353b10, `converter.py` and `server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`,
+`exo_calibrate.py`, `wrist_verify_rerun.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.config.rig import ArmConfig, RigConfig
+from ..core.dataset.lowdim import BETWEEN_BASES
+from ..core.errors import ResourceError, UsageError
+from ..core.expert.planning.arm_kinematics import ArmKinematics
+from ..core.files.resources import Locations
+from ..core.geometry.se3 import Array, inverse, pose, rotation_vector
+from ..core.scene.robot import bare_arm
+from . import raiden_schema as schema
+from .raiden_schema import HandFrameName, RaidenOptions
+from .source import Frames, Source
+
+_SIDES = ("left", "right")
+# Wrist cameras in raiden's layout, in the order of `_SIDES`. A lone arm is the left one.
+_WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
+
+_MODELS = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file in the robot model's folder
+_DESCRIPTIONS = {
+    "yamsim": "site grasp_site of the simulated arm: where the pictures show the hand",
+    "i2rt": "site grasp_site of i2rt 7b6d501, yam with linear_4310: what raiden's kinematics make of the joints",
+}
+
+_ZERO_TIME = "1970-01-01T00:00:00.000000"
+# A real right wrist camera hangs upside down. raiden's code turns its pictures and its hand-eye pose by half a turn, so
+# that the file must hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
+_UPSIDE_DOWN = _WRIST_CAMERAS[1]
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def hand_frame(name: HandFrameName) -> dict[str, str]:
+    """The metadata's entry on the hand frame."""
+    return {"name": name, "description": _DESCRIPTIONS[name]}
+
+
+def camera_names(source: Source) -> dict[str, str]:
+    """Camera -> its name in raiden's layout."""
+    wrists = _wrist_arms(source)
+    return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
+
+
+def _wrist_arms(source: Source) -> dict[str, int]:
+    """Wrist camera -> the place of its arm in recordings."""
+    config = source.config
+    arms = [config.rig.arms[k] for k in config.rig.recorded]
+    return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
+
+
+class _ArmConverter:
+    """Converts an arm's recorded joints (7,), six in rad and one finger's opening in m, to the real stack's values.
+
+    Raises:
+        UsageError: the layout has no place for such an arm, or `--hand-frame` none for its hand.
+    """
+
+    def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrameName) -> None:
+        robot = arm.robot
+        if robot.dof != schema.JOINTS or robot.fingers is None:
+            hand = "a gripper" if robot.fingers else "no gripper"
+            raise UsageError(
+                f"raiden's layout is of arms with {schema.JOINTS} joints and a gripper, and {arm.name} ({robot.model}) "
+                f"has {robot.dof} and {hand}: export it as lerobot or rerun"
+            )
+        if frame in _MODELS:
+            try:
+                file = locations.file(f"robot_models/{robot.model}/{_MODELS[frame]}")
+            except ResourceError:
+                raise UsageError(
+                    f"--hand-frame: {robot.model} has no {_MODELS[frame]} in its folder of robot_models/, where that "
+                    "hand would be: take --hand-frame yamsim"
+                ) from None
+            self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
+        else:
+            self._kinematics = ArmKinematics(bare_arm(arm))
+        self._opening = robot.fingers.range[1]
+
+    def with_share(self, joints: ArrayLike) -> Array:
+        """Six joints, and the gripper as a share of its opening, (7,)."""
+        values = np.array(joints, dtype=np.float64)
+        values[schema.JOINTS] = np.clip(values[schema.JOINTS] / self._opening, 0.0, 1.0)
+        return values
+
+    def hand(self, joints: Array) -> Array:
+        """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
+        T = self.T_hand_in_base(joints)
+        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), joints[schema.JOINTS :]])
+
+    def T_hand_in_base(self, joints: ArrayLike) -> Array:
+        """The hand's pose (4, 4) in this arm's base."""
+        return self._kinematics.T_grasp_in_base(np.asarray(joints)[: schema.JOINTS])
+
+
+class FrameConverter:
+    """Converts frames of one dataset to raiden's layout.
+
+    Attributes:
+        names: camera -> its name in raiden's layout.
+
+    Args:
+        single: whether arrays hold one arm instead of two.
+
+    Raises:
+        UsageError: two arms are to be written as one, or the layout has no place for an arm.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        names: Mapping[str, str],
+        locations: Locations,
+        hand_frame: HandFrameName,
+        *,
+        single: bool,
+    ) -> None:
+        arms = [rig.arms[k] for k in rig.recorded]
+        if single and len(arms) > 1:
+            raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
+        self.names = names
+        # A lone arm's model also serves for the other arm, which was not recorded.
+        pair = (arms[0], arms[-1])[: 1 if single else 2]
+        self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
+
+    def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
+        """A simulated frame in raiden's layout."""
+        data = self.converted(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
+        if BETWEEN_BASES in frame:
+            data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
+        return data
+
+    def converted(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
+        """A frame in raiden's layout, without the pose of the right base.
+
+        Args:
+            frame: its texts, and the known matrices of cameras.
+            joints, command: each arm's, six in rad and the gripper's share (7,).
+        """
+        return {
+            **{
+                key: {name: frame[key][camera] for camera, name in self.names.items() if camera in frame[key]}
+                for key in ("intrinsics", "extrinsics")
+            },
+            "joints": _f32(joints),
+            "action": _f32(self._hands(command)),
+            "actual_poses": _f32(self._hands(joints)),
+            "action_joints": _f32(command),
+            # Arrays of no dimensions, as raiden's `converter.py` writes them.
+            "language_task": np.array(frame["language_task"], dtype=object),
+            "language_prompt": np.array(frame["language_prompt"], dtype=object),
+        }
+
+    def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
+        """The pose (4, 4) of an arm's hand in its own base, from all joints of a converted frame."""
+        return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
+
+    def _with_shares(self, joints: ArrayLike) -> list[Array]:
+        """Each arm's converted joints (7,), from recorded ones (7,) or (14,)."""
+        rows = np.zeros((len(self._arms), schema.ARM))
+        recorded = np.reshape(joints, (-1, schema.ARM))
+        rows[: len(recorded)] = recorded
+        return [arm.with_share(row) for arm, row in zip(self._arms, rows, strict=True)]
+
+    def _hands(self, joints: Sequence[Array]) -> list[Array]:
+        return [arm.hand(row) for arm, row in zip(self._arms, joints, strict=True)]
+
+
+def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
+    return np.concatenate(arms).astype(np.float32)
+
+
+def calibration(source: Source, converter: FrameConverter, options: RaidenOptions, frames: Frames) -> dict[str, Any]:
+    """The content of `calibration_results.json`.
+
+    Args:
+        frames: converted frames of one episode. A wrist camera's position is their mean: by other kinematics than the
+            simulated arm's, the hand-eye pose differs slightly from frame to frame.
+    """
+    T = frames[0].get(schema.BETWEEN_ARMS)
+    T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)
+    wrists = _wrist_arms(source)
+    cameras: dict[str, Any] = {}
+    for camera, size in source.cameras.items():
+        name = converter.names[camera]
+        entry = {
+            "serial_number": 0,
+            "intrinsics": {
+                "camera_matrix": np.asarray(frames[0]["intrinsics"][name]).tolist(),
+                "distortion_coeffs": [0.0] * 5,
+                "image_size": list(size),
+                "source": "simulation",
+            },
+            "num_poses_used": 0,
+        }
+        if camera in wrists:
+            cameras[name] = _wrist_camera(name, wrists[camera], entry, converter, frames, T_right_base_in_left_base)
+        else:
+            extrinsics = _transform(np.asarray(frames[0]["extrinsics"][name], np.float64))
+            extrinsics["reference_frame"] = "left_arm_base"
+            cameras[name] = {"type": "scene", **entry, "arm": _SIDES[0], "extrinsics": extrinsics}
+    found = {
+        "version": "1.0",
+        "timestamp": _ZERO_TIME,
+        "coordinate_frame": "left_arm_base",
+        "hand_frame": hand_frame(options.hand_frame),
+        "cameras": cameras,
+    }
+    if T_right_base_in_left_base is not None:
+        # raiden's `converter.py` inverts the first entry.
+        found["bimanual_transform"] = {
+            "right_base_to_left_base": inverse(T_right_base_in_left_base).tolist(),
+            "computed_from_calibration": False,
+            "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
+            "T_right_base_in_left_base": T_right_base_in_left_base.tolist(),
+        }
+    return found
+
+
+def _wrist_camera(
+    name: str,
+    arm: int,
+    entry: Mapping[str, Any],
+    converter: FrameConverter,
+    frames: Frames,
+    T_right_base_in_left_base: Array | None,
+) -> dict[str, Any]:
+    to_base = np.eye(4)
+    if arm == 1 and T_right_base_in_left_base is not None:
+        to_base = inverse(T_right_base_in_left_base)
+    in_hand = [
+        inverse(converter.T_hand_in_base(arm, frame["joints"]))
+        @ to_base
+        @ np.asarray(frame["extrinsics"][name], np.float64)
+        for frame in frames
+    ]
+    T = pose(np.mean([T[:3, 3] for T in in_hand], axis=0), in_hand[0][:3, :3])
+    upside_down = name == _UPSIDE_DOWN
+    hand_eye = _transform(T @ _HALF_TURN if upside_down else T)
+    return {
+        "type": "hand_eye",
+        **entry,
+        "arm": _SIDES[arm],
+        "hand_eye_calibration": {**hand_eye, "method": "sim", "upside_down": upside_down},
+        "extrinsics": {**_transform(T), "reference_frame": f"{_SIDES[arm]}_grasp_site"},
+    }
+
+
+def _transform(T: Array) -> dict[str, Any]:
+    return {
+        "success": True,
+        "rotation_matrix": T[:3, :3].tolist(),
+        "translation_vector": T[:3, 3].tolist(),
+        "rotation_vector": rotation_vector(T[:3, :3]).tolist(),
+    }

@@ -1,0 +1,135 @@
+"""Frames of an episode at another rate, from simulating its control ticks again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.dataset.lowdim import planned_joints, recorded_actions
+from ..core.dataset.reader import StoredEpisode
+from ..core.dataset.records import recorded_attempt
+from ..core.episode.engine import repeat
+from ..core.episode.payload import frames, versions
+from ..core.episode.rules import REPEATED_RULES
+from ..core.episode.simulator import Simulator
+from ..core.errors import DatasetError
+from ..core.geometry.se3 import Array
+from ..core.scene.compiled import CompiledScene
+from ..core.types import Actions, Attempt, StepState
+from .moments import StateSampler
+from .source import ROUNDING_S
+
+_MOST_DEVIATION = (
+    1e-4  # m or rad, of repeated physics from the recorded states; rounding of other machines adds up to it
+)
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """An episode at another rate.
+
+    Attributes:
+        attempt: the episode's attempt.
+        times: the frames' times (n,), s.
+        qpos: MuJoCo's positions (n, nq) at these times.
+        frames: the low-dimensional data at these times, see `dataset.lowdim`.
+    """
+
+    attempt: Attempt
+    times: Array
+    qpos: Array
+    frames: list[dict[str, Any]]
+
+
+def frame_times(frames: int, period: float, fps: float) -> Array:
+    """The times k / fps (n,), s, from the first of `frames` recorded frames, `period` s apart, to the last."""
+    times: Array = np.arange(math.floor(((frames - 1) * period + ROUNDING_S) * fps) + 1) / fps
+    return times
+
+
+def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
+    """The recorded frame nearest to each time, s."""
+    return [min(round(time / period), frames - 1) for time in times]
+
+
+def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resampled:
+    """An episode at `fps` frames per second. States are simulated, not interpolated.
+
+    `action_joints` is the plan's reference one control tick ahead, which was recorded once per frame. Between frames,
+    the reference is the arm's position one tick ahead plus the plan's lead over the arm. The lead is interpolated
+    between frames, and so is the opening of the fingers.
+
+    Args:
+        simulator: of the dataset's own config.
+
+    Raises:
+        DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer leads to
+            its recorded states.
+    """
+    recorded, record = episode.frames(), episode.record
+    scene = simulator.scene
+    found = recorded_actions(recorded, scene.model.nq, scene.model.nu)
+    if found is None:
+        raise DatasetError(
+            f"{episode.directory} holds no sim_qpos, sim_ctrl and sim_magnet, so nothing between its frames can be "
+            "made: export it with --fps source"
+        )
+    start, actions = found
+    period = record.frame_period_s
+    tick = period / len(recorded[0]["sim_ctrl"])
+    times = frame_times(len(recorded), period, fps)
+    stored = np.arange(float(len(recorded))) * period
+    # States are needed at each frame's time, and one tick later, for which the frame's command is.
+    moments, places = np.unique(
+        np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
+    )
+    seen = StateSampler(scene.model, moments)
+    attempt = recorded_attempt(record, start)
+    repeat(simulator, attempt, actions, REPEATED_RULES, on_step=seen)
+    here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
+    _require_same(episode, recorded, then)
+    planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
+    lead = planned - _arms(scene, commanded)
+    reference = _arms(scene, ahead) + _between(times, stored, lead)
+    if scene.arms[0].fingers is not None:
+        # Each arm's last number is the opening of its fingers.
+        reference[..., -1] = _between(times, stored, planned[..., -1])
+    acting = np.minimum(((times + ROUNDING_S) / tick).astype(int), len(actions.ctrl) - 1)
+    states = [
+        StepState(float(time), qpos, Actions(actions.ctrl[k : k + 1], actions.magnet[k : k + 1], joints[None]))
+        for time, qpos, joints, k in zip(times, here, reference, acting, strict=True)
+    ]
+    texts = {key: recorded[0][key] for key in ("language_task", "language_prompt")}
+    return Resampled(attempt, times, here, [frame | texts for frame in frames(simulator, attempt, states)])
+
+
+def _arms(scene: CompiledScene, qpos: Array) -> Array:
+    """Each arm's joints and opening (n, arms, drives), from MuJoCo's positions (n, nq)."""
+    joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
+    return joints
+
+
+def _between(times: Array, nodes: Array, values: Array) -> Array:
+    """Values (n, ...) at `times` (n,), interpolated linearly from `values` (m, ...) at `nodes` (m,)."""
+    columns = values.reshape(len(values), -1).T
+    found: Array = np.column_stack([np.interp(times, nodes, column) for column in columns])
+    return found.reshape(len(times), *values.shape[1:])
+
+
+def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
+    deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
+    if np.nanmax(deviation, initial=0.0) > _MOST_DEVIATION or np.isnan(deviation).any():
+        k = int(np.argmax(~(deviation <= _MOST_DEVIATION)))
+        now, was = versions(), episode.record.versions
+        changed = ", ".join(
+            f"{name} {was[name]} then, {now[name]} now" for name in now if was.get(name, now[name]) != now[name]
+        )
+        raise DatasetError(
+            f"{episode.directory}: its control ticks, repeated in physics, lead {deviation[k]:.2g} m or rad away by "
+            f"frame {k}{f' ({changed})' if changed else ''}, so nothing between its frames can be made: export it with "
+            "--fps source, and see `yamsim verify`"
+        )

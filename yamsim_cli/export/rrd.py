@@ -1,0 +1,147 @@
+"""Export for the rerun viewer: an `.rrd` per episode with images, joints, poses and camera frusta."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.dataset.layout import depth_name
+from ..core.dataset.lowdim import BETWEEN_BASES
+from ..core.dataset.reader import RecordedEpisode, StoredEpisode
+from ..core.dataset.real import RealRecord
+from ..core.errors import ResourceError
+from ..core.geometry.se3 import Array
+from ..core.progress import Progress
+from .source import AnySource, depth_cameras
+from .target import Exported, export_directory
+
+_PICTURE_DISTANCE = 0.15  # m, of a picture in front of its camera
+_AXIS = 0.05  # m, length of a pose's axes
+_AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
+
+
+def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left base.
+
+    Real recordings are shown at their recorded times, without what was not recorded.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged.
+        ResourceError: rerun is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    try:
+        import rerun  # noqa: F401
+    except ModuleNotFoundError as error:
+        if error.name != "rerun":
+            raise
+        raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
+    frames = 0
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            frames += _write(stage.path / f"{episode.directory.name}.rrd", source, episode)
+            progress(number + 1, len(source))
+    return Exported(out, len(source), frames, stage.moved_aside)
+
+
+def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
+    import rerun
+
+    dataset = source.path.absolute().name
+    # Properties are left out, since they hold the time of day.
+    stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
+    stream.save(path)
+    stream.send_recording_name(f"{dataset}/{episode.directory.name}")
+    frames = episode.frames()
+    things = episode.record.objects if isinstance(episode, StoredEpisode) else ()
+    _log_static(stream, source, episode, frames, things)
+    with_depth = depth_cameras(episode) if isinstance(episode, StoredEpisode) else ()
+    for k, frame in enumerate(frames):
+        stream.set_time("frame", sequence=k)
+        stream.set_time("time", duration=frame["timestamp"])
+        for camera in source.cameras:
+            place = _log_camera(stream, source, camera, frame)
+            picture = rerun.EncodedImage(contents=episode.image(camera, k), media_type="image/jpeg")
+            stream.log(f"{place}/rgb", picture)
+            if camera in with_depth:
+                with np.load(io.BytesIO(episode.whole(depth_name(camera, k))), allow_pickle=False) as archive:
+                    stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
+        for hand, T in _hands(source, frame).items():
+            stream.log(f"base/{hand}", _transform(T))
+        for item in things:
+            stream.log(f"base/{item}", _transform(frame[f"{item}_pose"]))
+        _log_numbers(stream, source, frame)
+    stream.disconnect()
+    return len(frames)
+
+
+def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str, Any]) -> str:
+    """Log a camera; its entity is in `base` if its pose is known, else in `cameras`."""
+    import rerun
+
+    if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):
+        return f"cameras/{camera}"
+    place = f"base/{camera}"
+    width, height = source.cameras[camera]
+    stream.log(place, _transform(frame["extrinsics"][camera]))
+    pinhole = rerun.Pinhole(
+        image_from_camera=frame["intrinsics"][camera],
+        resolution=[width, height],
+        image_plane_distance=_PICTURE_DISTANCE,
+    )
+    stream.log(place, pinhole)
+    return place
+
+
+def _log_static(
+    stream: Any, source: AnySource, episode: RecordedEpisode, frames: list[dict[str, Any]], things: Iterable[str]
+) -> None:
+    import rerun
+
+    stream.log("base", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS, colors=_AXIS_COLOURS)
+    hands = [_hands(source, frame) for frame in frames]
+    for item in (*hands[0], *things):
+        stream.log(f"base/{item}/axes", axes, static=True)
+    for hand in hands[0]:
+        path = np.array([each[hand][:3, 3] for each in hands])
+        stream.log(f"base/{hand}_path", rerun.LineStrips3D([path], colors=[[90, 90, 90]], radii=0.001), static=True)
+    if BETWEEN_BASES in frames[0]:
+        stream.log("base/right_base", _transform(frames[0][BETWEEN_BASES]), static=True)
+        stream.log("base/right_base/axes", axes, static=True)
+    record, name = episode.record, f"{source.path.absolute().name}/{episode.directory.name}"
+    lines = [name, str(frames[0].get("language_prompt", ""))]
+    if isinstance(record, RealRecord):
+        lines += [f"real, from {record.imported.name}", *record.problems]
+    else:
+        lines += [f"seed {record.seed}, attempt {record.attempt}", f"success: {record.outcome.success}"]
+    stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
+
+
+def _hands(source: AnySource, frame: Mapping[str, Any]) -> dict[str, Array]:
+    """Name -> pose (4, 4) of each hand; empty if poses were not recorded."""
+    if "ee_pose" not in frame:
+        return {}
+    poses = np.reshape(frame["ee_pose"], (-1, 4, 4))
+    return {f"{prefix}hand": T for prefix, T in zip(source.prefixes, poses, strict=True)}
+
+
+def _log_numbers(stream: Any, source: AnySource, frame: Mapping[str, Any]) -> None:
+    import rerun
+
+    for key in ("joints", "ctrl"):
+        for name, value in zip(source.drives, frame[key], strict=True) if key in frame else ():
+            stream.log(f"{key}/{name}", rerun.Scalars(float(value)))
+    if "magnet" in frame:
+        for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
+            stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))
+
+
+def _transform(T: Array) -> Any:
+    import rerun
+
+    return rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])

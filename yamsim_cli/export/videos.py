@@ -1,0 +1,133 @@
+"""Export as a video of each episode, or as a contact sheet of all episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..core.dataset.reader import RecordedEpisode, recorded_images
+from ..core.errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
+from ..core.files.writing import move_aside, write_file
+from ..core.images.image import Image
+from ..core.images.jpeg import decode_jpeg, encode_jpeg
+from ..core.images.video import VideoWriter, require_encoder
+from ..core.progress import Progress
+from ..core.rendering.views import label, resized
+from .source import AnySource, RealSource
+from .target import Exported, export_directory, require_parent
+
+_SHEET_QUALITY = 90
+_LARGEST_SIDE = 16_000  # px, of a sheet: some programs open no larger JPEG
+
+
+def export_mp4(
+    source: AnySource,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    speed: float = 1.0,
+    overwrite: bool = False,
+) -> Exported:
+    """Write an H.264 video of each episode into a directory; frame k is at exactly k periods.
+
+    Args:
+        cameras: shown side by side; empty for all.
+        speed: factor by which the video is faster.
+
+    Raises:
+        UsageError: a camera was not recorded; and see `export_directory`.
+        DatasetError: an image is missing, altered or damaged, or there is none.
+        ResourceError: PyAV is not installed.
+    """
+    chosen = _cameras(source, cameras)
+    require_encoder()
+    frames = 0
+    notes: list[str] = []
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            if isinstance(source, RealSource) and (note := source.unevenness(episode, episode.frames())):
+                notes.append(note)
+            with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
+                for image in recorded_images(episode, chosen):
+                    video.write(image)
+            frames += video.frames
+            progress(number + 1, len(source))
+    return Exported(out, len(source), frames, stage.moved_aside, tuple(notes))
+
+
+def export_sheet(
+    source: AnySource,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    columns: int = 8,
+    width: int = 160,
+    overwrite: bool = False,
+) -> Exported:
+    """Write one JPEG with a row for each episode: images spread evenly from its first frame to its last.
+
+    Args:
+        cameras: with a row each; empty for the first camera.
+        columns: number of images in a row.
+        width: of each image, px.
+
+    Raises:
+        UsageError: a camera was not recorded, `out` is no name for a JPEG or in use, or the picture would be too large.
+        DatasetError: an image is missing, altered or damaged.
+        PartialJobError, InterruptedJobError: it could not be written, or the user stopped it; nothing was written.
+    """
+    chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
+    if out.suffix.lower() not in (".jpg", ".jpeg"):
+        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
+    require_parent(out)
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
+    heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
+    size = (columns * width, len(source) * sum(heights.values()))
+    if max(size) > _LARGEST_SIDE:
+        raise UsageError(
+            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_LARGEST_SIDE} is the most: take "
+            "fewer with --episodes, or a smaller --width"
+        )
+    moved = None
+    try:
+        rows: list[Image] = []
+        for number, episode in enumerate(source.episodes()):
+            rows += [_row(episode, camera, columns, (width, height)) for camera, height in heights.items()]
+            progress(number + 1, len(source))
+        data = encode_jpeg(np.concatenate(rows), _SHEET_QUALITY)
+        if out.exists():
+            moved = move_aside(out)
+        write_file(out, data)
+    except OSError as error:
+        raise PartialJobError(f"{out} cannot be written: {error.strerror or error}; choose another OUT") from error
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted: nothing was written to {out}; run it again") from None
+    return Exported(out, len(source), len(rows) * columns, moved)
+
+
+def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
+    """Images of one episode side by side, each of width and height `size`, px."""
+    images = []
+    for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
+        image = decode_jpeg(episode.image(camera, int(k)))
+        if image is None:
+            raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG")
+        images.append(resized(image, *size))
+    return label(np.concatenate(images, axis=1), {}, episode.directory.name)
+
+
+def _cameras(source: AnySource, wanted: Sequence[str]) -> tuple[str, ...]:
+    if not source.cameras:
+        raise DatasetError(f"{source.path} has no pictures, so there is nothing to show")
+    for name in wanted:
+        if name not in source.cameras:
+            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")
+    chosen = tuple(wanted) or tuple(source.cameras)
+    if len({source.cameras[name][1] for name in chosen}) > 1:
+        raise UsageError(f"the images of {' and '.join(chosen)} differ in height: choose one --camera")
+    return chosen

@@ -1,0 +1,113 @@
+"""Finds the OpenGL backend for MuJoCo, which reads `MUJOCO_GL` when it is imported.
+
+Each backend is tried in a separate process with a time limit, so that a driver that hangs or crashes costs a message
+and nothing else.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .core.errors import ResourceError
+
+LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
+_PROBE_SECONDS = 60.0
+# OpenGL implementations that need no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+_SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
+# Renders and reads the picture back: some backends open a context and then render nothing.
+_PROBE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = mujoco.Renderer(model, 16, 16)
+renderer.update_scene(data)
+rendered = renderer.render().any()
+from OpenGL import GL
+print((GL.glGetString(GL.GL_RENDERER) or b"unknown").decode())
+renderer.close()
+if not rendered:
+    raise SystemExit("its pictures are black")
+"""
+INSTALL_GL = (
+    "on Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0, "
+    "or run tools/ensure_gl.sh from the checkout"
+)
+
+
+@dataclass(frozen=True)
+class GlBackend:
+    """An OpenGL backend.
+
+    Attributes:
+        name: the value for `MUJOCO_GL`; None where MuJoCo's own choice works.
+        renderer: OpenGL's name for its renderer; empty where nothing was tried.
+    """
+
+    name: str | None
+    renderer: str = ""
+
+    @property
+    def software(self) -> bool:
+        """Whether the backend is known to render without a GPU."""
+        return _SOFTWARE.search(self.renderer) is not None
+
+
+def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
+    """The first backend that works for headless rendering.
+
+    Args:
+        environ: the process's environment. Its `MUJOCO_GL` is the user's choice, and no other backend is tried.
+
+    Raises:
+        ResourceError: no backend works; the message says why for each, and what to install.
+    """
+    wanted = environ.get("MUJOCO_GL")
+    if platform != "linux" and not wanted:
+        return GlBackend(None)
+    reasons = []
+    for name in (wanted,) if wanted else LINUX_BACKENDS:
+        found = probe_backend(name, environ)
+        if isinstance(found, GlBackend):
+            return found
+        reasons.append(f"{name}: {found}")
+    chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
+    raise ResourceError(
+        f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
+        "yamsim doctor looks into it"
+    )
+
+
+def bind_backend(name: str) -> None:
+    """Make MuJoCo use a backend that is chosen after MuJoCo was imported, as in a notebook."""
+    if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
+        mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
+
+
+def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
+    """The backend, tried in a separate process; or why the backend does not work."""
+    environment = {**environ, "MUJOCO_GL": name}
+    # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
+    environment.pop("PYOPENGL_PLATFORM", None)
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", _PROBE],
+            env=environment,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PROBE_SECONDS,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"hangs (gave up after {_PROBE_SECONDS:g} s)"
+    if probe.returncode == 0:
+        return GlBackend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
+    lines = [line for line in probe.stderr.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else f"crashes (exit code {probe.returncode})"

@@ -1,0 +1,59 @@
+"""An object's certificate: one page with every check, its figures and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from yamsim_cli.core.markup import Child, Markup, captioned_jpeg, document, key_figures, rows, section, tag, verdict
+
+# Captions and JPEG files.
+Pictures = Sequence[tuple[str, bytes]]
+
+
+def certificate_page(
+    found: Mapping[str, Any], titles: Mapping[str, tuple[str, str]], pictures: Mapping[str, Pictures], made: str
+) -> str:
+    """The page as HTML.
+
+    Args:
+        found: `certify.run.Certified.plain`.
+        titles: code of a check -> what is wrong where the check fails, and what to do.
+        pictures: code of a check -> its pictures.
+        made: see `markup.document`.
+    """
+    checks = found["checks"]
+    failed = sum(check["ok"] is False for check in checks)
+    skipped = sum(check["ok"] is None for check in checks)
+    figures = [
+        (f"{found['mass_kg'] * 1000:g} g", "mass"),
+        (f"{found['collision']['parts']:,}", f"parts that touch: {found['collision']['kind']}"),
+        (f"{len(checks) - failed - skipped} of {len(checks)}", f"checks passed; {skipped} not made"),
+    ]
+    sections = [_section(check, titles[check["code"]], pictures.get(check["code"], ())) for check in checks]
+    thing = str(found["thing"])
+    body = [_verdict(failed, skipped), key_figures(figures), sections]
+    return document(f"{thing}: certificate", "Certificate", thing, body, made)
+
+
+def _verdict(failed: int, skipped: int) -> Markup:
+    if failed:
+        return verdict(f"{failed} of its checks failed: not to be recorded with as it is.", "error")
+    if skipped:
+        return verdict("Nothing was found wrong; what could not be checked is said below.", "fine")
+    return verdict("Nothing was found wrong.", "fine")
+
+
+def _section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:
+    title, advice = texts
+    word, kind = {True: ("passed", "fine"), False: ("failed", "error"), None: ("not checked", "warning")}[check["ok"]]
+    content: list[Child] = [tag("p", tag("code", check["code"], class_=kind), f" {word}", class_="note")]
+    if check["ok"] is False:
+        content.append(tag("p", f"{title}: {check['note']}. What to do: {advice}."))
+    elif check["note"]:
+        content.append(tag("p", f"{check['note']}."))
+    if figures := rows((name, str(value)) for name, value in check["figures"].items()):
+        content.append(tag("table", tag("tbody", figures)))
+    if pictures:
+        content.append(tag("div", [captioned_jpeg(*picture, 320) for picture in pictures], class_="strips"))
+    return section(check["code"], content)

@@ -1,0 +1,338 @@
+"""Checks in physics: rest, drops, a ball in a hollow, and the motion of joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.things.articulation import Link
+from yamsim_cli.core.geometry.attitudes import Attitude, attitudes
+from yamsim_cli.core.geometry.columns import columns, water_level
+from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
+from yamsim_cli.core.scene.compiling import breakdown
+
+from .outcome import CheckOutcome, CheckView, short, unchecked
+from .static_checks import NO_MESHES
+from .subject import Subject, bare_spec, compiled, grounded_spec, step, with_camera
+
+# Rest and drops.
+_SETTLE, _LOOK = 6.0, 0.2  # s, most time to settle, and interval between tests for rest
+_REST, _FALL = 2.0, 1.5  # s, time for which the thing must rest still, and time of a drop
+_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, most motion at rest, and most penetration
+_HEIGHT, _DROPS = 0.10, 8  # m, height and number of drops
+_THROUGH = 0.05  # m, most penetration at impact, half the slab: deeper, the thing would come out below
+_GAIN, _LEAST_ENERGY = 0.02, 1e-4  # most gain of energy as a share of the fall's energy, which is at least so many J
+_STILL = 0.0002  # m/s, speed at rest; ten times as many rad/s
+_FIXED = "its base is fixed: it lies nowhere else"
+
+# A ball in a hollow.
+_CELLS = 56  # columns of the height map along the longer side
+_DEEP, _ROOM = 0.010, 0.0045  # m, least depth of a hollow, and least radius of a ball that fits in
+_DENT = 0.02  # least volume of a hollow, as a share of the bounding box
+_HARD = (0.004, 1.0)  # solref of the ball: hard, so that the ball does not sink through a thin floor
+_MOST_RADIUS = 0.015  # m, of the ball
+_FROM = 0.03  # m, height over the rim from which the ball is dropped
+_SECONDS = 2.0
+_IN = 0.5  # most height of the resting ball's lowest point over the floor, as a share of the depth
+_DENSITY = 1000.0  # kg/m3, of the ball
+
+# Joints.
+_PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, from end to end, and to come to rest
+_AT_END = 0.03  # most distance from an end, as a share of the range
+_JOINT_STILL = 0.02  # 1/s, most speed at rest, in ranges a second
+_TIMES = 3.0  # effort of a push, as a multiple of friction, ridges and weight
+_LEAST = {True: 0.02, False: 1.0}  # least effort on a hinge, N m, and on a slide, N
+_FREQUENCY = 6.0  # Hz, natural frequency of the push's controller
+
+
+@dataclass
+class _World:
+    """A thing over a slab."""
+
+    subject: Subject
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+    @classmethod
+    def of(cls, subject: Subject) -> _World:
+        spec = with_camera(grounded_spec(subject), (0, 0, subject.size * 0.15), subject.size)
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+        model = compiled(spec)
+        return cls(subject, model, mujoco.MjData(model))
+
+    def put(self, turn: Array, gap: float) -> None:
+        """Put the thing at rest, rotated by (3, 3), with its lowest point a gap (m) over the slab."""
+        mujoco.mj_resetData(self.model, self.data)
+        low = float((self.subject.collision_points @ turn.T)[:, 2].min())
+        at = self.model.joint(self.subject.item.name).qposadr[0]
+        middle = turn @ np.array(self.subject.item.inertia.centre)
+        self.data.qpos[at : at + 3] = (-middle[0], -middle[1], gap - low)
+        self.data.qpos[at + 3 : at + 7] = quat_from_rotation(turn)
+        mujoco.mj_forward(self.model, self.data)
+
+    def run(self, seconds: float) -> tuple[float, float]:
+        """Step for a time: the deepest contact (m) and the greatest energy (J). Raises `ArithmeticError`."""
+        deep, energy = 0.0, -np.inf
+        for _ in range(round(seconds / self.model.opt.timestep)):
+            mujoco.mj_step(self.model, self.data)
+            if self.data.ncon:
+                deep = max(deep, -float(self.data.contact.dist.min()))
+            energy = max(energy, float(self.data.energy.sum()))
+        if (fault := breakdown(self.data)) is not None or not np.isfinite(self.data.qpos).all():
+            raise ArithmeticError(fault or "a pose is no number")
+        return deep, energy
+
+    @property
+    def T(self) -> Array:
+        body = self.data.body(self.subject.item.name)
+        return pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def settle(self) -> None:
+        """Step until the thing rests, or for the most time. Raises `ArithmeticError`."""
+        for _ in range(round(_SETTLE / _LOOK)):
+            self.run(_LOOK)
+            if np.abs(self.data.qvel[:3]).max() < _STILL and np.abs(self.data.qvel[3:6]).max() < 10 * _STILL:
+                break
+
+    def view(self, caption: str) -> CheckView:
+        return CheckView(self.model, self.data.qpos.copy(), caption)
+
+
+def rest(subject: Subject) -> CheckOutcome:
+    """Whether the thing rests still as it stands, and on each face on which it can rest."""
+    if subject.item.base == "fixed":
+        return unchecked(_FIXED)
+    world = _World.of(subject)
+    upright = Attitude(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
+    others = attitudes(subject.collision_points, np.array(subject.item.inertia.centre))
+    faces = [upright, *(face for face in others if face.down[2] > -0.999)]
+    worst = {"tilt_deg": 0.0, "drift_mm": 0.0, "sinks_mm": 0.0}
+    views, faults = list[CheckView](), list[str]()
+    for number, face in enumerate(faces):
+        try:
+            found = _lies(world, face, stands=number == 0)
+        except ArithmeticError as error:
+            return CheckOutcome(
+                False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views)
+            )
+        views.append(world.view("as it stands" if number == 0 else f"face {number}"))
+        worst = {key: max(worst[key], value) for key, value in found.items()}
+        if found["tilt_deg"] > np.degrees(_TILT) or found["drift_mm"] > _DRIFT * 1e3 or found["sinks_mm"] > _SINK * 1e3:
+            shown = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
+            faults.append(f"face {number}: {shown}")
+    figures = {"faces": len(faces)} | {key: short(value, 3) for key, value in worst.items()}
+    return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
+
+
+def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
+    """The tilt, drift and penetration of the thing on a face.
+
+    Args:
+        stands: whether the thing has to stay as it is put; else it settles first.
+    """
+    world.put(face.turn, 0.0)
+    before = world.T
+    if not stands:
+        world.settle()
+        before = world.T
+    middle = np.array([*world.subject.item.inertia.centre, 1.0])
+    deep, _ = world.run(_REST)
+    after = world.T
+    up = before[:3, :3].T @ [0, 0, 1.0]
+    tilt = float(np.arccos(np.clip((after[:3, :3] @ up)[2], -1, 1)))
+    drift = float(np.linalg.norm(((after - before) @ middle)[:2]))
+    return {"tilt_deg": float(np.degrees(tilt)), "drift_mm": drift * 1000, "sinks_mm": deep * 1000}
+
+
+def drop(subject: Subject) -> CheckOutcome:
+    """Whether the thing stays over the ground and gains no energy when it falls from 10 cm in random orientations."""
+    if subject.item.base == "fixed":
+        return unchecked(_FIXED)
+    world = _World.of(subject)
+    rng = np.random.default_rng(0)
+    deepest, gained, speed = 0.0, 0.0, 0.0
+    views = list[CheckView]()
+    for number in range(_DROPS):
+        quat = rng.normal(size=4)
+        turn = _rotation(quat / np.linalg.norm(quat))
+        world.put(turn, _HEIGHT)
+        start = float(world.data.energy.sum())
+        fall = max(subject.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
+        try:
+            deep, energy = world.run(_FALL)
+        except ArithmeticError as error:
+            return CheckOutcome(False, {"drops": _DROPS}, f"drop {number}: physics broke down: {error}", tuple(views))
+        deepest, gained = max(deepest, deep), max(gained, (energy - start) / fall)
+        speed = max(speed, float(np.abs(world.data.qvel[:3]).max()))
+        if number < 3:
+            views.append(world.view(f"drop {number}"))
+        lowest = float((subject.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
+        if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
+            note = f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground"
+            return CheckOutcome(False, {"drops": _DROPS}, note, tuple(views))
+    figures = {
+        "drops": _DROPS,
+        "sinks_mm": short(deepest * 1000, 3),
+        "gains": short(max(gained, 0.0), 3),
+        "last_speed_m_s": short(speed, 3),
+    }
+    if deepest > _THROUGH:
+        return CheckOutcome(False, figures, f"it sinks into the ground by {deepest * 1000:.3g} mm", tuple(views))
+    if gained > _GAIN:
+        return CheckOutcome(False, figures, f"it gains {gained * 100:.3g} % of the energy of its fall", tuple(views))
+    return CheckOutcome(True, figures, views=tuple(views))
+
+
+def _rotation(quat: Array) -> Array:
+    angle = 2 * np.arccos(np.clip(quat[0], -1, 1))
+    axis = quat[1:] / max(float(np.linalg.norm(quat[1:])), 1e-12)
+    return rotation_from_vector(axis * angle)
+
+
+@dataclass(frozen=True)
+class Hollow:
+    """The deepest place where water would stand.
+
+    Attributes:
+        place: where a ball is dropped (2,), m.
+        floor, level: heights of the surface at that place, and of the water, m.
+        room: distance of that place from the walls, m.
+        wet: places and floors of the columns under this water (n, 3), m.
+    """
+
+    place: Array
+    floor: float
+    level: float
+    room: float
+    wet: Array
+
+
+def hollow_of(subject: Subject) -> Hollow | None:
+    """The hollow of a thing as it stands, or None."""
+    grid = columns(subject.surface, _CELLS)
+    level = water_level(grid.top)
+    there = np.isfinite(grid.top)
+    depth = np.where(there, level - np.where(there, grid.top, 0.0), 0.0)
+    if depth.max(initial=0.0) < _DEEP:
+        return None
+    block = float(np.prod(np.ptp(subject.surface[0], axis=0)))
+    if depth.sum() * grid.cell**2 < _DENT * block:
+        return None
+    i, j = np.unravel_index(int(depth.argmax()), depth.shape)
+    water = level[i, j]
+    deep = (depth > 0.6 * depth.max()) & (np.abs(level - water) < 1e-6)
+    x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
+    dry = np.column_stack([x[~deep], y[~deep]])
+    wet = np.column_stack([x[deep], y[deep]])
+    room = np.sqrt(((wet[:, None] - dry[None]) ** 2).sum(axis=2).min(axis=1)) - grid.cell / 2
+    best = int(room.argmax())
+    if room[best] < _ROOM:
+        return None
+    pond = (depth > 1e-4) & (np.abs(level - water) < 1e-6)
+    floors = np.column_stack([x[pond], y[pond], grid.top[pond]])
+    return Hollow(wet[best], float(grid.top[deep][best]), float(water), float(room[best]), floors)
+
+
+def ball(subject: Subject) -> CheckOutcome:
+    """Whether a ball that is dropped into the hollow comes to rest inside."""
+    if not subject.looks:
+        return unchecked(NO_MESHES)
+    found = hollow_of(subject)
+    if found is None:
+        return unchecked("nothing would stay in it: it has no hollow")
+    radius = min(0.7 * found.room, _MOST_RADIUS)
+    spec = with_camera(grounded_spec(subject), (0, 0, subject.size * 0.2), subject.size, steep=1.2)
+    high = max(found.level, float(subject.collision_points[:, 2].max())) + _FROM
+    body = spec.worldbody.add_body(name="certificate_ball", pos=[*found.place, high + subject.item.rest_height])
+    body.add_freejoint(name="certificate_ball")
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], density=_DENSITY, rgba=[0.9, 0.2, 0.1, 1],
+        friction=[0.8, 0.005, 0.0005], condim=4, solref=_HARD, priority=1,
+    )  # fmt: skip
+    model = compiled(spec)
+    data = mujoco.MjData(model)
+    at = model.joint(subject.item.name).qposadr[0]
+    data.qpos[at + 2] = subject.item.rest_height
+    step(model, data, _SECONDS)
+    views = (CheckView(model, data.qpos.copy(), "a ball dropped in"),)
+    figures = {"depth_mm": short((found.level - found.floor) * 1000, 3), "ball_mm": short(2000 * radius, 3)}
+    if (fault := breakdown(data)) is not None:
+        return CheckOutcome(False, figures, f"physics broke down: {fault}", views)
+    thing = data.body(subject.item.name)
+    inside = thing.xmat.reshape(3, 3).T @ (data.body("certificate_ball").xpos - thing.xpos)
+    nearest = found.wet[np.linalg.norm(found.wet[:, :2] - inside[:2], axis=1).argmin()]
+    offset = float(np.linalg.norm(nearest[:2] - inside[:2]))
+    # On a sloping floor the ball rests beside the lowest place.
+    over = float(inside[2] - radius - max(nearest[2], found.floor))
+    limit = _IN * (found.level - found.floor)
+    figures |= {"over_floor_mm": short(over * 1000, 3), "aside_mm": short(offset * 1000, 3)}
+    if offset > 2 * radius + 0.002:
+        return CheckOutcome(False, figures, "the ball lies beside it", views)
+    if over > limit:
+        note = f"the ball stays {over * 1000:.3g} mm over its floor: what is seen hollow is not"
+        return CheckOutcome(False, figures, note, views)
+    if over < -0.25 * radius - 0.004:
+        return CheckOutcome(False, figures, f"the ball went through its floor by {-over * 1000:.3g} mm", views)
+    return CheckOutcome(True, figures, views=views)
+
+
+def articulation(subject: Subject) -> CheckOutcome:
+    """Whether every joint can be moved from stop to stop, and then stays or falls shut."""
+    links = subject.item.links
+    if not links:
+        return unchecked("nothing moves on it")
+    spec = bare_spec(subject.item, subject.meshes, fixed=True)
+    model = compiled(with_camera(spec, (0, 0, subject.size * 0.2), subject.size))
+    data = mujoco.MjData(model)
+    reached: dict[str, float] = {}
+    views, faults, fastest = list[CheckView](), list[str](), 0.0
+    for link in links:
+        name = f"{subject.item.name}_{link.name}"
+        for end in (1, 0):
+            missing = _push(model, data, link, name, end)
+            which = "upper" if end else "lower"
+            reached[f"{link.name}_{which}_missing"] = short(missing, 3)
+            if end:
+                views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper end"))
+            if missing > _AT_END:
+                faults.append(f"{link.name} stops {missing * 100:.3g} % of its way before its {which} end")
+        data.qfrc_applied[:] = 0
+        step(model, data, _REST_TIME)
+        speed = abs(float(data.joint(name).qvel[0])) / float(np.ptp(model.joint(name).range))
+        fastest = max(fastest, speed)
+        if speed > _JOINT_STILL:
+            faults.append(f"{link.name} does not come to rest: {speed:.3g} of its way a second")
+    figures = {"joints": len(links), "last_speed_1_s": short(fastest, 3), **reached}
+    return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
+
+
+def _push(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
+    """The share of the range that is missing to an end after a push towards that end."""
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_forward(model, data)
+    joint = model.joint(name)
+    address, dof = joint.qposadr[0], joint.dofadr[0]
+    goal, travel = float(joint.range[end]), float(np.ptp(joint.range))
+    effort = _effort(model, data, link, name)
+    moved = 1.0 / max(float(model.dof_invweight0[dof]), 1e-6)
+    stiff = max(moved * (2 * np.pi * _FREQUENCY) ** 2, effort / (0.02 * travel))
+    damp = 2 * np.sqrt(stiff * moved)
+    for _ in range(round(_PUSH_TIME / model.opt.timestep)):
+        wanted = stiff * (goal - data.qpos[address]) - damp * data.qvel[dof]
+        data.qfrc_applied[dof] = np.clip(wanted, -effort, effort)
+        mujoco.mj_step(model, data)
+    return abs(goal - float(data.qpos[address])) / travel
+
+
+def _effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str) -> float:
+    """The effort of a push, N or N m: a multiple of the friction, the ridges and the weight of the moving part."""
+    joint = link.joint
+    body = model.body(name).id
+    weight = float(model.body_subtreemass[body]) * 9.81
+    if joint.turns:
+        reach = float(np.linalg.norm(model.geom_pos[model.geom_bodyid == body], axis=1).max(initial=0.02)) + 0.02
+        weight *= reach
+    ridge = max((detent.effort for detent in joint.detents), default=0.0)
+    return max(_TIMES * (joint.friction + ridge + weight), _LEAST[joint.turns])

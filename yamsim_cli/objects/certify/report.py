@@ -1,0 +1,39 @@
+"""The page of a certificate, with pictures of what the checks looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+from yamsim_cli.core import markup
+from yamsim_cli.core.images.jpeg import encode_jpeg
+from yamsim_cli.core.rendering.renderer import SceneRenderer
+
+from .certificate_page import certificate_page
+from .outcome import CheckView
+from .run import CHECKS, Certified
+
+_SIZE, _FINE = (320, 240), (640, 480)  # px, of a picture, and of its rendering before reduction
+_QUALITY = 85  # of JPEG
+
+
+def write_page(certified: Certified, path: Path) -> None:
+    """Write the page, replacing an older one.
+
+    Raises:
+        ResourceError: nothing can be drawn here, or the file cannot be written.
+    """
+    titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
+    pictures = {
+        code: [(view.caption, _picture(view)) for view in outcome.views] for code, outcome in certified.outcomes.items()
+    }
+    markup.write_page(certificate_page(certified.plain(), titles, pictures, markup.made_line()), path)
+
+
+def _picture(view: CheckView) -> bytes:
+    data = mujoco.MjData(view.model)
+    data.qpos[:] = view.qpos
+    mujoco.mj_forward(view.model, data)
+    with SceneRenderer(view.model, _SIZE, _FINE) as renderer:
+        return encode_jpeg(renderer.render(data, "view"), _QUALITY)

@@ -1,0 +1,148 @@
+"""Collision primitives: their distance from points, their mass distribution, and their width between pads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.config.things.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..core.geometry.columns import crossings_along_z
+from ..core.geometry.se3 import Array, quat_from_rotation
+from ..core.geometry.stl import Faces
+
+_CELLS = 90  # points along the longest side of the box that is searched for mass
+_LEAST_STEP = 5e-4  # m, least distance of these points
+
+
+def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
+    """The signed distance (n,) of points (n, 3) from a union of primitives, m; negative inside.
+
+    Where primitives overlap, the depth is that in one primitive only.
+    """
+    nearest: Array = np.min([_from_one(part, points) for part in parts], axis=0)
+    return nearest
+
+
+def _from_one(part: Primitive, points: Array) -> Array:
+    match part:
+        case Sphere():
+            distance: Array = np.linalg.norm(points - part.centre, axis=1) - part.radius
+        case Capsule():
+            start, along = np.array(part.start), np.subtract(part.end, part.start)
+            share = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0, 1)
+            distance = np.linalg.norm(points - start - share[:, None] * along, axis=1) - part.radius
+        case Cylinder():
+            x, y, z = (points - part.centre).T
+            distance = _outside_of(np.hypot(x, y) - part.radius, np.abs(z) - part.half_height)
+        case Box():
+            distance = _outside_of(*(np.abs(_in_box(part, points)) - part.half_size).T)
+        case Ring():
+            # The section of a ring is a rectangle below the line from its inner to its outer edge.
+            along = np.subtract(part.outer, part.inner)
+            length = float(np.linalg.norm(along))
+            rest = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]]) - part.inner
+            u, v = rest @ along / length, rest @ np.array([-along[1], along[0]]) / length
+            distance = _outside_of(
+                np.abs(u - length / 2) - length / 2, np.abs(v + part.thickness / 2) - part.thickness / 2
+            )
+    return distance
+
+
+def _in_box(part: Box, points: Array) -> Array:
+    c, s = math.cos(math.radians(part.yaw_deg)), math.sin(math.radians(part.yaw_deg))
+    x, y, z = (points - part.centre).T
+    return np.column_stack([c * x + s * y, c * y - s * x, z])
+
+
+def _outside_of(*along: Array) -> Array:
+    """The distance from a block, given the distances past its faces along each axis."""
+    past = np.array(along)
+    distance: Array = np.linalg.norm(np.maximum(past, 0), axis=0) + np.minimum(past.max(axis=0), 0)
+    return distance
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body as evenly spaced points (n, 3), `step` apart along each axis, m."""
+
+    points: Array
+    step: float
+
+    @classmethod
+    def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> Body:
+        """The points inside primitives, within a box with corners `low` and `high` (3,), m."""
+        step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
+        counts = np.ceil((high - low) / step).astype(int)
+        # The grid is centred in the box: symmetric primitives give symmetric points.
+        axes = [m + step * (np.arange(n) - (n - 1) / 2) for m, n in zip((low + high) / 2, counts, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return cls(points[signed_distance(parts, points) <= 0], step)
+
+    @classmethod
+    def inside(cls, vertices: Array, faces: Faces) -> Body:
+        """The points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
+        # The grid is displaced by an odd share: a line through an edge would cross two triangles.
+        axes = [(a + b) / 2 + step * (np.arange(-60, 61) + 0.0137) for a, b in zip(low, high, strict=True)]
+        x, y = (
+            np.array([v for v in axis if a <= v <= b]) for axis, a, b in zip(axes[:2], low[:2], high[:2], strict=True)
+        )
+        heights = np.array([v for v in axes[2] if low[2] <= v <= high[2]])
+        xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        found = [np.zeros((0, 3))]
+        for place, crossings in zip(xy, crossings_along_z(vertices, faces, xy), strict=True):
+            within = np.searchsorted(crossings, heights) % 2 == 1
+            if len(crossings) % 2 == 0 and within.any():
+                found.append(np.column_stack([np.tile(place, (int(within.sum()), 1)), heights[within]]))
+        return cls(np.concatenate(found), step)
+
+    @property
+    def centre(self) -> Array:
+        """The centre of mass (3,), m."""
+        centre: Array = self.points.mean(axis=0)
+        return centre
+
+    def inertia(self, mass: float) -> tuple[Array, Array]:
+        """Principal moments (3,) about the centre of mass, kg m2, and the quaternion of their axes."""
+        rest = self.points - self.centre
+        spread = mass * (rest.T @ rest) / len(rest)
+        moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        return moments, quat_from_rotation(axes)
+
+    def width(self, height: float, axis_deg: float, at: tuple[float, float], half: float) -> tuple[float, float] | None:
+        """The width, m, between two pads that close along a horizontal axis, and its middle along that axis.
+
+        Args:
+            height: of the pads' middle, m.
+            axis_deg: heading of the axis, degrees.
+            at: a point (x, y) on the axis, m.
+            half: half the pads' width and height, m.
+
+        Returns:
+            None if nothing is between the pads.
+        """
+        angle = math.radians(axis_deg)
+        along = (self.points[:, :2] - at) @ [math.cos(angle), math.sin(angle)]
+        across = (self.points[:, :2] - at) @ [-math.sin(angle), math.cos(angle)]
+        between = along[(np.abs(across) <= half) & (np.abs(self.points[:, 2] - height) <= half)]
+        if not len(between):
+            return None
+        return float(np.ptp(between)) + self.step, float(between.max() + between.min()) / 2
+
+
+def primitive_data(part: Primitive) -> dict[str, Any]:
+    """A primitive as configs write it, rounded to a hundredth of a millimetre."""
+    data: dict[str, Any] = part.model_dump(exclude_none=True)
+    return {key: _rounded(value) for key, value in data.items()}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [round(float(x), 5) for x in value]
+    return round(value, 5) if isinstance(value, float) else value

@@ -1,0 +1,307 @@
+"""SDFormat: one model with links, joints, and frames that are relative to each other.
+
+Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, pose_from_quat
+
+from .meshes import mesh_surfaces, plain_material
+from .parts import ReadThing, Surface, SurfaceMaterial, Weight
+from .solids import seen, touching
+from .tree import ReadJoint, ReadLink, bounded, checked_weight, marked_handle, parts_of
+from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
+
+_DEEPEST_INCLUDE = 8
+_JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
+
+
+def read_sdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
+    """The thing that an SDFormat file describes.
+
+    Raises:
+        RefusedError: the file is damaged, has several models, or has something that no config can express.
+    """
+    model, where = _model(data, folder, base, ())
+    reader = _Reader(folder, where)
+    links, joints = reader.model(model)
+    parts, fixed = parts_of(links, joints)
+    static = (model.findtext("static") or "").strip() in ("true", "1")
+    notes = tuple(dict.fromkeys(reader.notes))
+    return ReadThing(model.get("name", ""), parts, fixed or static, friction=reader.friction, notes=notes)
+
+
+def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
+    root = parse(data)
+    if root.tag != "sdf":
+        raise RefusedError("damaged", f"its root is <{root.tag}>, not <sdf>")
+    place = root.find("world") if root.find("model") is None and root.find("world") is not None else root
+    assert place is not None
+    models = [*place.findall("model"), *place.findall("include")]
+    if len(models) != 1:
+        kind = "empty" if not models else "several-things"
+        raise RefusedError(kind, f"it holds {len(models)} models: keep one")
+    if models[0].tag == "include":
+        return _included(models[0], folder, base, seen_files)
+    return models[0], base
+
+
+def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
+    """The model that an include names: an SDF file, or a folder with `model.sdf`."""
+    uri = (include.findtext("uri") or "").strip()
+    try:
+        path = folder.find(uri, base)
+    except RefusedError as error:
+        if error.code == "outside":
+            raise
+        path = folder.find(f"{uri}/model.sdf", base)
+    if path in seen_files or len(seen_files) >= _DEEPEST_INCLUDE:
+        raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
+    return _model(folder.read(path.name, path.parent), folder, path.parent, (*seen_files, path))
+
+
+class _Reader:
+    """Reads a model whose files are relative to the folder `base`."""
+
+    def __init__(self, folder: Folder, base: Path) -> None:
+        self._folder, self._base = folder, base
+        self.notes: list[str] = []
+        self.friction: float | None = None
+
+    def model(self, model: Element) -> tuple[list[ReadLink], list[ReadJoint]]:
+        for tag in ("include", "model"):
+            if model.find(tag) is not None:
+                name = model.get("name")
+                raise RefusedError("several-things", f"model {name!r} holds another <{tag}>: put it into one")
+        frames = _Frames(model)
+        links = [self._link(element, frames) for element in model.findall("link")]
+        by_name = {link.name: link for link in links}
+        joints = [self._joint(element, frames) for element in model.findall("joint")]
+        for element in model.findall("frame"):
+            self._handle(element, frames, by_name, links)
+        return links, joints
+
+    def _link(self, element: Element, frames: _Frames) -> ReadLink:
+        name = _name_of(element)
+        link = ReadLink(name, frames.T(name))
+        link.weight = _weight(element.find("inertial"))
+        for visual in element.findall("visual"):
+            surfaces = self._surfaces(visual, self._material(visual))
+            link.looks += [surface.moved(_pose_of(visual)) for surface in surfaces]
+        for collision in element.findall("collision"):
+            link.shapes += self._shapes(collision)
+            mu = collision.findtext("surface/friction/ode/mu")
+            if mu is not None:
+                self.friction = number(mu)
+        return link
+
+    def _surfaces(self, element: Element, material: SurfaceMaterial | None) -> list[Surface]:
+        geometry = element.find("geometry")
+        if geometry is None:
+            return []
+        mesh = geometry.find("mesh")
+        if mesh is not None:
+            return self._mesh(mesh, material)
+        found = _plain(geometry)
+        if found is None:
+            self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
+            return []
+        return [seen(*found, material or SurfaceMaterial())]
+
+    def _mesh(self, mesh: Element, material: SurfaceMaterial | None) -> list[Surface]:
+        scale = numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
+        if mesh.find("submesh") is not None:
+            self.notes.append("submesh: the whole mesh was taken")
+        uri = (mesh.findtext("uri") or mesh.findtext("filename") or "").strip()
+        return mesh_surfaces(self._folder, uri, self._base, scale, material)
+
+    def _shapes(self, element: Element) -> list[Any]:
+        geometry, T = element.find("geometry"), _pose_of(element)
+        if geometry is None:
+            return []
+        mesh = geometry.find("mesh")
+        if mesh is not None:
+            return [surface.moved(T) for surface in self._mesh(mesh, None)]
+        found = _plain(geometry)
+        return [] if found is None else [touching(*found, T)]
+
+    def _joint(self, element: Element, frames: _Frames) -> ReadJoint:
+        name, kind = _name_of(element), element.get("type", "")
+        parent, child = ((element.findtext(tag) or "").strip() for tag in ("parent", "child"))
+        parent_link, child_link = frames.link_of(parent), frames.link_of(child)
+        if child_link is None:
+            raise RefusedError("damaged", f"joint {name!r} has no child")
+        if kind == "fixed":
+            return ReadJoint(name, parent_link, child_link, None)
+        if kind not in _JOINTS:
+            raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_JOINTS)}")
+        T = inverse(frames.T(child_link)) @ frames.T(name)
+        axis = element.find("axis")
+        if axis is None:
+            raise RefusedError("damaged", f"joint {name!r} has no axis")
+        along = axis.find("xyz")
+        xyz = np.array(numbers(None if along is None else along.text, 3, (0.0, 0.0, 1.0)))
+        within = "" if along is None else along.get("expressed_in", "")
+        R = T[:3, :3] if not within else (inverse(frames.T(child_link)) @ frames.T(within))[:3, :3]
+        return ReadJoint(name, parent_link, child_link, _moves(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3]))
+
+    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, ReadLink], links: list[ReadLink]) -> None:
+        """Add the handle that a frame named `handle...` marks."""
+        name = _name_of(element)
+        owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
+        if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
+            return
+        link = by_name[owner or links[0].name]
+        T = inverse(link.T) @ frames.T(name)
+        link.handles.append(marked_handle(name.replace("-", "_"), T))
+
+    def _material(self, visual: Element) -> SurfaceMaterial | None:
+        element = visual.find("material")
+        if element is None:
+            return None
+        if element.find("script") is not None:
+            self.notes.append("material scripts are not read: colours may be missing")
+        albedo = (element.findtext("pbr/metal/albedo_map") or element.findtext("pbr/specular/albedo_map") or "").strip()
+        diffuse = element.findtext("diffuse")
+        if not albedo and diffuse is None:
+            return None
+        colour = numbers(diffuse, len((diffuse or "1 1 1 1").split()), (1.0,) * 4)
+        return plain_material(self._folder, colour, albedo, self._base)
+
+
+def _weight(inertial: Element | None) -> Weight | None:
+    if inertial is None or inertial.find("mass") is None:
+        return None
+    T, elements = _pose_of(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    tensor = inertia_matrix(*(number(inertial.findtext(f"inertia/{key}"), 0.0) for key in elements))
+    return checked_weight(number(inertial.findtext("mass")), T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+
+
+def _plain(geometry: Element) -> tuple[str, Array] | None:
+    """Kind and size of a primitive, see `solids.touching`."""
+    if (found := geometry.find("box")) is not None:
+        return "box", np.array(numbers(found.findtext("size"), 3)) / 2
+    if (found := geometry.find("sphere")) is not None:
+        return "sphere", np.array([number(found.findtext("radius"))])
+    if (found := geometry.find("ellipsoid")) is not None:
+        return "ellipsoid", np.array(numbers(found.findtext("radii"), 3))
+    for kind in ("cylinder", "capsule"):
+        if (found := geometry.find(kind)) is not None:
+            return kind, np.array([number(found.findtext("radius")), number(found.findtext("length")) / 2])
+    return None
+
+
+def _moves(element: Element, axis: Element, kind: str, direction: Array, position: Array) -> dict[str, Any]:
+    turns = kind != "slide"
+    low, high = (
+        number(axis.findtext(f"limit/{end}"), open_end) for end, open_end in (("lower", -math.inf), ("upper", math.inf))
+    )
+    moves = {
+        "type": kind,
+        "axis": direction.tolist(),
+        "position": position.tolist(),
+        "range": bounded(low, high, turns=turns, name=_name_of(element)),
+        "damping": number(axis.findtext("dynamics/damping"), 0.0),
+        "friction": number(axis.findtext("dynamics/friction"), 0.0),
+    }
+    if kind == "screw":
+        # The older element is negative radians a metre; the newer one metres a turn.
+        lead = element.findtext("screw_thread_pitch")
+        old = number(element.findtext("thread_pitch"), 1.0)
+        moves["pitch"] = number(lead) if lead else -2 * math.pi / old if old else 0.0
+    return moves
+
+
+class _Frames:
+    """Poses of all named elements of a model, in the model's frame.
+
+    Raises:
+        RefusedError: two elements have the same name, or an element has none.
+    """
+
+    def __init__(self, model: Element) -> None:
+        # Name -> pose (4, 4) relative to a frame by name; "" is the model's own.
+        self._frames: dict[str, tuple[Array, str]] = {}
+        self._attached: dict[str, str] = {}
+        self._links = {_name_of(element) for element in model.findall("link")}
+        for element in model.findall("link"):
+            self._add(element, "")
+        for element in model.findall("frame"):
+            attached = element.get("attached_to", "")
+            self._attached[_name_of(element)] = attached
+            self._add(element, attached)
+        for element in model.findall("joint"):
+            # A joint's pose is relative to its child.
+            child = (element.findtext("child") or "").strip()
+            self._attached[_name_of(element)] = child
+            self._add(element, child)
+        self._known: dict[str, Array] = {}
+
+    def _add(self, element: Element, default: str) -> None:
+        name, pose_element = _name_of(element), element.find("pose")
+        if name in self._frames:
+            raise RefusedError("damaged", f"two things are called {name!r}")
+        if pose_element is not None:
+            default = pose_element.get("relative_to") or pose_element.get("frame") or default
+        self._frames[name] = _pose_of(element), default
+
+    def relative(self, name: str) -> str:
+        """The frame to which a frame's pose is relative."""
+        return self._frames[name][1]
+
+    def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
+        """The pose (4, 4) of a frame in the model's. Raises `RefusedError` if it is missing or relative to itself."""
+        if name in ("", "__model__"):
+            return np.eye(4)
+        if name not in self._frames:
+            raise RefusedError("damaged", f"a pose is relative to {name!r}, which is not there")
+        if name in path:
+            raise RefusedError("cycle", f"the poses of {' and '.join(path[:4])} are relative to each other")
+        if name not in self._known:
+            T, relative_to = self._frames[name]
+            self._known[name] = self.T(relative_to, (*path, name)) @ T
+        return self._known[name]
+
+    def link_of(self, name: str) -> str | None:
+        """The link that a frame is attached to; None for the world. Raises `RefusedError` if there is none."""
+        steps = 0
+        while name not in self._links:
+            if name in ("world", "__model__", ""):
+                return None
+            if name not in self._attached:
+                raise RefusedError("damaged", f"a joint names {name!r}, which is not there")
+            name, steps = self._attached[name], steps + 1
+            if steps > len(self._attached):
+                raise RefusedError("cycle", f"frames are attached to each other around {name!r}")
+        return name
+
+
+def _name_of(element: Element) -> str:
+    name = element.get("name", "").strip()
+    if not name:
+        raise RefusedError("damaged", f"a <{element.tag}> has no name")
+    return name
+
+
+def _pose_of(element: Element) -> Array:
+    """The pose (4, 4) in an element's <pose>, by default the identity."""
+    found = element.find("pose")
+    if found is None:
+        return np.eye(4)
+    if found.get("rotation_format") == "quat_xyzw":
+        x, y, z, qx, qy, qz, qw = numbers(found.text, 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+        if math.hypot(qx, qy, qz, qw) < 1e-9:
+            raise RefusedError("impossible", "it has a rotation of zeros")
+        return pose_from_quat((x, y, z), (qw, qx, qy, qz))
+    x, y, z, roll, pitch, yaw = numbers(found.text, 6, (0.0,) * 6)
+    factor = math.pi / 180 if found.get("degrees") in ("true", "1") else 1.0
+    return pose((x, y, z), from_rpy(roll * factor, pitch * factor, yaw * factor))

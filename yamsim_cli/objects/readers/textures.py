@@ -1,0 +1,92 @@
+"""Textures: decoded within limits, reduced in size, and written as PNG; baked vertex colours."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.stl import Faces
+
+_MOST_PIXELS = 64_000_000  # decoded at most
+_LARGEST_SIDE = 2048  # px, kept
+_TILE = 2  # px, side of a triangle's tile: three corners, and a fourth texel for interpolation
+
+
+def open_image(data: bytes, name: str) -> Any:
+    """A Pillow image of encoded bytes, not decoded yet. Raises `RefusedError` if it is none or too large."""
+    from PIL import Image, UnidentifiedImageError
+
+    Image.MAX_IMAGE_PIXELS = _MOST_PIXELS
+    try:
+        return _checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise RefusedError("texture-unreadable", f"the texture {name} is no PNG or JPEG") from error
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise RefusedError("texture-too-large", f"the texture {name} is too large to be decoded: {error}") from error
+
+
+def _checked(image: Any, name: str) -> Any:
+    width, height = image.size
+    if width * height > _MOST_PIXELS:
+        raise RefusedError(
+            "texture-too-large",
+            f"the texture {name} has {width} x {height} pixels; at most {_MOST_PIXELS // 10**6} million: make it "
+            f"{_LARGEST_SIDE} wide, more is never drawn",
+        )
+    return image
+
+
+def png_of(image: Any, name: str) -> bytes:
+    """An RGB PNG of a Pillow image, at most 2048 pixels wide and high. Raises `RefusedError`."""
+    _checked(image, name)
+    try:
+        if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):
+            image = image.convert("RGBA")
+        image = image.convert("RGB")
+        image.thumbnail((_LARGEST_SIDE, _LARGEST_SIDE))
+        out = io.BytesIO()
+        image.save(out, format="PNG", compress_level=6)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise RefusedError("texture-unreadable", f"the texture {name} cannot be decoded: {error}") from error
+    return out.getvalue()
+
+
+def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
+    """Texture coordinates (m, 3, 2) and a PNG that show vertex colours (n, 4), interpolated over the triangles.
+
+    Each triangle has its own tile. Tiles of neighbouring triangles are close together, so that the colours of small
+    pictures blend well.
+    """
+    from PIL import Image
+
+    columns = max(1, int(np.ceil(np.sqrt(len(faces)))))
+    rows = -(-len(faces) // columns)
+    place = np.empty(len(faces), np.int64)
+    place[_by_neighbourhood(vertices[faces].mean(axis=1))] = np.arange(len(faces))
+    x, y = _TILE * (place % columns), _TILE * (place // columns)
+    corner = colours[faces][..., :3].astype(np.int64)
+    texels = np.zeros((_TILE * rows, _TILE * columns, 3), np.uint8)
+    texels[y, x], texels[y, x + 1], texels[y + 1, x] = corner[:, 0], corner[:, 1], corner[:, 2]
+    texels[y + 1, x + 1] = np.clip(corner[:, 1] + corner[:, 2] - corner[:, 0], 0, 255)
+    centres = np.stack([np.stack([x, y], 1), np.stack([x + 1, y], 1), np.stack([x, y + 1], 1)], axis=1) + 0.5
+    uv = centres / [texels.shape[1], texels.shape[0]]
+    uv[..., 1] = 1 - uv[..., 1]
+    out = io.BytesIO()
+    Image.fromarray(texels).save(out, format="PNG", compress_level=6)
+    return uv, out.getvalue()
+
+
+def _by_neighbourhood(points: Array) -> NDArray[np.int64]:
+    """An order of points (n, 3) that keeps neighbours together (Morton order)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
+    key = np.zeros(len(points), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(key, kind="stable")

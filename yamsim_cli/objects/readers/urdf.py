@@ -1,0 +1,155 @@
+"""URDF: links and joints; the frame of each link is that of the joint above the link.
+
+Source: wiki.ros.org/urdf/XML, elements link, joint and material.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.geometry.se3 import Array, pose
+
+from .meshes import mesh_surfaces, plain_material
+from .parts import ReadThing, Surface, SurfaceMaterial, Weight
+from .solids import seen, touching
+from .tree import ReadJoint, ReadLink, bounded, checked_weight, parts_of
+from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
+
+_TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+_WORLD = "world"
+
+
+def read_urdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
+    """The thing that a URDF describes. Raises `RefusedError`."""
+    root = parse(data)
+    if root.tag != "robot":
+        raise RefusedError("damaged", f"its root is <{root.tag}>, not <robot>")
+    palette = {m.get("name", ""): found for m in root.findall("material") if (found := _colour(m, folder, base))}
+    notes = ["<mimic> is not read: the joint moves by itself"] if root.find("joint/mimic") is not None else []
+    links = {name: element for element in root.findall("link") if (name := element.get("name", ""))}
+    joints = root.findall("joint")
+    poses = _poses(links, joints)
+    made = [_link(element, poses[name], folder, base, palette) for name, element in links.items() if name != _WORLD]
+    parts, fixed = parts_of(made, [_joint(element) for element in joints])
+    return ReadThing(root.get("name", ""), parts, fixed, notes=tuple(notes))
+
+
+def _ends(joint: Element) -> tuple[str, str]:
+    parent, child = joint.find("parent"), joint.find("child")
+    if parent is None or child is None:
+        raise RefusedError("damaged", f"joint {joint.get('name')!r} has no parent or no child")
+    return parent.get("link", ""), child.get("link", "")
+
+
+def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
+    """ReadLink -> pose (4, 4) in the root's frame."""
+    above = {child: (parent, joint) for joint in joints for parent, child in (_ends(joint),)}
+    known: dict[str, Array] = {}
+    for name in links:
+        chain, at = [], name
+        while at in above and at not in known:
+            chain.append(at)
+            at = above[at][0]
+            if len(chain) > len(links):
+                raise RefusedError("cycle", "its joints form a circle")
+        T = known.get(at, np.eye(4))
+        for link in reversed(chain):
+            T = T @ _origin(above[link][1])
+            known[link] = T
+        known.setdefault(name, T)
+    return known
+
+
+def _origin(element: Element) -> Array:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    return pose(numbers(origin.get("xyz"), 3, (0.0,) * 3), from_rpy(*numbers(origin.get("rpy"), 3, (0.0,) * 3)))
+
+
+def _colour(element: Element, folder: Folder, base: Path) -> SurfaceMaterial | None:
+    colour, texture = element.find("color"), element.find("texture")
+    if colour is None and texture is None:
+        return None
+    rgba = numbers(None if colour is None else colour.get("rgba"), 4, (1.0,) * 4)
+    return plain_material(folder, rgba, "" if texture is None else texture.get("filename", ""), base)
+
+
+def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[str, SurfaceMaterial]) -> ReadLink:
+    link = ReadLink(element.get("name", ""), T, _weight(element.find("inertial")))
+    for visual in element.findall("visual"):
+        named = visual.find("material")
+        material = None
+        if named is not None:
+            material = _colour(named, folder, base) or palette.get(named.get("name", ""))
+        link.looks += [surface.moved(_origin(visual)) for surface in _surfaces(visual, folder, base, material)]
+    for collision in element.findall("collision"):
+        found = _plain(collision)
+        if found is None:
+            link.shapes += [s.moved(_origin(collision)) for s in _surfaces(collision, folder, base, None)]
+        else:
+            link.shapes.append(touching(*found, _origin(collision)))
+    return link
+
+
+def _surfaces(element: Element, folder: Folder, base: Path, material: SurfaceMaterial | None) -> list[Surface]:
+    mesh = element.find("geometry/mesh")
+    if mesh is not None:
+        scale = numbers(mesh.get("scale"), 3, (1.0, 1.0, 1.0))
+        return mesh_surfaces(folder, mesh.get("filename", ""), base, scale, material)
+    found = _plain(element)
+    return [] if found is None else [seen(*found, material or SurfaceMaterial())]
+
+
+def _plain(element: Element) -> tuple[str, Array] | None:
+    if (found := element.find("geometry/box")) is not None:
+        return "box", np.array(numbers(found.get("size"), 3)) / 2
+    if (found := element.find("geometry/sphere")) is not None:
+        return "sphere", np.array([number(found.get("radius"))])
+    for kind in ("cylinder", "capsule"):
+        if (found := element.find(f"geometry/{kind}")) is not None:
+            return kind, np.array([number(found.get("radius")), number(found.get("length")) / 2])
+    return None
+
+
+def _weight(inertial: Element | None) -> Weight | None:
+    if inertial is None:
+        return None
+    T, elements = _origin(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    tensor = inertia_matrix(*(number(_attribute(inertial, "inertia", key), 0.0) for key in elements))
+    mass = number(_attribute(inertial, "mass", "value"), 0.0)
+    return checked_weight(mass, T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+
+
+def _attribute(element: Element, tag: str, name: str) -> str | None:
+    child = element.find(tag)
+    return None if child is None else child.get(name)
+
+
+def _joint(element: Element) -> ReadJoint:
+    name, kind = element.get("name", ""), element.get("type", "")
+    parent, child = _ends(element)
+    above = None if parent == _WORLD else parent
+    if kind == "fixed":
+        return ReadJoint(name, above, child, None)
+    if kind not in _TYPES:
+        raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_TYPES)}")
+    low, high = -math.inf, math.inf
+    if kind != "continuous":
+        if element.find("limit") is None:
+            raise RefusedError("damaged", f"joint {name!r} has no limit")
+        low, high = (number(_attribute(element, "limit", end), 0.0) for end in ("lower", "upper"))
+    moves: dict[str, Any] = {
+        "type": _TYPES[kind],
+        "axis": numbers(_attribute(element, "axis", "xyz"), 3, (1.0, 0.0, 0.0)),
+        "range": bounded(low, high, turns=kind != "prismatic", name=name),
+        "damping": number(_attribute(element, "dynamics", "damping"), 0.0),
+        "friction": number(_attribute(element, "dynamics", "friction"), 0.0),
+    }
+    return ReadJoint(name, above, child, moves)

@@ -1,0 +1,349 @@
+"""A board's printed page: its layout, and the page as a PDF of vector shapes or as a PNG with its resolution.
+
+Lengths are millimetres on the page, x right and y down from its top left corner. A `Board`'s metres are converted once,
+in `board_sheet`.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import ConfigError, ResourceError
+from ..core.geometry.board import Board
+from ..core.images.board_image import WHITE, marker_cells
+from ..core.images.image import Image
+from ..core.images.png import encode_png
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A size of paper in portrait orientation, mm."""
+
+    name: str
+    width: float
+    height: float
+
+
+# Source: ISO 216 and ANSI/ASME Y14.1.
+PAPERS: Mapping[str, Paper] = {
+    paper.name: paper for paper in (Paper("A4", 210.0, 297.0), Paper("Letter", 215.9, 279.4))
+}
+
+
+@dataclass(frozen=True)
+class PrintedMarker:
+    """A marker of square cells from its top left corner (x, y), each `cell` wide; `black` (k, k) are printed."""
+
+    x: float
+    y: float
+    cell: float
+    black: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A filled rectangle from its top left corner (x, y)."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Line:
+    """A thin line."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
+@dataclass(frozen=True)
+class Text:
+    """A line of ASCII text. (x, y) is the point of its baseline that `align` names."""
+
+    x: float
+    y: float
+    text: str
+    size: float = 3.4
+    bold: bool = False
+    align: Literal["left", "right", "centre"] = "left"
+
+
+Mark = PrintedMarker | Bar | Line | Text
+
+LINE_WIDTH = 0.15
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A page and the marks on it."""
+
+    paper: Paper
+    title: str
+    marks: tuple[Mark, ...]
+
+
+# The page's margin, where most printers cannot print.
+_MARGIN = 12.0
+_TITLE_SIZE = 6.0
+_LINE_STEP = 5.2
+_HEADER = 12.0 + 4 * _LINE_STEP
+_RULER_LENGTH = 100.0
+_RULER_COLUMN = 14.0
+_FOOTER = 40.0
+_QUIET = 5.0
+_CROP_MARK = 6.0
+
+
+def board_sheet(board: Board, owner: str, paper: Paper) -> Sheet:
+    """A page with the board at true size, its description, and two rulers to check the printer's scale.
+
+    A zone around the board stays white: 5 mm, or a marker's cell if that is wider. Marks outside it show where to cut,
+    so that part of the white stays on, which detectors need.
+
+    Args:
+        owner: name of the arm that the board belongs to.
+        paper: one of `PAPERS`.
+
+    Raises:
+        ConfigError: the board does not fit the page; or as `marker_cells`.
+    """
+    cells = marker_cells(board) == 0
+    width, height = board.width * 1000, board.height * 1000
+    cell = board.marker_length * 1000 / cells.shape[1]
+    quiet = max(_QUIET, cell)
+    frame = quiet + _CROP_MARK
+
+    least_width = 2 * (_MARGIN + frame) + _RULER_COLUMN + width
+    least_height = 2 * (_MARGIN + frame) + _HEADER + max(height, _RULER_LENGTH) + _FOOTER
+    if least_width > paper.width or least_height > paper.height:
+        raise ConfigError(
+            f"board {board.name!r} is {width:.1f} x {height:.1f} mm and with its white border, marks and rulers needs "
+            f"{least_width:.1f} x {least_height:.1f} mm, but {paper.name} is {paper.width:g} x {paper.height:g} mm; "
+            "choose fewer or smaller markers"
+        )
+
+    left = (_MARGIN + _RULER_COLUMN + paper.width - _MARGIN - width) / 2
+    top = _MARGIN + _HEADER + frame
+    foot = top + max(height, _RULER_LENGTH) + frame
+    return Sheet(
+        paper,
+        f"{owner}: {board.name}",
+        (
+            *_header(board, owner, paper),
+            *_markers(board, cells, left, top),
+            *_crop_marks(left, top, width, height, quiet),
+            *_upright_ruler(_MARGIN + _RULER_COLUMN - 4, top),
+            *_axes(_MARGIN + 6, foot + 24),
+            *_level_ruler(paper.width - _MARGIN - _RULER_LENGTH - 4, foot + 8),
+        ),
+    )
+
+
+def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
+    yield Text(_MARGIN, _MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
+    lines = (
+        f"Markers {board.ids[0]} to {board.ids[-1]}, row by row from the top left ({board.columns} x {board.rows}), of "
+        f"{board.dictionary}.",
+        f"Marker {board.marker_length * 1000:.3f} mm, gap {board.gap * 1000:.3f} mm, board {board.width * 1000:.3f} x "
+        f"{board.height * 1000:.3f} mm.",
+        f'Print on {paper.name} ({paper.width:g} x {paper.height:g} mm) at 100 % ("actual size"), never "fit to page".',
+        "Cut between the corner marks, and leave the white border on: detectors need it.",
+    )
+    for k, line in enumerate(lines, start=1):
+        yield Text(_MARGIN, _MARGIN + 8 + k * _LINE_STEP, line)
+
+
+def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[Mark]:
+    # From the `board` frame (origin at the centre, y up) to the page (y down).
+    corners = 1000 * (board.corners()[:, 0, :2] * (1, -1) + (board.width / 2, board.height / 2))
+    for (x, y), black in zip(corners, cells, strict=True):
+        yield PrintedMarker(left + float(x), top + float(y), board.marker_length * 1000 / len(black), black)
+
+
+def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[Mark]:
+    border = 0.6 * quiet  # 3 mm for a white zone of 5 mm: the piece then fits the lab's 100 mm plate.
+    far = quiet + _CROP_MARK
+    for x in (left - border, left + width + border):
+        yield Line(x, top - quiet, x, top - far)
+        yield Line(x, top + height + quiet, x, top + height + far)
+    for y in (top - border, top + height + border):
+        yield Line(left - quiet, y, left - far, y)
+        yield Line(left + width + quiet, y, left + width + far, y)
+
+
+def _tick(mm: int) -> float:
+    return 3.5 if mm % 10 == 0 else 2.5 if mm % 5 == 0 else 1.5
+
+
+def _level_ruler(x: float, y: float) -> Iterator[Mark]:
+    yield Bar(x, y, _RULER_LENGTH, 1.0)
+    for mm in range(int(_RULER_LENGTH) + 1):
+        yield Line(x + mm, y + 1, x + mm, y + 1 + _tick(mm))
+        if mm % 10 == 0:
+            yield Text(x + mm, y + 8, str(mm), 2.8, align="centre")
+    yield Text(x, y - 2.5, "Measure: both bars must be 100.0 mm long.", bold=True)
+    lines = (
+        "If one is not, print again at 100 %.",
+        "Then measure a marker and a gap, and set",
+        "marker_length_mm and gap_mm in your rig",
+        "to what you find.",
+    )
+    for k, line in enumerate(lines):
+        yield Text(x, y + 14 + k * _LINE_STEP, line)
+
+
+def _upright_ruler(x: float, y: float) -> Iterator[Mark]:
+    yield Bar(x - 1, y, 1.0, _RULER_LENGTH)
+    for mm in range(int(_RULER_LENGTH) + 1):
+        yield Line(x - 1, y + mm, x - 1 - _tick(mm), y + mm)
+        if mm % 10 == 0:
+            yield Text(x - 5.5, y + mm + 1, str(mm), 2.8, align="right")
+
+
+def _axes(x: float, y: float) -> Iterator[Mark]:
+    length, head = 16.0, 1.8
+    yield Line(x, y, x + length, y)
+    yield Line(x + length, y, x + length - head, y - head / 2)
+    yield Line(x + length, y, x + length - head, y + head / 2)
+    yield Text(x + length + 1.5, y + 1.1, "board x, right")
+    yield Line(x, y, x, y - length)
+    yield Line(x, y - length, x - head / 2, y - length + head)
+    yield Line(x, y - length, x + head / 2, y - length + head)
+    yield Text(x, y - length - 1.8, "board y, up")
+
+
+_POINTS_PER_MM = 72 / 25.4
+_PX_PER_MM = 600 / 25.4
+
+
+def pdf_bytes(sheets: Sequence[Sheet]) -> bytes:
+    """A PDF with a page for each sheet, which asks viewers to print it unscaled. The same sheets give the same bytes.
+
+    Raises:
+        ResourceError: the package that writes PDF is not installed.
+    """
+    try:
+        from reportlab.pdfgen.canvas import Canvas
+    except ImportError as error:
+        raise ResourceError(
+            "writing PDF needs the package reportlab: run `pip install 'yamsim[print]'`, or ask for .png instead"
+        ) from error
+
+    buffer = io.BytesIO()
+    # `invariant` leaves out the date. Pages are not compressed, so that the bytes do not depend on the zlib version.
+    canvas = Canvas(buffer, invariant=1, pageCompression=0, pdfVersion=(1, 6))
+    canvas.setTitle(", ".join(sheet.title for sheet in sheets))
+    canvas.setCreator("yamsim")
+    canvas.setViewerPreference("PrintScaling", "None")
+    for sheet in sheets:
+        height = sheet.paper.height
+        canvas.setPageSize((sheet.paper.width * _POINTS_PER_MM, height * _POINTS_PER_MM))
+        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # Millimetres from here on, with y up.
+        canvas.setLineWidth(LINE_WIDTH)
+        for mark in sheet.marks:
+            match mark:
+                case PrintedMarker():
+                    # One path for each marker: viewers smooth each path by itself, so that single cells show seams.
+                    path = canvas.beginPath()
+                    for x, y, width in _runs(mark):
+                        path.rect(x, height - y - mark.cell, width, mark.cell)
+                    canvas.drawPath(path, stroke=0, fill=1)
+                case Bar():
+                    canvas.rect(mark.x, height - mark.y - mark.height, mark.width, mark.height, stroke=0, fill=1)
+                case Line():
+                    canvas.line(mark.x0, height - mark.y0, mark.x1, height - mark.y1)
+                case Text():
+                    canvas.setFont("Helvetica-Bold" if mark.bold else "Helvetica", mark.size)
+                    draw = {
+                        "left": canvas.drawString,
+                        "right": canvas.drawRightString,
+                        "centre": canvas.drawCentredString,
+                    }
+                    draw[mark.align](mark.x, height - mark.y, mark.text)
+        canvas.showPage()
+    canvas.save()
+    return buffer.getvalue()
+
+
+def png_bytes(sheet: Sheet) -> bytes:
+    """A grey PNG of the whole page, at a resolution near 600 dpi at which marker cells are whole pixels.
+
+    The file holds the resolution as a whole number of pixels per metre, so that a print is off by 0.003 % at most.
+    """
+    image, px_per_mm = _raster(sheet)
+    return encode_png(image, px_per_mm * 1000)
+
+
+def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
+    """Runs of black cells side by side, as (left, top, width)."""
+    for row, cells in enumerate(marker.black):
+        # +1 where a run begins, -1 behind its end.
+        steps = np.diff(cells.astype(np.int8), prepend=0, append=0)
+        for start, end in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1), strict=True):
+            yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
+
+
+def _raster(sheet: Sheet) -> tuple[Image, float]:
+    cell_px = _cell_px(sheet)
+    cell = next(mark.cell for mark in sheet.marks if isinstance(mark, PrintedMarker))
+    scale = cell_px / cell
+    image = np.full((round(sheet.paper.height * scale), round(sheet.paper.width * scale)), WHITE, dtype=np.uint8)
+    thickness = max(1, round(LINE_WIDTH * scale))
+    for mark in sheet.marks:
+        match mark:
+            case PrintedMarker():
+                pixels = mark.black.repeat(cell_px, 0).repeat(cell_px, 1)
+                top, left = round(mark.y * scale), round(mark.x * scale)
+                image[top : top + len(pixels), left : left + len(pixels)][pixels] = 0
+            case Bar():
+                top, left = round(mark.y * scale), round(mark.x * scale)
+                bottom, right = round((mark.y + mark.height) * scale), round((mark.x + mark.width) * scale)
+                image[top:bottom, left:right] = 0
+            case Line():
+                # Pixel k covers k..k+1.
+                start = math.floor(mark.x0 * scale), math.floor(mark.y0 * scale)
+                end = math.floor(mark.x1 * scale), math.floor(mark.y1 * scale)
+                cv2.line(image, start, end, (0,), thickness)
+            case Text():
+                _write(image, mark, scale)
+    return image, scale
+
+
+def _cell_px(sheet: Sheet) -> int:
+    """Pixels to a marker's cell: near 600 dpi, so that the markers' places are as near to whole pixels as possible."""
+    markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
+    cell = markers[0].cell
+    offsets = np.array([(mark.x - markers[0].x, mark.y - markers[0].y) for mark in markers]) / cell
+    wanted = cell * _PX_PER_MM
+    choices = range(max(1, math.ceil(0.95 * wanted)), math.floor(1.05 * wanted) + 2)
+
+    def miss(cell_px: int) -> tuple[float, float]:
+        places = offsets * cell_px
+        return round(float(np.abs(places - places.round()).max()), 6), abs(cell_px - wanted)
+
+    return min(choices, key=miss)
+
+
+# Height of capitals: in OpenCV's Hershey fonts, units; in Helvetica, as a share of the font size. Source: both fonts.
+_HERSHEY_UNITS = 21
+_CAPITALS = 0.718
+
+
+def _write(image: Image, text: Text, scale: float) -> None:
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, _CAPITALS * text.size * scale / _HERSHEY_UNITS
+    thickness = max(1, round(text.size * scale / (9 if text.bold else 22)))
+    (width, _), _ = cv2.getTextSize(text.text, font, size, thickness)
+    left = text.x * scale - {"left": 0.0, "right": 1.0, "centre": 0.5}[text.align] * width
+    cv2.putText(image, text.text, (round(left), round(text.y * scale)), font, size, (0,), thickness, cv2.LINE_AA)

@@ -1,0 +1,297 @@
+"""Residuals of a drawn print against the photo, their Jacobian, and robust least squares over all pixels."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.least_squares import LeastSquares, descend
+from yamsim_cli.core.geometry.se3 import Array
+
+from .print_view import Drawing, PrintView, draw_print
+from .smear import Smear, slopes_of
+
+_MIN_TILE_PIXELS = 12  # fewest pixels of a tile that is compared
+_LEAST_BESIDE = 1e-4  # sum of squared shares smeared in from beside the print, below which a tile is unaffected
+_LEAST_CONTRAST = 1.0  # grey levels, contrast below which a tile shows no print
+
+_HUBER = 1.345  # standard deviations, beyond which residuals count less (Huber's 95 % efficiency)
+_LEAST_NOISE = 0.3  # grey levels: rounding alone makes as much
+_MOST_STEPS = 30
+# Steps below either limit end a fit: shift of the print in the picture, px, and standard deviations of the noise.
+_CONVERGED = (4e-3, 0.1)
+_NEARLY = (2e-2, 0.4)  # the same where only the cost is wanted
+_NOT_WORTH_A_TRY = 1.0  # standard deviations: where only the cost is wanted, a failed step below this is not retried
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A marker and half the gap around it.
+
+    Attributes:
+        correlation: of drawing and photo, -1..1.
+        shift: offset (px, right and down) of the photo from the drawing.
+        unexplained: mean squared residual after that shift, grey levels squared.
+    """
+
+    correlation: float
+    shift: tuple[float, float]
+    unexplained: float
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The compared pixels, and the derivatives of the drawn print there.
+
+    Attributes:
+        at: places on the board (n, 2), m.
+        rays: viewing rays (n, 2).
+        by_ray, by_shift: derivatives (n, 2) by a shift of the print along the rays, and by a shift in px.
+    """
+
+    at: Array
+    rays: Array
+    by_ray: Array
+    by_shift: Array
+
+
+def linearized(
+    view: PrintView, plane: Array, smear: Smear, columns: Callable[[Pixels], Array]
+) -> tuple[Array, Array, dict[int, Tile]] | None:
+    """Residuals and their Jacobian without each tile's brightness and contrast, and the tiles.
+
+    Args:
+        plane: where the print lies, as for `draw_print`.
+        smear: in the photo's pixels.
+        columns: the drawing's derivatives (n, k) by the parameters that move the print.
+
+    Returns:
+        Residuals (n,), Jacobian (n, 3 + k) by blur, motion and these parameters, and marker -> tile; None where too few
+        pixels show the print.
+    """
+    smear = smear.in_larger_pixels(view.coarser)
+    drawing = draw_print(view, plane, smear)
+    tile = _tiles(view, drawing)
+    use = tile >= 0
+    if use.sum() < 3 * _MIN_TILE_PIXELS:
+        return None
+    seen, drawn = view.photo.ravel()[use], drawing.grey.ravel()[use]
+    beside = np.zeros((len(seen), 0), np.float32)
+    slopes, by_blur, by_motion = _changes(drawing.sharp, drawing.grey, smear, use)
+    if drawing.beside is not None and drawing.outside is not None:
+        beside = drawing.beside.reshape(-1, 2)[use]
+        # The surroundings are smeared into the print by the same lens, and move with the print.
+        for side, strength in enumerate(_strengths(seen, drawn, beside, tile[use]).T):
+            outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
+            more = _changes(outside, smeared, smear, use)
+            slopes, by_blur, by_motion = (
+                of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
+                for of_print, of_side in zip((slopes, by_blur, by_motion), more, strict=True)
+            )
+    by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
+    pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
+    by_all = np.column_stack([by_blur / view.coarser, by_motion / view.coarser, columns(pixels), pixels.by_shift])
+    return _without_light(seen, drawn, beside, by_all, tile[use])
+
+
+def _changes(
+    sharp: NDArray[np.float32], smeared: NDArray[np.float32], smear: Smear, use: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Derivatives of a picture's used pixels: slopes (n, 2), by the blur (n,) and by the motion (n, 2)."""
+    slopes = np.stack([slope.ravel()[use] for slope in slopes_of(smeared)], axis=-1).astype(np.float64)
+    by_blur = smear.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
+    by_motion = np.zeros((len(by_blur), 2))
+    if smear.length:
+        by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(sharp)], axis=-1)
+    return slopes, by_blur, by_motion
+
+
+def _strengths(
+    photo: NDArray[np.float32], drawn: NDArray[np.float32], beside: NDArray[np.float32], tile: NDArray[np.int_]
+) -> Array:
+    """Brightness (n, sides) of the surroundings at each pixel's tile, in units of the print's contrast."""
+    order = np.argsort(tile, kind="stable")
+    _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
+    every = np.column_stack([drawn, beside, photo])[order].astype(np.float64)
+    every -= (np.add.reduceat(every, starts) / np.bincount(which)[:, None])[which]
+    shapes = every.shape[1] - 1
+    first, second = np.tril_indices(shapes + 1)
+    products = np.zeros((len(starts), shapes + 1, shapes + 1))
+    products[:, first, second] = np.add.reduceat(every[:, first] * every[:, second], starts)
+    products[:, second, first] = products[:, first, second]
+    # Sides that hardly affect a tile are left out of its equations.
+    power = np.einsum("tkk->tk", products[:, 1:shapes, 1:shapes])
+    touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _LEAST_BESIDE])
+    normal = products[:, :shapes, :shapes] * touched[:, :, None] * touched[:, None, :]
+    normal += np.eye(shapes) * np.where(touched, 1e-9, 1.0)[:, None, :]
+    found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
+    contrast = found[:, :1]
+    of_tile = np.where(contrast > _LEAST_CONTRAST, found[:, 1:] / np.maximum(contrast, _LEAST_CONTRAST), 0.0)
+    strengths = np.empty(beside.shape)
+    strengths[order] = of_tile[which]
+    return strengths
+
+
+def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
+    """The marker (n,) at each pixel, -1 for none and for markers of too few pixels."""
+    board, marker = view.piece.board, drawing.marker.copy()
+    counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
+    marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
+    return marker
+
+
+def _without_light(
+    photo: NDArray[np.float32],
+    drawn: NDArray[np.float32],
+    beside: NDArray[np.float32],
+    columns: Array,
+    tile: NDArray[np.int_],
+) -> tuple[Array, Array, dict[int, Tile]]:
+    """Residuals and Jacobian with each tile's light projected out (variable projection).
+
+    The light is the tile's brightness, its contrast, and what is smeared in from beside the print. The last two columns
+    are by a shift in the picture: they give each tile's shift, and are left out of the Jacobian.
+    """
+    order = np.argsort(tile, kind="stable")
+    numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
+
+    def of_tiles(values: Array) -> Array:
+        """Sums (t, ...) over each tile's pixels."""
+        return np.add.reduceat(values, starts, axis=0)
+
+    # Photo, drawing and derivatives, less each tile's mean and the surroundings.
+    every = np.column_stack([beside, photo, drawn, columns])[order].astype(np.float64)
+    every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
+    sides = beside.shape[1]
+    for side in range(sides):
+        strange = every[:, side].copy()
+        power = of_tiles(strange**2)
+        share = of_tiles(every * strange[:, None]) / np.maximum(power, _LEAST_BESIDE)[:, None]
+        share[power < _LEAST_BESIDE] = 0.0
+        every -= strange[:, None] * share[which]
+    every = every[:, sides:]
+    seen, shape, slopes = every[:, 0], every[:, 1], every[:, 2:]
+    along = of_tiles(every * shape[:, None])
+    power = along[:, 1] + 1e-9
+    contrast = along[:, 0] / power
+    slopes = contrast[which, None] * (slopes - shape[:, None] * (along[:, 2:] / power[:, None])[which])
+    residual = seen - contrast[which] * shape
+    (x, y), rest = slopes[:, -2:].T, residual
+    xx, xy, yy, xr, yr = of_tiles(np.column_stack([x * x, x * y, y * y, x * rest, y * rest])).T
+    xx, yy = xx + 1e-6, yy + 1e-6
+    shifts = np.column_stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2)[:, None]
+    correlation = contrast * np.sqrt(power / (of_tiles(seen**2) + 1e-9))
+    shifted = shifts[:, 0] * xr + shifts[:, 1] * yr
+    unexplained = (of_tiles(residual**2) - shifted) / of_tiles(np.ones(len(residual)))
+    tiles = {
+        int(number): Tile(float(alike), (float(right), float(down)), float(left))
+        for number, alike, (right, down), left in zip(numbers, correlation, shifts, unexplained, strict=True)
+    }
+    return residual, slopes[:, :-2], tiles
+
+
+Part = tuple[Array, Array, dict[int, Tile]]
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations over all parameters, and measures of the residuals.
+
+    Attributes:
+        every_normal, every_gradient: (k, k) and (k,), by all parameters.
+        misfit: weighted sum of squared residuals, grey levels squared, over `pixels` pixels of the summed `weight`.
+        noise: standard deviation that the residuals are weighted for, or that they show; grey levels.
+        free: indices of the parameters that are fitted.
+    """
+
+    every_normal: Array
+    every_gradient: Array
+    misfit: float
+    weight: float
+    pixels: int
+    noise: float
+    tiles: tuple[dict[int, Tile], ...]
+    free: tuple[int, ...]
+
+    @property
+    def normal(self) -> Array:
+        """Normal equations (f, f) of the fitted parameters."""
+        return self.every_normal[np.ix_(self.free, self.free)]
+
+    @property
+    def gradient(self) -> Array:
+        """Their right-hand side (f,)."""
+        return self.every_gradient[list(self.free)]
+
+    @property
+    def cost(self) -> float:
+        """The weighted mean of squared residuals, so that a pose with fewer pixels has no advantage."""
+        return self.misfit / self.weight
+
+
+class PrintProblem(LeastSquares[S, System]):
+    """Least squares over the pixels of prints; `roughly` where only the cost is wanted."""
+
+    def __init__(self, roughly: bool = False) -> None:
+        self._roughly = roughly
+
+    @abstractmethod
+    def system(self, state: S, noise: float | None) -> System | None:
+        """Normal equations at a state; residuals are weighted for a given noise, or for the noise found."""
+
+    @abstractmethod
+    def moved_px(self, state: S, step: Array) -> float:
+        """The approximate shift of the print in the picture by a step (f,), px."""
+
+    def linearized(self, state: S, before: System | None) -> System | None:
+        """The system at a state, weighted for the noise known before."""
+        if before is None:
+            return self.system(state, None)
+        found = self.system(state, before.noise)
+        if found is None:
+            return None
+        # Weights change only with the next state, so that both costs of a step are weighted alike.
+        return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
+
+    def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
+        """Whether the last step hardly moved the print."""
+        px, sigmas = _NEARLY if self._roughly else _CONVERGED
+        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _LEAST_NOISE)
+        if self._roughly and gain < 0 and of_noise < _NOT_WORTH_A_TRY:
+            return True
+        return of_noise < sigmas or self.moved_px(state, step) < px
+
+    def solve(self, start: S) -> tuple[S, System] | None:
+        """The best state near a start, and the equations there; None where the photo does not show the print."""
+        return descend(self, start, _MOST_STEPS)
+
+
+def weighed(parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]) -> System | None:
+    """Normal equations of all parts together; None where a part shows nothing."""
+    whole = [part for part in parts if part is not None]
+    if len(whole) < len(parts):
+        return None
+    residual = np.concatenate([part[0] for part in whole])
+    jacobian = np.concatenate([part[1] for part in whole])
+    if noise is None:
+        noise = float(1.4826 * np.median(np.abs(residual)))
+    noise = max(noise, _LEAST_NOISE)
+    weight = np.minimum(1.0, _HUBER * noise / np.maximum(np.abs(residual), 1e-9))
+    weighted = jacobian * weight[:, None]
+    return System(
+        weighted.T @ jacobian + 1e-12 * np.eye(jacobian.shape[1]),
+        weighted.T @ residual,
+        float(weight @ residual**2),
+        float(weight.sum()),
+        len(residual),
+        noise,
+        tuple(part[2] for part in whole),
+        free,
+    )

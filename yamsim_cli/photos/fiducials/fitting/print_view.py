@@ -1,0 +1,257 @@
+"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, and smeared."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.board_image import board_image, marker_cells
+
+from ...lens import project_points, ray_field
+from .smear import Smear
+
+Grey = NDArray[np.float32]
+
+_FINE = 3  # points along a pixel's edge at which the print is drawn before averaging
+_ENOUGH_PX_A_CELL = 2.7  # px a cell: a finer picture only costs time
+_SHARP_REACH = 0.9  # px, reach of a smear below which nothing beside the print affects the compared pixels
+_MARGIN_PX = 3  # px around the board, by which a fit may move the print
+_LEAST_PX = 8  # px, smallest side of a view
+
+
+@dataclass(frozen=True)
+class PrintPiece:
+    """A board, and where it lies in the reference frame whose pose is sought.
+
+    Attributes:
+        T_board_in_ref: pose (4, 4).
+        markers: indices (k,) into `board.ids` of the markers to compare.
+    """
+
+    board: Board
+    T_board_in_ref: Array
+    markers: tuple[int, ...]
+
+
+def piece_of(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
+    """A board alone, in its own frame, with some or all of its markers."""
+    return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
+
+
+@dataclass(frozen=True)
+class PrintView:
+    """The part of the photo that shows a piece, and what stays the same while the pose moves.
+
+    Attributes:
+        photo: grey levels (rows, columns) of the part, reduced by the factor `coarser`.
+        centre_rays: viewing rays (n, 2) of the part's pixels, row by row.
+        px_per_ray: derivative (n, 2, 2) of the pixels by the rays.
+        pattern, px_per_metre: the board's print, 0 black to 1 white, and its scale.
+        field: rays (rows, columns, 2) of the points at which the print is drawn, `_FINE` x `_FINE` a pixel.
+    """
+
+    piece: PrintPiece
+    photo: Grey
+    coarser: int
+    centre_rays: Array
+    px_per_ray: Array
+    pattern: Grey
+    px_per_metre: float
+    field: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """The print as the camera sees it.
+
+    Attributes:
+        sharp: (rows, columns), 0 black to 1 white.
+        grey: the same, smeared.
+        outside: (rows, columns, 2), share of each pixel that lies beside the print: left or right, and above or below;
+            None if too little is smeared into the compared pixels. The unknown surroundings are drawn as a continuation
+            of the outer markers' black.
+        beside: `outside`, smeared.
+        at: each pixel's place on the board (n, 2), m.
+        marker: the marker (n,) that the pixel shows, with half the gap around the marker; -1 for none.
+    """
+
+    sharp: Grey
+    grey: Grey
+    outside: Grey | None
+    beside: Grey | None
+    at: Array
+    marker: NDArray[np.int_]
+
+
+def plane_of(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
+    """The matrix (3, 3) from a piece's print, (x, y, 1) in m, to the camera's frame, at a pose and a size of print."""
+    plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
+    return plane
+
+
+def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PrintView | None:
+    """The part of a photo (height, width) in which a piece lies.
+
+    Args:
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
+
+    Returns:
+        None where it lies outside the photo.
+    """
+    board = piece.board
+    half = np.array([board.width / 2, board.height / 2])
+    corners = np.array([[x, y, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    in_cam = corners @ plane.T
+    if in_cam[:, 2].min() <= 1e-3 * plane[2, 2]:
+        return None
+    pixels = project_points(camera, in_cam)
+    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX, 0)
+    high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1, [camera.width, camera.height])
+    if (high - low < _LEAST_PX).any():
+        return None
+    crop = photo[low[1] : high[1], low[0] : high[0]]
+    px_per_metre = float((pixels.max(axis=0) - pixels.min(axis=0)).max()) / max(board.width, board.height)
+    cell = board.marker_length / marker_cells(board).shape[1]
+    coarser = max(1, int(px_per_metre * cell / _ENOUGH_PX_A_CELL))
+    if coarser > 1:
+        rows, columns = (side // coarser * coarser for side in crop.shape)
+        size = (columns // coarser, rows // coarser)
+        crop = np.asarray(cv2.resize(crop[:rows, :columns], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    rows, columns = crop.shape
+    x = low[0] + (np.arange(columns * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
+    y = low[1] + (np.arange(rows * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
+    field = ray_field(camera, x, y)
+    pattern, pattern_px_per_metre = _pattern(board, px_per_metre / coarser * cell * _FINE)
+    middle = slice(_FINE // 2, None, _FINE)
+    span = (_FINE - 1) / _FINE
+    by_x = (field[middle, _FINE - 1 :: _FINE] - field[middle, ::_FINE]) / span
+    by_y = (field[_FINE - 1 :: _FINE, middle] - field[::_FINE, middle]) / span
+    ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
+    return PrintView(
+        piece,
+        np.ascontiguousarray(crop, dtype=np.float32),
+        coarser,
+        field[middle, middle].reshape(-1, 2).astype(np.float64),
+        _inverse_2x2(ray_per_px),
+        pattern,
+        pattern_px_per_metre,
+        field,
+    )
+
+
+def _inverse_2x2(matrices: Array) -> Array:
+    """Inverses of (n, 2, 2), several times faster than numpy's general ones."""
+    (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    inverses: Array = adjugate / (a * d - b * c)[:, None, None]
+    return inverses
+
+
+def _pattern(board: Board, points_a_cell: float) -> tuple[Grey, float]:
+    """The print and its scale in px a metre, about as fine as the points at which the print is sampled."""
+    fine, px_per_metre = _fine_pattern(board)
+    coarser = 4 if points_a_cell <= 5 else 2 if points_a_cell <= 10 else 1
+    return _reduced(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
+
+
+@functools.lru_cache(maxsize=32)
+def _fine_pattern(board: Board) -> tuple[Grey, float]:
+    """The print and its scale in px a metre. Markers are whole pixels, and gaps are rounded as little as possible."""
+    step = (board.marker_length + board.gap) / board.marker_length
+
+    def rounding(cell_px: int) -> float:
+        at = np.arange(max(board.columns, board.rows)) * step * cells * cell_px
+        return float(np.abs(at - np.round(at)).max()) / cell_px
+
+    cells = marker_cells(board).shape[1]
+    cell_px = min(range(16, 33, 4), key=rounding)
+    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / np.float32(255)
+    return image, cells * cell_px / board.marker_length
+
+
+@functools.lru_cache(maxsize=64)
+def _reduced(board: Board, coarser: int) -> Grey:
+    fine, _ = _fine_pattern(board)
+    rows, columns = (-(-side // coarser) for side in fine.shape)
+    # Padded with what is at the edge, so that every reduced pixel stands for a whole block.
+    padded = cv2.copyMakeBorder(
+        fine, 0, rows * coarser - fine.shape[0], 0, columns * coarser - fine.shape[1], cv2.BORDER_REPLICATE
+    )
+    return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
+    """Draw a piece.
+
+    Args:
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
+        smear: in the view's pixels.
+    """
+    onto_board: Array = np.linalg.inv(plane).astype(np.float64)
+    board = view.piece.board
+    x, y = fine_places(view, onto_board)
+    scale = np.float32(view.px_per_metre)
+    map_x = (x + np.float32(board.width / 2)) * scale - np.float32(0.5)
+    map_y = (np.float32(board.height / 2) - y) * scale - np.float32(0.5)
+    fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    shape = (view.photo.shape[1], view.photo.shape[0])
+    outside = beside = None
+    if smear.reach < _SHARP_REACH:
+        sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        grey = smear.of(sharp)
+    else:
+        past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
+        # Past a corner, each side has half of the pixel.
+        half = np.float32(1) / (np.float32(1) + (past_x & past_y))
+        past = past_x * half, past_y * half
+        every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
+        smeared = smear.of(every)
+        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(smeared[..., 0])
+        outside, beside = every[..., 1:], smeared[..., 1:]
+    homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
+    at = homogeneous[:, :2] / homogeneous[:, 2:]
+    return Drawing(sharp, grey, outside, beside, at, _marker_at(view, at, smear))
+
+
+def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
+    """The places on the board (m, right and up) of the points at which the print is drawn.
+
+    Args:
+        onto_board: (3, 3) from viewing rays to the board.
+    """
+    field, A = view.field, onto_board.astype(np.float32)
+    w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
+    # A ray along the board's plane never meets the plane.
+    with np.errstate(divide="ignore"):
+        x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
+        y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
+    return x, y
+
+
+def _marker_at(view: PrintView, at: Array, smear: Smear) -> NDArray[np.int_]:
+    """The piece's marker, with half the gap around, that each pixel shows; -1 for none.
+
+    Also -1 near other parts of the picture, such as the table or a hand, that may be blurred into the pixel.
+    """
+    board = view.piece.board
+    step = board.marker_length + board.gap
+    column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
+    row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
+    marker = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
+    inside = (np.abs(at[:, 0]) < board.width / 2) & (np.abs(at[:, 1]) < board.height / 2)
+    compared = np.zeros(board.rows * board.columns, dtype=bool)
+    compared[list(view.piece.markers)] = True
+    inside &= compared[marker]
+    reach = 1 + round(smear.reach)
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    mask = inside.reshape(view.photo.shape).astype(np.uint8)
+    clear = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
+    return np.where(clear, marker, -1)

@@ -1,0 +1,228 @@
+"""The poses that explain a flat board's outline at many focal lengths at once, and the effect of a lens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.least_squares import LeastSquares, descend
+from yamsim_cli.core.geometry.se3 import Array
+
+from .outline import Outline
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_STEPS = 30  # steps of a pose at most
+_NO_GAIN = 1e-3  # gain of chi squared, over 1 + chi squared, that ends the steps
+_GRID = 5  # points along a board's edge at which distortion is evaluated
+_EDGE_ON = 1e-6  # longer sides squared, area of a board's picture below which the board is seen edge-on
+_MOST_BEND = 3.0  # longer sides, shift by distortion with k1 = 1 above which rounding dominates
+_MOST_TURN = 0.5  # rad, longest turn of one step
+
+
+def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
+    """The two poses that a flat board may have, for each focal length.
+
+    Lengths in the picture are in its longer side, those on the board in its width.
+    """
+    longer = max(size)
+    seen = (outline.points - (np.array(size) - 1) / 2) / longer
+    whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
+    on_board = outline.on_board / outline.board.width
+    return [BoardPoses(on_board, seen, whiten, spread, first) for first in _starts(on_board, seen, spread)]
+
+
+def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
+    """Two sets of poses to start from, a pose for each focal length."""
+    points = np.column_stack([on_board, np.zeros(4)])
+    turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
+    for k, value in enumerate(spread):
+        _, vectors, places, _ = cv2.solvePnPGeneric(
+            points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        )
+        # With one pose alone, the first is also the last.
+        for pose, which in ((0, 0), (1, -1)):
+            turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
+            shifts[pose, k] = places[which].ravel()
+    sizes = 1 / (shifts[..., 2] * spread)
+    return [Poses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
+
+
+def _flat_moves(points: Array) -> Array:
+    """Shifts (2 k, 8) of points (k, 2) of a plane by each of the eight parameters of a homography."""
+    x, y = points.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
+    moves: Array = np.stack([np.stack(across, axis=-1), np.stack(down, axis=-1)], axis=1).reshape(-1, 8)
+    return moves
+
+
+def _inverses(matrices: Array) -> Array:
+    """Inverses of (..., 2, 2); huge for singular matrices, as of a board that is seen edge-on."""
+    a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) < _EDGE_ON, _EDGE_ON, determinant)
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    inverses: Array = adjugate / determinant[..., None, None]
+    return inverses
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A pose of one board for each of n focal lengths.
+
+    Attributes:
+        turns: rotations (n, 3, 3) of the board.
+        middles, sizes: centre (n, 2) and size (n,) of the board in the picture.
+    """
+
+    turns: Array
+    middles: Array
+    sizes: Array
+
+
+R = TypeVar("R", bound="DataclassInstance")
+
+
+def choose(take: NDArray[np.bool_], one: R, other: R) -> R:
+    """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
+    arrays = zip(vars(one).items(), vars(other).values(), strict=True)
+    return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
+
+
+class BoardPoses:
+    """The poses of a board that explain its outline, for each of n focal lengths.
+
+    With the board's `size` and `middle` in the picture, a point u of the board, turned to y, is seen at
+    (middle + size y_xy) / (1 + spread size y_z), which stays regular for infinitely long lenses.
+    """
+
+    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: Poses) -> None:
+        self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
+        self.first = first
+        line = np.linspace(-0.5, 0.5, _GRID)
+        board = math.sqrt(12) * np.abs(on_board).max(axis=0)
+        self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
+
+    def followed(self, poses: Poses, lens: Array) -> Poses:
+        """The poses near given ones that explain the outline best, seen through a lens (n, 3)."""
+        _, _, by_lens = self.equations(poses, lens)
+        # The effect of distortion hardly changes during the steps.
+        bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
+        found = descend(_BoardPosesProblem(self, lens, bend), poses, _STEPS)
+        assert found is not None  # the equations exist at every state
+        return found[0]
+
+    def _bend(self, poses: Poses, at: Array, w: Array) -> Array:
+        """Shifts (n, 4, 2) of the four points of the outline by distortion with k1 = 1.
+
+        The outline is the homography nearest to the whole board's picture, which distortion curves. So distortion is
+        evaluated all over the board, and its homography part moves the four points.
+        """
+        spread = self._spread[:, None]
+        on_grid = self._grid @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
+        grid = (poses.middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
+        moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
+        on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
+        flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
+        moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
+        # For a board seen edge-on, rounding dominates.
+        possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
+        return np.where(possible[:, None, None], moved_points, 0.0)
+
+    def _by_board(self, poses: Poses, at: Array, w: Array) -> Array:
+        """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
+        axes = poses.turns[:, None, :, :2] * poses.sizes[:, None, None, None]
+        by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
+        by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
+        return by
+
+    def equations(self, poses: Poses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
+        """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
+
+        Args:
+            bend: shifts (n, 4, 2) of the points by distortion with k1 = 1, if known.
+        """
+        turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        x, y, z = (turned[..., k] for k in range(3))
+        spread = self._spread[:, None]
+        w = np.maximum(1 + spread * z, 1e-3)
+        at = (poses.middles[:, None, :] + turned[..., :2]) / w[..., None]
+        n, zero, one = len(spread), np.zeros_like(x), np.ones_like(x)
+        by_pose = np.empty((n, 4, 2, 6))
+        for row, (moves_x, moves_y) in enumerate(((zero, -z), (z, zero), (-y, x))):
+            moves_z = (y, -x, zero)[row]
+            by_pose[..., 0, row] = (moves_x - at[..., 0] * spread * moves_z) / w
+            by_pose[..., 1, row] = (moves_y - at[..., 1] * spread * moves_z) / w
+        by_pose[..., 3] = np.stack([one / w, zero], axis=-1)
+        by_pose[..., 4] = np.stack([zero, one / w], axis=-1)
+        by_pose[..., 5] = (turned[..., :2] - at * (w - 1)[..., None]) / w[..., None]
+        by_lens = np.zeros((n, 4, 2, 3))
+        by_lens[..., 0, 0] = by_lens[..., 1, 1] = 1.0
+        by_lens[..., 2] = self._bend(poses, at, w) if bend is None else bend
+        k1 = lens[:, None, None, 2]
+        bent = at + k1 * by_lens[..., 2] + lens[:, None, :2]
+        residual = (bent - self._seen).reshape(n, 8) @ self._whiten.T
+        return residual, self._whiten @ by_pose.reshape(n, 8, 6), self._whiten @ by_lens.reshape(n, 8, 3)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    residual: Array
+    by_pose: Array
+
+    @property
+    def cost(self) -> Array:
+        cost: Array = (self.residual**2).sum(axis=1)
+        return cost
+
+    @property
+    def normal(self) -> Array:
+        normal: Array = np.swapaxes(self.by_pose, 1, 2) @ self.by_pose
+        return normal
+
+    @property
+    def gradient(self) -> Array:
+        gradient: Array = -np.einsum("nij,ni->nj", self.by_pose, self.residual)
+        return gradient
+
+
+class _BoardPosesProblem(LeastSquares[Poses, _Linear]):
+    """Least squares over the poses, separately at each focal length, with fixed shifts by distortion."""
+
+    def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
+        self._board, self._lens, self._bend = board, lens, bend
+
+    def linearized(self, state: Poses, before: _Linear | None) -> _Linear:
+        residual, by_pose, _ = self._board.equations(state, self._lens, self._bend)
+        return _Linear(residual, by_pose)
+
+    def moved(self, state: Poses, step: Array) -> Poses:
+        angle = np.linalg.norm(step[:, :3], axis=1)
+        axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
+        angle = np.minimum(angle, _MOST_TURN)
+        cross = np.zeros((len(step), 3, 3))
+        cross[:, [2, 0, 1], [1, 2, 0]] = axis
+        cross[:, [1, 2, 0], [2, 0, 1]] = -axis
+        sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+        return Poses(
+            (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.turns,
+            state.middles + np.clip(step[:, 3:5], -1, 1),
+            state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
+        )
+
+    def settled(self, state: Poses, known: _Linear, step: Array, gain: Array) -> bool:
+        return bool((gain < _NO_GAIN * (1 + known.cost)).all())
+
+    def better_of(
+        self, better: NDArray[np.bool_], there: tuple[Poses, _Linear], here: tuple[Poses, _Linear]
+    ) -> tuple[Poses, _Linear]:
+        return choose(better, there[0], here[0]), choose(better, there[1], here[1])

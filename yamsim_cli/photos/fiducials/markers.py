@@ -1,0 +1,132 @@
+"""Find a board's markers in a photo, and keep those that can belong to one board."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.board_image import dictionary_of
+
+from ..lens import rays
+
+Grey = NDArray[np.uint8]
+
+# The detector's thresholds suit markers of 30 px and more.
+_ENLARGE_TO = 1920  # px, longer side to which smaller photos are enlarged
+_MAX_ENLARGEMENT = 3
+# px, longer side to which larger photos are reduced. The detector leaves out markers with an edge below 0.0075 of the
+# longer side (`minMarkerPerimeterRate`), so those that remain have 30 px after the reduction.
+_SHRINK_TO = 4096
+# The detector's thresholds suit photos that use all grey levels.
+_ENDS = (0.1, 99.9)  # percentiles that are stretched to the whole range
+_WIDEST = 128.0  # grey levels between these, from which a photo is not stretched
+_SAME_BOARD = 0.8  # marker edges, distance of the board centres that two markers of one board predict
+
+
+@dataclass(frozen=True)
+class DetectedMarker:
+    """A marker's id, and its corners (4, 2) in pixels, clockwise from the marker's own top left."""
+
+    id: int
+    corners: Array
+
+
+@dataclass(frozen=True)
+class Group:
+    """Markers that lie as on one board: indices into `board.ids`, and corners (k, 4, 2) in pixels."""
+
+    places: tuple[int, ...]
+    corners: Array
+
+
+def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[DetectedMarker]]:
+    """All markers of some dictionaries in a photo (height, width), duplicates included.
+
+    Raises:
+        ConfigError: OpenCV has no such dictionary.
+    """
+    sized, factor = _sized(grey)
+    parameters = cv2.aruco.DetectorParameters()
+    # Poses only start from the corners. Refining corners takes six times as long as finding them.
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    found = {}
+    for name in dictionaries:
+        detector = cv2.aruco.ArucoDetector(dictionary_of(name), parameters)
+        corners, ids, _ = detector.detectMarkers(sized)
+        # OpenCV 4 returns None for no markers.
+        numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
+        found[name] = [
+            DetectedMarker(number, (quad.reshape(4, 2).astype(np.float64) + 0.5) / factor - 0.5)
+            for number, quad in zip(numbers, corners, strict=True)
+        ]
+    return found
+
+
+def _sized(grey: Grey) -> tuple[Grey, Array]:
+    """The photo in a size that suits the detector, and the factors (2,) of its width and height."""
+    longer = max(grey.shape)
+    if longer > _SHRINK_TO:
+        size = tuple(round(side * _SHRINK_TO / longer) for side in grey.shape[::-1])
+        shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return _stretched(shrunk), np.array(size) / grey.shape[::-1]
+    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / longer)))
+    grey = _stretched(grey)
+    if factor > 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    return grey, np.array([factor, factor], dtype=np.float64)
+
+
+def _stretched(grey: Grey) -> Grey:
+    low, high = np.percentile(grey, _ENDS)
+    if high - low >= _WIDEST or high - low < 1:
+        return grey
+    stretched: Grey = np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    return stretched
+
+
+def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[Group]:
+    """Markers of a board, grouped by the board centre that each predicts; the largest group first.
+
+    A second print of the same board, or a marker that was misread, is in another group.
+    """
+    place = {number: k for k, number in enumerate(board.ids)}
+    ours = [marker for marker in markers if marker.id in place]
+    corners = board.corners()
+    middles = [_middle(marker, corners[place[marker.id]], camera) for marker in ours]
+    clusters: list[list[int]] = []
+    for k, (marker, (middle, edge)) in enumerate(zip(ours, middles, strict=True)):
+        for cluster in clusters:
+            centre = np.mean([middles[j][0] for j in cluster], axis=0)
+            taken = {ours[j].id for j in cluster}
+            if marker.id not in taken and np.linalg.norm(middle - centre) < _SAME_BOARD * edge:
+                cluster.append(k)
+                break
+        else:
+            clusters.append([k])
+    clusters.sort(key=len, reverse=True)
+    return [
+        Group(tuple(place[ours[k].id] for k in cluster), np.array([ours[k].corners for k in cluster]))
+        for cluster in clusters
+    ]
+
+
+def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
+    """The viewing ray of the board's centre that a marker predicts, and the marker's edge in the same unit."""
+    seen = rays(camera, marker.corners)
+    # The perspective of one small marker is mostly noise: far from the marker, an affine map errs less.
+    known = np.column_stack([corners[:, :2], np.ones(4)])
+    affine, *_ = np.linalg.lstsq(known, seen, rcond=None)
+    edge = float(np.linalg.norm(np.diff(seen, axis=0), axis=1).max())
+    return affine[2], edge
+
+
+def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
+    """The ids of all markers, sorted, each once."""
+    return sorted({marker.id for found in markers.values() for marker in found})

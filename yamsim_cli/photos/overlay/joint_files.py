@@ -1,0 +1,163 @@
+"""Reads the joints that photos were taken with, from the kinds of files that people have."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.errors import ConfigError, DatasetError
+from yamsim_cli.core.files.documents.document import load_yaml
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.robots.stops import beyond_stops
+from yamsim_cli.core.types import Stand
+
+_SLACK = math.radians(3.0)  # rad, how far beyond its stop a joint may be: encoders and calibrations are slightly off
+_MOST_OPENING = 1.1  # of the full opening, which no finger exceeds: a file with larger numbers gives shares, not m
+
+_KINDS = (".npy", ".yaml", ".yml", ".pkl")
+
+# How every arm of a rig stands, in the rig's order.
+Stands = tuple[Stand, ...]
+
+
+def home_stands(rig: RigConfig) -> Stands:
+    """Every arm at home, grippers closed."""
+    return tuple(Stand(np.array(arm.robot.home), 0.0) for arm in rig.arms)
+
+
+def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
+    """How every arm stands, in one row, or in a row for each photo.
+
+    An `.npy` holds an array of one row, or of a row for each photo. A `.pkl` is a recorded frame's lowdim. YAML holds
+    either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for an arm with
+    fingers, the opening of one finger in m; the left arm comes first. For a rig of one arm a row may leave out the
+    opening, or hold two such arms. If any opening is more than a tenth above the full one, all are shares of it.
+
+    Raises:
+        ConfigError: the file is unreadable, of another shape, not finite, or outside the joints' ranges.
+    """
+    kind = path.suffix.lower()
+    if kind not in _KINDS:
+        raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_KINDS)}")
+    try:
+        values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _by_arm(_numbers(path, kind), rig, path)
+    except OSError as error:
+        raise ConfigError(f"--joints {path}: cannot be read: {error.strerror or error}") from error
+    if not all(np.isfinite(rows).all() for rows in values):
+        raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
+    for arm, rows in zip(rig.arms, values, strict=True):
+        if fault := beyond_stops(arm.name, arm.robot, rows, _SLACK):
+            raise ConfigError(f"--joints {path}: {fault}")
+    return _stands(_in_metres(values, rig, path), rig)
+
+
+def recorded_stands(joints: Array, rig: RigConfig, source: Path) -> Stands:
+    """How every arm stands in a recorded frame. Raises as `load_stands`."""
+    return _stands(_by_arm(joints, rig, source), rig)[0]
+
+
+def _stands(values: list[Array], rig: RigConfig) -> list[Stands]:
+    """How every arm stands, row by row, from each arm's rows of joints and, with fingers, opening."""
+    dofs = [arm.robot.dof for arm in rig.arms]
+    return [
+        tuple(Stand(row[:dof], float(row[dof]) if len(row) > dof else 0.0) for dof, row in zip(dofs, rows, strict=True))
+        for rows in zip(*values, strict=True)
+    ]
+
+
+def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
+    fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
+    are_shares = any((values[k][:, -1] > _MOST_OPENING * full).any() for full, k in fingers)
+    for full, k in fingers:
+        given = values[k][:, -1]
+        shares = given if are_shares else given / full
+        # Drives report values slightly beyond both ends, and some grippers close beyond 0 to squeeze.
+        if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
+            worst = given[np.abs(shares - 0.5).argmax()]
+            raise ConfigError(
+                f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
+                f"0..{full} m, or a share of it, 0..1"
+            )
+        values[k][:, -1] = np.clip(shares, 0.0, 1.0) * full
+    return values
+
+
+def _numbers(path: Path, kind: str) -> Array:
+    if kind == ".npy":
+        try:
+            # `np.load` would open archives, too.
+            with path.open("rb") as stream:
+                return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
+        except (ValueError, TypeError, EOFError, MemoryError) as error:
+            raise ConfigError(f"--joints {path}: not an array of numbers: {error}") from error
+    try:
+        frame = load_frame(path.read_bytes())
+        return np.asarray(frame["joints"], dtype=np.float64)
+    except KeyError:
+        raise ConfigError(f"--joints {path}: the frame has no key 'joints'") from None
+    except (DatasetError, ValueError, TypeError) as error:
+        raise ConfigError(f"--joints {path}: {error}") from error
+
+
+def _yaml_rows(path: Path, rig: RigConfig) -> list[Array]:
+    data = load_yaml(path).data
+    names = [arm.name for arm in rig.arms]
+    if set(data) == {"joints"}:
+        return _by_arm(_array(data["joints"], path), rig, path)
+    if not data or not set(data) <= set(names):
+        raise ConfigError(
+            f"--joints {path}: has the keys {', '.join(data)}; valid: joints alone, or {', '.join(names)}"
+        )
+    found = []
+    for arm in rig.arms:
+        values = _array(data[arm.name], path) if arm.name in data else np.array(arm.robot.home)
+        dof, width = arm.robot.dof, len(arm.robot.drives)
+        if values.shape not in ((dof,), (width,)):
+            with_gripper = f", or {width} with the gripper" if width > dof else ""
+            raise ConfigError(
+                f"--joints {path}: {arm.name}: has the shape {values.shape}; give {dof} joints{with_gripper}"
+            )
+        found.append(_padded(values[None], width))
+    return found
+
+
+def _array(value: object, path: Path) -> Array:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"--joints {path}: not a list of numbers: {error}") from error
+
+
+def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
+    """Each arm's columns of rows that hold all arms', in the rig's order."""
+    rows = np.atleast_2d(values)
+    if len(rows) == 0:
+        raise ConfigError(f"{path}: holds no row of joints")
+    count = rows.shape[1] if rows.ndim == 2 else 0
+    each, dof, alone = rig.drives, rig.arms[0].robot.dof, len(rig.arms) == 1
+    if alone and count in (dof, each):
+        return [_padded(rows, each)]
+    if count == 2 * each:
+        # A file for one arm may hold two such arms, as the recorder of a real station writes them.
+        return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
+    valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _listed(rig)
+    raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
+
+
+def _padded(rows: Array, width: int) -> Array:
+    padded = np.zeros((len(rows), width))
+    padded[:, : rows.shape[1]] = rows
+    return padded
+
+
+def _listed(rig: RigConfig) -> str:
+    """Such as "14 (left 6, left gripper, right 6, right gripper)"."""
+    arms = [rig.arms[k] for k in rig.recorded]
+    parts = []
+    for arm in arms:
+        parts += [f"{arm.side} {arm.robot.dof}"] + [f"{arm.side} gripper"] * bool(arm.robot.fingers)
+    return f"{len(arms) * rig.drives} ({', '.join(parts)})"

@@ -1,0 +1,117 @@
+"""Scores rendered arms by a photo's edges and by a mask of the robot, and improves their poses by the edges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse
+
+from ..fiducials.locate import at_pose
+from ..silhouette import (
+    EdgeEquations,
+    EdgeOffsets,
+    correction,
+    edge_equations,
+    edge_offsets,
+    grain_px,
+    outline,
+    rounds,
+)
+from .arm_poses import ArmPose, PhotoResult
+from .joint_files import Stands
+from .rendered_arms import ArmRenderer, FlatArms
+
+_LEAST_POINTS = 20  # fewest points of an outline that moves a pose
+
+
+def score_outlines(result: PhotoResult, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> PhotoResult:
+    """The result with its edge residuals: outlines as posed in `renderer` against the photo (height, width)."""
+    flat_grey = renderer.flattened(grey)
+    labels = renderer.flat_labels()
+    offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
+    arms = tuple(
+        replace(arm, edge_residual=offsets[k].residual) if k in offsets else arm for k, arm in enumerate(result.arms)
+    )
+    reach = next(iter(offsets.values())).reach
+    every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]), reach)
+    return replace(result, arms=arms, edge_residual=every.residual)
+
+
+def _other(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
+    other: NDArray[np.bool_] = (labels > 0) & (labels != k + 1)
+    return other
+
+
+def refine(
+    result: PhotoResult, renderer: ArmRenderer, stands: Stands, grey: NDArray[np.uint8], together: bool
+) -> PhotoResult:
+    """The result with poses moved onto the edges of the photo (height, width), weighed against the boards' poses.
+
+    Args:
+        together: whether the arms move as one and keep their distance.
+    """
+    flat_grey = renderer.flattened(grey)
+    start = result.bases
+    groups = [list(start)] if together else [[k] for k in start]
+    priors = [_prior([result.arms[k] for k in group]) for group in groups]
+    steps = [np.zeros(6) for _ in groups]
+    poses = dict(start)
+    for reach in rounds():
+        renderer.pose(poses, stands)
+        flat = renderer.flat()
+        for group, (centre, information), step in zip(groups, priors, steps, strict=True):
+            equations = [part for k in group if (part := _equations(flat, flat_grey, k, centre, reach)) is not None]
+            if not equations:
+                continue
+            move = correction(equations, centre, information, step)
+            step += move.step
+            poses.update({k: move.applied(poses[k]) for k in group})
+    camera = result.lens.camera
+    arms = tuple(_moved(arm, poses[k], grey, camera) if k in poses else arm for k, arm in enumerate(result.arms))
+    return replace(result, arms=arms)
+
+
+def _equations(
+    flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
+) -> EdgeEquations | None:
+    """The normal equations that move the k-th arm onto the photo's edges; None if too little of it is visible."""
+    line = outline(flat.labels == k + 1, _other(flat.labels, k))
+    if len(line.points) < _LEAST_POINTS:
+        return None
+    inside = np.round(line.points - line.normals).astype(int)
+    depth = flat.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
+    offsets = edge_offsets(flat_grey, line, reach).offsets
+    return edge_equations(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
+
+
+def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
+    seen = arm.sighting
+    if seen is not None and seen.T_board_in_cam is not None:
+        assert arm.T_base_in_cam is not None
+        T_board_in_base = inverse(arm.T_base_in_cam) @ seen.T_board_in_cam
+        seen = at_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
+    return replace(arm, T_base_in_cam=T_base_in_cam, sighting=seen)
+
+
+def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
+    """A point (3,) and the inverse covariance (6, 6) of the arms' pose about that point, before edges are used."""
+    for arm in arms:
+        seen = arm.sighting
+        if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
+            information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
+            return seen.T_board_in_cam[:3, 3], information
+    # Recordings hold no uncertainty of a pose. One degree and one centimetre are assumed.
+    assert arms[0].T_base_in_cam is not None
+    return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
+
+
+def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks (height, width); 1 if both are empty."""
+    union = int((one | other).sum())
+    return int((one & other).sum()) / union if union else 1.0

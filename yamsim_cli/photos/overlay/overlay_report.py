@@ -1,0 +1,189 @@
+"""The report on photos that a rig was laid over: captions, results as plain data, and whether they pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import PartialJobError, ResourceError
+from yamsim_cli.core.files.documents.json_text import json_text
+from yamsim_cli.core.files.writing import write_output
+from yamsim_cli.core.geometry.se3 import Array, inverse
+
+from .arm_poses import INFERRED, RECORDED, ArmPose, PhotoResult
+from .moves import Move, Stillness
+
+REPORT_NAME = "overlay.json"
+
+
+@dataclass
+class OverlayReport:
+    """The results of all photos.
+
+    Attributes:
+        results: a result for each photo that could be read.
+        files: the files that were written.
+        failures: a message for each limit that a photo does not keep.
+        unreadable: a message for each photo that could not be read.
+    """
+
+    rig: RigConfig
+    results: list[PhotoResult] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+    stillness: Stillness = field(default_factory=Stillness)
+
+    def plain(self) -> dict[str, Any]:
+        """The report as plain data, for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
+        return {
+            "images": [_plain_result(result, self.rig) for result in self.results],
+            "files": [str(path) for path in self.files],
+            "failures": list(self.failures),
+            "unreadable": list(self.unreadable),
+            "still": None if self.stillness.unknown else not self.stillness.moves,
+            "still_unknown": self.stillness.unknown,
+            "moved": [_plain_move(move) for move in self.stillness.moves],
+        }
+
+    def write(self, out: Path) -> None:
+        """Write the report into a folder as JSON."""
+        self.files.append(out / REPORT_NAME)
+        write_output(out / REPORT_NAME, json_text(self.plain()).encode())
+
+    def check(self) -> None:
+        """Refuse photos without a pose and results that do not pass.
+
+        Raises:
+            ResourceError: no photo gives a pose, or a photo does not keep a limit.
+            PartialJobError: some photos give a pose, and others give none or cannot be read.
+        """
+        without = [result for result in self.results if not result.bases]
+        if len(without) == len(self.results):
+            raise ResourceError(_nothing_found(without, self.rig))
+        if self.failures:
+            raise ResourceError(_first_of(self.failures))
+        if self.unreadable:
+            raise PartialJobError(_first_of(self.unreadable))
+        if without:
+            raise PartialJobError(
+                f"{len(without)} of {len(self.results)} photos give no pose, first "
+                f"{_nothing_found(without[:1], self.rig)}"
+            )
+
+
+def captions(result: PhotoResult) -> list[str]:
+    """The lines that are written into a photo's picture: one for each arm, and some for the photo."""
+    lines = []
+    for arm in result.arms:
+        text = f"{arm.name}: {arm.status}"
+        if arm.sighting and (arm.sighting.markers or arm.status not in (INFERRED, RECORDED)):
+            text += f", {len(arm.sighting.markers)}/{len(arm.sighting.board.ids)} markers"
+            if arm.sighting.reprojection_rms is not None:
+                text += f", {arm.sighting.reprojection_rms:.2f} px"
+        if arm.edge_residual is not None:
+            text += f", outline {arm.edge_residual:.1f} px"
+        lines.append(text)
+    if result.joints_source == "home" and result.bases:
+        lines.append("joints not given: shown at home")
+    focal = result.lens.focal
+    if result.lens.source == "estimated" and not focal.reason:
+        within = f"within {focal.low:.0f} to {focal.high:.0f} px"
+        lines.append(f"focal length estimated: {focal.camera.focal:.0f} px, {within}")
+    elif result.lens.source == "estimated" and any(arm.sighting and arm.sighting.markers for arm in result.arms):
+        lines.append(f"no pose: {focal.reason}")
+    if result.margin is not None:
+        lines.append(f"margin measured: {result.margin:.4f} m")
+    return lines
+
+
+def _first_of(messages: Sequence[str]) -> str:
+    more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
+    return f"{messages[0]}{more}"
+
+
+def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
+    """A message on photos without a pose: the marker ids that were searched and those that were read."""
+    first = results[0]
+    boards = [arm.board for arm in rig.arms if arm.board]
+    wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
+    seen = ", ".join(map(str, first.ids)) or "none"
+    focal = first.lens.focal.reason
+    refused = [f"{arm.name}: {arm.sighting.explanation}" for arm in first.arms if arm.sighting and arm.sighting.reason]
+    # The lens is the same for all arms, so its fault is named once.
+    why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
+    more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
+    return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
+
+
+def _plain_move(move: Move) -> dict[str, Any]:
+    return {
+        "frame": move.photo,
+        "image": str(move.path),
+        "time_s": move.time,
+        "what": str(move.what),
+        "arm": move.arm,
+        "shift_m": move.shift,
+        "shift_sigma_m": move.shift_sigma,
+        "turn_rad": move.turn,
+        "turn_sigma_rad": move.turn_sigma,
+        "shift_in_base_m": move.shift_in_base.tolist(),
+    }
+
+
+def _plain_result(result: PhotoResult, rig: RigConfig) -> dict[str, Any]:
+    camera, focal = result.lens.camera, result.lens.focal
+    return {
+        "image": str(result.path),
+        "time_s": result.time,
+        "camera": {
+            "source": result.lens.source,
+            "K": [list(row) for row in camera.K],
+            "distortion": list(camera.distortion),
+            "width": camera.width,
+            "height": camera.height,
+            "focal_sigma": camera.focal_sigma,
+            "focal_low": focal.low,
+            "focal_high": focal.high,
+        },
+        "joints": result.joints_source,
+        "ids_seen": list(result.ids),
+        "arms": [_plain_arm(arm) for arm in result.arms],
+        "T_arm2_in_arm1": _rows(result.T_arm2_in_arm1),
+        "margin_m": result.margin,
+        "margin_sigma_m": result.margin_sigma,
+        "rig_margin_m": rig.margin if len(rig.arms) > 1 else None,
+        "edge_residual_px": result.edge_residual,
+        "iou": result.iou,
+        "notes": list(result.notes),
+    }
+
+
+def _plain_arm(arm: ArmPose) -> dict[str, Any]:
+    seen = arm.sighting
+    return {
+        "name": arm.name,
+        "board": arm.board,
+        "status": str(arm.status),
+        "reason": seen.reason if seen else "",
+        "advice": list(seen.advice) if seen else [],
+        "markers_found": len(seen.markers) if seen else 0,
+        "marker_ids": list(seen.markers) if seen else [],
+        "T_board_in_cam": _rows(seen.T_board_in_cam if seen else None),
+        "T_base_in_cam": _rows(arm.T_base_in_cam),
+        "T_cam_in_base": _rows(None if arm.T_base_in_cam is None else inverse(arm.T_base_in_cam)),
+        "covariance": _rows(seen.covariance if seen else None),
+        "position_sigma_m": seen.position_sigma if seen else None,
+        "rotation_sigma_rad": seen.rotation_sigma if seen else None,
+        "reprojection_rms_px": seen.reprojection_rms if seen else None,
+        "blur_px": seen.smear.blur if seen and seen.smear else None,
+        "motion_px": seen.smear.length if seen and seen.smear else None,
+        "edge_residual_px": arm.edge_residual,
+    }
+
+
+def _rows(matrix: Array | None) -> list[list[float]] | None:
+    return None if matrix is None else matrix.tolist()

@@ -1,0 +1,175 @@
+"""The photos to lay a rig over, from files, folders or recorded episodes, with what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.layout import episode_directories
+from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.errors import DatasetError, ResourceError, UsageError, suggest
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.images.image_files import read_image
+
+from .joint_files import Stands, recorded_stands
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+# Endings of the pictures that yamsim writes for photos. Files with such names are not photos.
+OVERLAY_ENDING = "_overlay.png"
+MASK_ENDING = "_mask.png"
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo and what is known of it.
+
+    Attributes:
+        camera: the camera that took the photo; None if not known.
+        stands: how every arm stands; None if not known, which counts as home.
+        joints_source: where the joints come from: "home", "file" or "episode".
+        T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame; None if not recorded.
+        time: when the photo was taken, s; None if not known.
+    """
+
+    path: Path
+    camera: CameraModel | None = None
+    stands: Stands | None = None
+    joints_source: str = "home"
+    T_base_in_cam: Array | None = None
+    time: float | None = None
+
+
+def find_photos(paths: Sequence[Path]) -> list[Path]:
+    """The photos that files and folders name, in order, each once; overlays and masks in a folder are left out.
+
+    Raises:
+        ResourceError: a path does not exist, is no PNG or JPEG, or a folder has none.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        if path.is_dir():
+            photos = sorted(item for item in path.iterdir() if _may_be_photo(item))
+            if not photos:
+                raise ResourceError(f"{path} holds no photo; valid: {', '.join(SUFFIXES)}")
+        elif not path.exists():
+            raise ResourceError(f"{path} does not exist; give a photo or a folder of photos")
+        elif path.suffix.lower() not in SUFFIXES:
+            raise ResourceError(f"{path} is no photo; valid: {', '.join(SUFFIXES)}")
+        else:
+            photos = [path]
+        for photo in photos:
+            found.setdefault(photo.resolve(), photo)
+    return list(found.values())
+
+
+def _may_be_photo(path: Path) -> bool:
+    """Whether a file in a folder is a photo. Hidden files, and overlays and masks of earlier runs, are not."""
+    written = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
+
+
+def mask_of(masks: Path, photo: Path) -> Path:
+    """The mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
+
+    Raises:
+        ResourceError: the folder has none.
+    """
+    if not masks.is_dir():
+        return masks
+    for name in (f"{photo.stem}{MASK_ENDING}", f"{photo.stem}.png", photo.name):
+        if (masks / name).is_file() and (masks / name).resolve() != photo.resolve():
+            return masks / name
+    raise ResourceError(f"{masks} holds no mask for {photo.name}; valid: {photo.stem}{MASK_ENDING} or {photo.stem}.png")
+
+
+def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
+    """The frames of episodes, and of all episodes of datasets, in order, see `episode_photos`."""
+    episodes: list[Path] = []
+    for path in recordings:
+        within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
+        episodes += within or [path]
+    return [photo for episode in episodes for photo in episode_photos(episode, camera, rig)]
+
+
+def chosen_camera(cameras: Sequence[str], camera: str | None) -> str:
+    """The named camera; without a name, the first one that is no wrist camera."""
+    return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
+
+
+def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
+    """A recorded episode's frames of one camera, with their intrinsics, pose and joints.
+
+    Args:
+        camera: name of the camera, see `chosen_camera`.
+
+    Raises:
+        DatasetError: the directory is no episode, or a frame is damaged.
+        UsageError: the episode has no such camera.
+    """
+    if (episode / "lowdim").is_dir() and not (episode / "rgb").is_dir():
+        raise DatasetError(f"{episode} has no pictures: none were recorded")
+    if not (episode / "rgb").is_dir() or not (episode / "lowdim").is_dir():
+        raise DatasetError(f"{episode} is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
+    cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
+    if not cameras:
+        raise DatasetError(f"{episode}/rgb holds no camera")
+    camera = chosen_camera(cameras, camera)
+    if camera not in cameras:
+        raise UsageError(f"{episode} has no camera {camera!r}; {suggest(camera, cameras)}")
+    files = sorted((episode / "rgb" / camera).iterdir())
+    photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in SUFFIXES]
+    if not photos:
+        raise DatasetError(f"{episode}/rgb/{camera} holds no frame")
+    return photos
+
+
+def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Photo:
+    lowdim = episode / "lowdim" / f"{path.stem}.pkl"
+    try:
+        frame = load_frame(lowdim.read_bytes())
+        K = camera_matrix(frame, "intrinsics", camera)
+        T_cam_in_base = camera_matrix(frame, "extrinsics", camera)
+        time = float(frame["timestamp"]) if "timestamp" in frame else None
+        stands = recorded_stands(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
+    except OSError as error:
+        raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
+    except KeyError as error:
+        raise DatasetError(
+            f"{lowdim}: has no {error} of camera {camera}: without them, give its pictures with --img "
+            f"{episode}/rgb/{camera}"
+        ) from error
+    except (TypeError, ValueError, DatasetError) as error:
+        raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
+    if len(rig.arms) > 1:
+        # Extrinsics are recorded in the left arm's base. Photos have those in the base of the rig's first arm.
+        T_left_in_world = rig.T_base_in_world(rig.recorded[0])
+        T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
+    height, width = read_image(path).shape[:2]
+    return Photo(path, pinhole_camera(K, width, height), stands, "episode", inverse(T_cam_in_base), time)
+
+
+def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
+    """A camera's "intrinsics" (3, 3) or "extrinsics" (4, 4) in a recorded frame.
+
+    Raises:
+        KeyError: the frame has none.
+        ValueError: the matrix has another shape or is not finite.
+    """
+    side = {"intrinsics": 3, "extrinsics": 4}[key]
+    matrix = np.asarray(frame[key][camera], dtype=np.float64)
+    if matrix.shape != (side, side) or not np.isfinite(matrix).all():
+        raise ValueError(f"{key} of {camera} has the shape {matrix.shape} or is not finite; valid: ({side}, {side})")
+    return matrix
+
+
+def pinhole_camera(K: Array, width: int, height: int) -> CameraModel:
+    """A camera without distortion, from its matrix (3, 3) and image size, px."""
+    (a, b, c), (d, e, f), _ = K.tolist()
+    return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)))

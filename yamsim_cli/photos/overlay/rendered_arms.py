@@ -1,0 +1,174 @@
+"""Renders a rig's arms as a camera sees them, each at its own base pose in the camera's frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.camera import CameraModel, Intrinsics, opencv_from_mujoco
+from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
+from yamsim_cli.core.rendering.renderer import SceneRenderer
+from yamsim_cli.core.scene.blueprint import Blueprint, Pictures
+from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
+from yamsim_cli.core.scene.compiling import compile_spec
+from yamsim_cli.core.scene.compose import compose
+from yamsim_cli.core.scene.robot import finger_places
+from yamsim_cli.core.types import Stand
+
+from ..lens import LensWarp
+
+_CAMERA = "photo"
+_HIDDEN_GROUP = 5  # geom group that is not rendered
+_SMOOTHED = 1400  # px, largest photo side whose arms are rendered twice as fine, for smooth edges in any OpenGL
+_MAX_PX = 8192  # px, largest side of a rendered picture
+
+
+@dataclass(frozen=True)
+class ArmPicture:
+    """Rendered arms as the real camera sees them.
+
+    Attributes:
+        colour: RGB (height, width, 3), distorted as the photo is.
+        labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
+    """
+
+    colour: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class FlatArms:
+    """Rendered arms in an ideal pinhole picture, for geometry.
+
+    Attributes:
+        labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
+        depth: z (height, width) of the surface, m.
+    """
+
+    labels: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    intrinsics: Intrinsics
+
+
+class ArmRenderer(Closing):
+    """Renders arms for photos of one camera. Close the renderer, or use it as a context manager.
+
+    The world of the rendered scene is the camera's frame, and the arms' bases are moved in that frame.
+
+    Raises:
+        ConfigError: the camera's pictures are too large or too wide to render.
+        ResourceError: no OpenGL context can be made.
+    """
+
+    def __init__(
+        self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
+    ) -> None:
+        self._rig = rig
+        self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _SMOOTHED else 1)
+        size = (self._warp.ideal.width, self._warp.ideal.height)
+        if max(size) > _MAX_PX:
+            raise ConfigError(f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_PX}")
+        view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
+        blueprint = Blueprint(
+            rig, scene, boards=False, background=False, cameras=(view,), pictures=Pictures(quality, size)
+        )
+        spec = compose(blueprint, locations)
+        for light in list(spec.lights):
+            spec.delete(light)
+        # The photo's light is unknown. Light from the camera casts no shadow that could be a false one.
+        spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
+        spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
+        self._model = compile_spec(spec)
+        self._data = mujoco.MjData(self._model)
+        self._group = self._model.geom_group.copy()
+        self._roots = [self._model.body(arm.prefix + arm.robot.base).id for arm in rig.arms]
+        arm_of_root = {root: k for k, root in enumerate(self._roots, start=1)}
+        numbers = [arm_of_root.get(int(self._model.body_rootid[body]), 0) for body in self._model.geom_bodyid]
+        self._arm_of_geom = np.array([*numbers, 0], np.uint8)
+        self._labels: NDArray[np.uint8] | None = None
+        self._renderer = SceneRenderer(self._model, size)
+
+    def pose(self, T_base_in_cam: Mapping[int, Array], stands: Sequence[Stand]) -> None:
+        """Move the arms.
+
+        Args:
+            T_base_in_cam: arm's index -> pose (4, 4). Arms that are left out are hidden.
+            stands: how every arm stands.
+        """
+        model, data = self._model, self._data
+        for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
+            own = self._arm_of_geom[:-1] == k + 1
+            model.geom_group[own] = self._group[own] if k in T_base_in_cam else _HIDDEN_GROUP
+            if k in T_base_in_cam:
+                model.body_pos[root] = T_base_in_cam[k][:3, 3]
+                model.body_quat[root] = quat_from_rotation(T_base_in_cam[k][:3, :3])
+            for name, angle in zip(arm.robot.joint_names, stands[k].joints, strict=True):
+                data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
+            addresses, signs = finger_places(model, arm.robot, arm.prefix)
+            data.qpos[addresses] = stands[k].opening * signs
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        self._labels = None
+
+    def render(self) -> ArmPicture:
+        """The arms as the real camera sees them."""
+        colour = self._warp.image(self._renderer.render(self._data, _CAMERA))
+        return ArmPicture(colour, self._warp.image(self._ideal_labels(), nearest=True))
+
+    def flat_labels(self) -> NDArray[np.uint8]:
+        """The labels of `flat` alone, in half the time."""
+        step = self._warp.supersample
+        return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
+
+    def flat(self) -> FlatArms:
+        """The arms in an ideal pinhole picture."""
+        step = self._warp.supersample
+        depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
+        return FlatArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
+
+    def _ideal_labels(self) -> NDArray[np.uint8]:
+        if self._labels is None:
+            self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
+        return self._labels
+
+    def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A photo of the camera without its distortion, which can be compared with `flat`."""
+        return self._warp.flattened(photo)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+
+class ArmRenderers(Closing):
+    """Makes the `ArmRenderer` of each camera, and keeps the last one."""
+
+    def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
+        self._parts = rig, scene, quality, locations
+        self._last: tuple[CameraModel, ArmRenderer] | None = None
+
+    def of(self, camera: CameraModel) -> ArmRenderer:
+        """The renderer of a camera."""
+        if self._last is None or self._last[0] != camera:
+            self.close()
+            rig, scene, quality, locations = self._parts
+            self._last = camera, ArmRenderer(rig, scene, quality, camera, locations)
+        return self._last[1]
+
+    def close(self) -> None:
+        """Free the last renderer."""
+        if self._last is not None:
+            self._last[1].close()
+            self._last = None

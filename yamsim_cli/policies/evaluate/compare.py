@@ -1,0 +1,102 @@
+"""Comparison of two policies on the same starts, with McNemar's test."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.errors import UsageError
+
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # equal in two reports whose trials are pairs
+_MAX_BYTES = 500_000_000  # of a report that is read
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """The exact two-sided p-value of McNemar's test, of the trials in which exactly one of two policies succeeded.
+
+    The probability that fair coins split at least as unevenly; 1 where there is no such trial.
+    """
+    n, fewer = only_first + only_second, min(only_first, only_second)
+    # Floats overflow from about a thousand trials on.
+    as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
+    return min(1.0, float(Fraction(as_uneven, 1 << n)))
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """A report that `yamsim eval --out` wrote.
+
+    Raises:
+        UsageError: the file cannot be read, or is no such report.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise UsageError(f"--compare {path}: {path.stat().st_size} bytes are no report of yamsim eval")
+        report = json.loads(path.read_bytes())
+        for trial in report["trials"]:
+            if not isinstance(trial["outcome"]["success"], bool) or not isinstance(trial["layout"], dict):
+                raise TypeError("a trial without its outcome")
+        missing = [key for key in ("policy", *_SAME) if key not in report]
+        missing += [key for key in ("success_rate", "policy_s", "chunks", "by_instance") if key not in report["stats"]]
+    except OSError as error:
+        raise UsageError(f"--compare {path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise UsageError(f"--compare {path}: is no report of yamsim eval --out") from error
+    if missing:
+        raise UsageError(f"--compare {path}: is no report of yamsim eval --out: it has no {missing[0]!r}")
+    found: dict[str, Any] = report
+    return found
+
+
+def require_same(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
+    """Make sure that a report's trials can be paired with those of another job.
+
+    Args:
+        expected: of the other job, the result of `what_ran` or a report.
+
+    Raises:
+        UsageError: the two differ in task, rig, grasp, arms or seed.
+    """
+    for key in _SAME:
+        if expected[key] != report[key]:
+            raise UsageError(
+                f"--compare {report['policy']}: its {key} is {report[key]}, and not {expected[key]}: no pairs of trials"
+            )
+
+
+def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """The comparison of two reports, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
+    only_second, neither, p_value (McNemar's exact test).
+
+    Raises:
+        UsageError: the reports are not of the same trials.
+    """
+    name = second["policy"]
+    require_same(first, second)
+    one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
+    if one.keys() != other.keys():
+        raise UsageError(f"--compare {name}: it has {len(other)} trials, not the same {len(one)}: give the same --n")
+    counts = {"both": 0, "only_first": 0, "only_second": 0, "neither": 0}
+    for job, trial in one.items():
+        if not _same_start(trial["layout"], other[job]["layout"]):
+            raise UsageError(f"--compare {name}: trial {job[1]} starts elsewhere: another version or other settings")
+        good = trial["outcome"]["success"], other[job]["outcome"]["success"]
+        which = {(True, True): "both", (True, False): "only_first", (False, True): "only_second"}.get(good, "neither")
+        counts[which] += 1
+    return {
+        "policy": name,
+        "success_rate": second["stats"]["success_rate"],
+        "n": len(one),
+        **counts,
+        "p_value": mcnemar(counts["only_first"], counts["only_second"]),
+    }
+
+
+def _same_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    # A trial whose worker was lost has no layout.
+    if not one or not other:
+        return True
+    return one.keys() == other.keys() and all(list(one[name]) == list(other[name]) for name in one)

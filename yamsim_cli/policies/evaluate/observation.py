@@ -1,0 +1,174 @@
+"""A policy's observations, whose pictures are rendered when they are first read."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.dataset.environment_state import joints_key, object_pose_keys
+from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.errors import UsageError, suggest
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.types import Attempt
+
+from ..base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
+
+# Renders what a camera sees at MuJoCo's positions (nq,).
+Render = Callable[[Array, str], Image]
+
+
+def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
+    """Name of an image that a policy can request -> key in an observation -> camera."""
+    if len(config.rig.arms) == 1:
+        arm = config.rig.arms[0]
+        side = f"{arm.side}_wrist"
+        there = {WRIST: {"wrist_rgb": arm.wrist_camera_name}, side: {f"{side}_rgb": arm.wrist_camera_name}}
+    else:
+        sides = {f"{arm.side}_wrist": {f"{arm.side}_wrist_rgb": arm.wrist_camera_name} for arm in config.wrist_arms}
+        there = sides | {WRIST: {key: camera for one in sides.values() for key, camera in one.items()}}
+    there[SCENE] = {"scene_rgb": SCENE_CAMERA}
+    if config.rig.cameras:
+        there |= {name: {f"{name}_rgb": name} for name in config.recorded_cameras}
+    return there
+
+
+def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
+    """Key in a policy's observation -> camera, of the requested images.
+
+    Raises:
+        UsageError: this rig and task have no such camera.
+    """
+    there = offered_cameras(config)
+    cameras: dict[str, str] = {}
+    for name in images:
+        if name not in there:
+            raise UsageError(
+                f"the policy asks for the image {name!r}, which rig {config.rig.name!r} with task {config.task.name!r} "
+                f"does not have; {suggest(name, there)}"
+            )
+        cameras |= there[name]
+    return cameras
+
+
+class ObservationRenderer:
+    """Renders for the observations of one trial.
+
+    Attributes:
+        failure: the exception of a failed rendering, which is not the policy's fault even if the policy handles it.
+    """
+
+    def __init__(self, render: Render) -> None:
+        self._render = render
+        self._thread = threading.get_ident()
+        self._is_over = False
+        self.failure: Exception | None = None
+
+    def render(self, key: str, qpos: Array, camera: str) -> Image:
+        """The picture that an observation has under `key`.
+
+        Raises:
+            RuntimeError: the picture is read in another thread, where OpenGL cannot render, or after its trial.
+        """
+        hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
+        if threading.get_ident() != self._thread:
+            raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and hand that on")
+        if self._is_over:
+            raise RuntimeError(f"{key} cannot be rendered once its trial is over: {hint}")
+        try:
+            return self._render(qpos, camera)
+        except Exception as error:
+            self.failure = error
+            raise
+
+    def end(self) -> None:
+        """End the trial: pictures of its states can no longer be rendered."""
+        self._is_over = True
+
+
+class LazyObservation(Mapping[str, Any]):
+    """An observation whose pictures are rendered when they are first read, in the state of the observation.
+
+    `dict(observation)` renders all pictures. Listing and counting the keys renders nothing.
+
+    Args:
+        numbers: all values but the pictures.
+        qpos: MuJoCo's positions (nq,), which the caller must not change.
+        cameras: key -> camera of the pictures.
+    """
+
+    def __init__(
+        self, numbers: dict[str, Any], qpos: Array, cameras: Mapping[str, str], renderer: ObservationRenderer
+    ) -> None:
+        self._known, self._qpos, self._cameras, self._renderer = numbers, qpos, cameras, renderer
+        self._keys = (*numbers, *cameras)
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._known and key in self._cameras:
+            self._known[key] = self._renderer.render(key, self._qpos, self._cameras[key])
+        return self._known[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._known or key in self._cameras
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._keys)})"
+
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        # A copy is a plain dictionary with all pictures.
+        return dict, (dict(self),)
+
+
+class Observer:
+    """Makes a policy's observations.
+
+    Args:
+        images, wants: the policy's requests, see `policies.base.IMAGES` and `STATE`.
+
+    Raises:
+        UsageError: a requested camera does not exist.
+    """
+
+    def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
+        self._simulator = simulator
+        self._cameras = policy_cameras(simulator.config, images)
+        self._wants = frozenset(wants)
+
+    @property
+    def drives(self) -> tuple[int, int]:
+        """The numbers of arms, and of drives of each arm."""
+        arms, drives = self._simulator.scene.drives.shape
+        return arms, drives
+
+    def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
+        """The observation of an episode's present state."""
+        config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
+        task = config.task
+        replica.show(episode.data.qpos)
+        T_base = scene.T_base_in_world
+        joints = episode.readings(attempt.job)
+        openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
+        numbers: dict[str, Any] = {
+            "joints": joints.ravel(),
+            "gripper": openings if len(openings) > 1 else float(openings[0]),
+            "ee_pose_world": of_arms(T_base @ replica.T_grasp_in_base()),
+            "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
+            "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
+            "time": episode.seconds,
+            "prompt": attempt.phrasing or task.language_prompt,
+        }
+        if OBJECTS in self._wants:
+            numbers |= {key: T_base @ replica.T_object_in_base(name) for name, key in object_pose_keys(config).items()}
+            numbers |= {joints_key(item.name): replica.object_joints(item) for item in task.objects if item.links}
+        if VELOCITIES in self._wants:
+            numbers["joint_velocities"] = episode.joint_velocities.ravel()
+        return LazyObservation(numbers, episode.data.qpos.copy(), self._cameras, renderer)

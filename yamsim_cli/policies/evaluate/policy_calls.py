@@ -1,0 +1,109 @@
+"""Calls of a policy's code under a time limit, with its errors told apart from yamsim's own."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any, TypeVar
+
+from yamsim_cli.core.workers.serving import forks_end_here
+
+from ..base import InvalidActionError
+from ..policy_client import RemoteError
+from ..policy_faults import Fault, fault_of
+
+T = TypeVar("T")
+
+
+class PolicyFailedError(Exception):
+    """The policy raised an exception, which `fault` describes."""
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault.text)
+        self.fault = fault
+
+
+class TooSlowError(Exception):
+    """The policy did not answer in time."""
+
+
+class PolicyCaller:
+    """Calls a policy under a time limit, which is paused while the policy waits for yamsim.
+
+    Attributes:
+        seconds: duration of the last call without such waits, s.
+
+    Args:
+        limit: for one call, s.
+        folder: paths of the policy's files are named relative to it.
+    """
+
+    def __init__(self, limit: float, folder: Path) -> None:
+        self._limit, self._folder = limit, folder
+        self.seconds = 0.0
+        self._waited = 0.0
+
+    def call(self, function: Callable[[], T]) -> T:
+        """The result of a function that calls the policy.
+
+        Raises:
+            PolicyFailedError: the policy raised an exception.
+            TooSlowError: the time limit passed.
+            InvalidActionError: a server reports that the policy's answer is not valid.
+        """
+        began, self._waited = time.monotonic(), 0.0
+        try:
+            with output_on_stderr(), self._limited(), forks_end_here():
+                return function()
+        except (TooSlowError, TimeoutError) as error:
+            raise TooSlowError from error
+        except InvalidActionError:
+            raise
+        except RemoteError as error:
+            raise PolicyFailedError(error.fault) from error
+        # A policy may raise any exception, which fails its trial alone.
+        except Exception as error:
+            raise PolicyFailedError(fault_of(error, self._folder)) from error
+        finally:
+            self.seconds = time.monotonic() - began - self._waited
+
+    @contextlib.contextmanager
+    def waits(self) -> Iterator[None]:
+        """Pause the time limit: in the block the policy waits for yamsim."""
+        began = time.monotonic()
+        left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, left)
+            self._waited += time.monotonic() - began
+
+    @contextlib.contextmanager
+    def _limited(self) -> Iterator[None]:
+        """Raise TooSlowError in the block after the time limit. Code that never returns to Python is ended by the
+        worker pool.
+        """
+
+        def ring(number: int, frame: FrameType | None) -> None:
+            raise TooSlowError
+
+        before = signal.signal(signal.SIGALRM, ring)
+        # Workers start with the signal blocked.
+        mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
+        signal.setitimer(signal.ITIMER_REAL, self._limit)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            signal.signal(signal.SIGALRM, before)
+
+
+def output_on_stderr() -> contextlib.AbstractContextManager[Any]:
+    """Redirect what a policy prints to stderr, since stdout may carry a report."""
+    return contextlib.redirect_stdout(sys.stderr)

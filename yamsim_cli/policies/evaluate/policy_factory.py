@@ -1,0 +1,212 @@
+"""Makes policies by name: the built-in ones, those of the user, and those of other programs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.policy import PolicyConfig
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.environment_state import object_pose_keys
+from yamsim_cli.core.dataset.layout import episode_directories
+from yamsim_cli.core.dataset.lowdim import recorded_actions
+from yamsim_cli.core.dataset.reader import open_episode
+from yamsim_cli.core.episode.engine import Simulated, demonstrate
+from yamsim_cli.core.episode.simulator import Simulator
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.types import Attempt, EpisodeJob, Holds
+
+from .. import act, lerobot, openpi
+from ..base import Observation, Policy
+from ..loading import EXTERNAL_FORMS, FORMS, check_policy, is_external, load_policy, takes_keywords
+from ..mapped import MappedPolicy, PolicyClient, PolicyStation
+from ..remote import RemotePolicy
+from .choice import PolicyChoice
+from .observation import offered_cameras
+
+# Scheme of a policy's name -> config of its messages unless another config is named.
+_CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
+
+
+class Trial:
+    """What a privileged policy knows of its trial.
+
+    Attributes:
+        attempt: as it was sampled.
+        scene: compiled.
+    """
+
+    def __init__(self, simulator: Simulator, attempt: Attempt) -> None:
+        self._simulator = simulator
+        self.attempt = attempt
+        self.scene = simulator.scene
+
+    @functools.cached_property
+    def demonstrated(self) -> Simulated:
+        """The attempt of the task's expert, made when it is first read."""
+        return demonstrate(self._simulator, self.attempt)
+
+
+@runtime_checkable
+class Privileged(Protocol):
+    """A policy that knows what a robot cannot see."""
+
+    def begin(self, trial: Trial) -> Array | None:
+        """Prepare for a trial, before `reset`.
+
+        Returns:
+            MuJoCo's positions (nq,) at which the trial begins; None for the sampled ones.
+        """
+        ...
+
+
+class _Playback:
+    """Answers with given actions, tick by tick."""
+
+    images = ()
+
+    def __init__(self) -> None:
+        self._ctrl: Array = np.zeros((0, 0))
+        self._magnet: Holds = np.zeros((0, 0), bool)
+        self._tick = 0
+
+    def _play(self, ctrl: Array, magnet: Holds, scene: CompiledScene) -> None:
+        """Set the actions: of MuJoCo's drives (ticks, nu) and of each arm's weld (ticks, arms)."""
+        self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
+
+    def reset(self) -> None:
+        self._tick = 0
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        tick, self._tick = self._tick, self._tick + 1
+        return {"ctrl": self._ctrl[tick], "magnet": self._magnet[tick], "done": tick + 1 == len(self._ctrl)}
+
+
+class Scripted(_Playback):
+    """The task's expert, as in `trials` and `record`."""
+
+    def begin(self, trial: Trial) -> Array | None:
+        """Take the expert's actions and start."""
+        states = trial.demonstrated.states
+        ctrl = np.concatenate([state.actions.ctrl for state in states])
+        self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
+        return trial.demonstrated.attempt.start
+
+
+class HoldStill:
+    """Holds the joints of the first observation."""
+
+    images = ()
+
+    def __init__(self) -> None:
+        self._ctrl: Any = None
+
+    def reset(self) -> None:
+        """Hold the joints of the next observation."""
+        self._ctrl = None
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """Command the joints of the first observation."""
+        self._ctrl = observation["joints"] if self._ctrl is None else self._ctrl
+        return {"ctrl": self._ctrl}
+
+
+class Replay(_Playback):
+    """Repeats a dataset's actions: those of the trial's own seed and number, or else those of another episode.
+
+    Raises:
+        UsageError: there are no episodes.
+        DatasetError: an episode is damaged, or of another scene.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        super().__init__()
+        directories = episode_directories(dataset) if dataset.is_dir() else []
+        if not directories:
+            raise UsageError(f"--policy replay:{dataset}: there are no episodes; give a dataset of yamsim record")
+        self._episodes = [open_episode(directory) for _, directory in directories]
+        self._by_job = {EpisodeJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
+
+    def begin(self, trial: Trial) -> Array | None:
+        """Read the trial's episode, and take its recorded start."""
+        job = trial.attempt.job
+        other = self._episodes[job.attempt % len(self._episodes)]
+        episode = self._by_job.get(job, other)
+        found = recorded_actions(episode.frames(), trial.scene.model.nq, trial.scene.model.nu)
+        if found is None:
+            raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
+        start, actions = found
+        self._play(actions.ctrl, actions.magnet, trial.scene)
+        return start if job in self._by_job else None
+
+
+def make_policy(choice: PolicyChoice, session: Session) -> Policy:
+    """The policy of a name.
+
+    Args:
+        choice: its folder is where the user's modules, files and datasets are looked up.
+
+    Raises:
+        ConfigError: the config of another program's policy is not valid.
+        UsageError: there is no such policy, it cannot be loaded, or does not fit the rig.
+        ResourceError: no server answers at its address, or a package is missing.
+    """
+    name, folder = choice.name, choice.folder
+    kind, colon, rest = name.partition(":")
+    external = is_external(name)
+    if choice.mapping is not None and not external:
+        raise UsageError(f"--policy-config is for policies of other programs: {', '.join(EXTERNAL_FORMS)}")
+    if choice.arguments and not takes_keywords(name):
+        raise UsageError(f"--policy-arg is for a policy of your own, module:Class or file.py:Class, and not for {name}")
+    if external:
+        return _make_external(choice, session)
+    if name == "scripted":
+        return Scripted()
+    if name == "hold_still":
+        return HoldStill()
+    if kind == "replay" and colon:
+        return Replay(folder / rest)
+    if kind in ("http", "https"):
+        remote: Any = RemotePolicy(name, choice.call_seconds)
+        return check_policy(remote, name)
+    return load_policy(name, folder, FORMS, choice.arguments, known_only=choice.known_only)
+
+
+def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
+    """A policy of another program."""
+    kind, _, rest = choice.name.partition(":")
+    mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
+    station = policy_station(session.config)
+    if kind == lerobot.SCHEME:
+        local = choice.folder / rest
+        checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
+        return MappedPolicy(checkpoint, mapping, station, checkpoint.asks)
+    client: PolicyClient
+    if kind == act.SCHEME:
+        client = act.ActClient(choice.name, choice.call_seconds)
+    else:
+        client = openpi.OpenpiClient(choice.name, choice.call_seconds)
+    return MappedPolicy(client, mapping, station)
+
+
+def policy_station(config: RecordConfig) -> PolicyStation:
+    """The arms, cameras and things that a policy acts on."""
+    arms = [config.rig.arms[k] for k in config.rig.recorded]
+    cameras = {name: next(iter(keys)) for name, keys in offered_cameras(config).items() if len(keys) == 1}
+    return PolicyStation(
+        config.rig.name,
+        tuple(arm.side for arm in arms),
+        len(arms[0].robot.joints) + 1,
+        tuple(arm.robot.fingers.full_opening if arm.robot.fingers else 0.0 for arm in arms),
+        cameras,
+        object_pose_keys(config),
+        config.rig.T_base_in_world(config.rig.recorded[0]),
+    )

@@ -1,0 +1,117 @@
+"""A LeRobot checkpoint with its processors, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..core.config.policy import PolicyConfig
+from ..core.errors import ResourceError, UsageError
+from ..core.images.fit import fitted
+
+SCHEME = "lerobot"
+
+_INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
+
+
+def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
+    """Compare the rows of numbers in a message with the checkpoint's inputs.
+
+    Args:
+        expected: key -> shape.
+
+    Raises:
+        UsageError: a row has another length.
+    """
+    for key, shape in expected.items():
+        if key in message and (found := np.shape(message[key])) != shape:
+            raise UsageError(
+                f"{key} has {found[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
+                "give the --task and --rig of its demonstrations"
+            )
+
+
+class LeRobotClient:
+    """A policy that was trained by LeRobot.
+
+    A policy of one observation answers with its whole chunk; a policy of several observations, action by action.
+
+    Attributes:
+        asks: keys of all its inputs, pictures and rows of numbers.
+        execute: actions of a chunk that act before the next answer is requested; None for all.
+
+    Args:
+        checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
+        mapping: the config of its messages, whose key of actions is that of the answer.
+
+    Raises:
+        ResourceError: LeRobot is not installed.
+        UsageError: there is no such checkpoint, or it cannot be read.
+    """
+
+    def __init__(self, checkpoint: str, mapping: PolicyConfig) -> None:
+        self._key = mapping.actions.key
+        try:
+            import torch
+            from lerobot.configs.policies import PreTrainedConfig
+            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] not in ("lerobot", "torch"):
+                raise
+            raise ResourceError(f"--policy {SCHEME}:{checkpoint}: {_INSTALL}") from error
+        self._torch = torch
+        try:
+            config = PreTrainedConfig.from_pretrained(checkpoint)
+            if not torch.cuda.is_available():
+                config.device = "cpu"
+            self._policy = get_policy_class(config.type).from_pretrained(checkpoint, config=config)
+            device = {"device_processor": {"device": str(config.device)}}
+            self._before, self._after = make_pre_post_processors(
+                config, pretrained_path=checkpoint, preprocessor_overrides=device
+            )
+        # LeRobot's code for the kind of policy may raise any exception.
+        except Exception as error:
+            text = " ".join(str(error).split())[:300]
+            raise UsageError(f"--policy {SCHEME}:{checkpoint}: it cannot be loaded: {text}") from error
+        self._policy.eval()
+        shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
+        self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
+        self.asks = tuple(config.input_features)
+        self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
+        # The queues of earlier observations are filled by select_action alone.
+        kept = set(getattr(self._policy, "_queues", ())) - {"action"}
+        self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
+        self.execute: int | None = None if self._looks_back else getattr(config, "n_action_steps", None)
+
+    def begin(self, seed: int) -> None:
+        """Reset the policy, and seed torch."""
+        self._torch.manual_seed(seed)
+        self._policy.reset()
+
+    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The policy's actions for an observation, after its processor.
+
+        Raises:
+            UsageError: see `check_rows`.
+        """
+        check_rows(message, self._rows)
+        torch = self._torch
+        batch: dict[str, Any] = {}
+        for key, value in message.items():
+            if key in self._sizes:
+                image = fitted(value, self._sizes[key], pad=False).transpose(2, 0, 1)
+                batch[key] = torch.from_numpy(image.astype(np.float32) / 255)[None]
+            else:
+                batch[key] = torch.from_numpy(value)[None] if isinstance(value, np.ndarray) else value
+        with torch.inference_mode():
+            ready = self._before(batch)
+            ask = self._policy.select_action if self._looks_back else self._policy.predict_action_chunk
+            actions = self._after(ask(ready))
+        rows = actions.to("cpu", torch.float64).numpy()
+        # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is the batch's.
+        return {self._key: rows[0]}
+
+    def close(self) -> None:
+        """Do nothing: nothing is open."""

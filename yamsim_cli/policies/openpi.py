@@ -1,0 +1,215 @@
+"""openpi's protocol: a WebSocket on which the server sends first, and msgpack with arrays as mappings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from yamsim_cli.core.extras import require_library
+
+from ..core.errors import ResourceError
+from .policy_client import (
+    MAX_ANSWER_BYTES,
+    Budget,
+    DamagedError,
+    RemoteError,
+    address_of,
+    answering,
+    array_of,
+    no_answer,
+)
+
+SCHEME = "ws"
+_CLOSE_S = 0.5  # s, that closing a connection waits for the other side
+_MESSAGE_TOO_BIG = 1009  # status code. Source: RFC 6455, section 7.4.1
+
+
+class WebSocketError(ConnectionError):
+    """The server does not speak WebSocket, sends too long a message, or has closed."""
+
+
+class WebSocket:
+    """A WebSocket client whose waits and messages are bounded.
+
+    Args:
+        url: `ws://HOST:PORT`, and a path.
+        timeout: for the connection, and for each whole message, s.
+
+    Raises:
+        ResourceError: websockets is not installed.
+        TimeoutError: the connection is not made in time.
+        OSError: no server listens there.
+        WebSocketError: the server speaks another protocol.
+    """
+
+    def __init__(self, url: str, timeout: float) -> None:
+        require_library("a policy behind ws://", "websockets", "remote")
+        from websockets.exceptions import ConnectionClosed, WebSocketException
+        from websockets.sync.client import connect
+
+        self._closed, self._timeout = ConnectionClosed, timeout
+        try:
+            self._connection = connect(
+                url,
+                # Pictures hardly compress.
+                compression=None,
+                # The address is that of the server itself.
+                proxy=None,
+                # While openpi computes an action, it answers no ping.
+                ping_interval=None,
+                open_timeout=timeout,
+                close_timeout=_CLOSE_S,
+                max_size=MAX_ANSWER_BYTES,
+            )
+        except WebSocketException as error:
+            raise WebSocketError(f"it speaks no WebSocket: {error}") from error
+
+    def send(self, data: bytes) -> None:
+        """Send a binary message.
+
+        Raises:
+            WebSocketError: the server has closed.
+        """
+        try:
+            self._connection.send(data)
+        except self._closed as error:
+            raise WebSocketError(str(error)) from error
+
+    def receive(self) -> bytes | str:
+        """The next message: bytes, or a text.
+
+        Raises:
+            TimeoutError: no message is received in time.
+            WebSocketError: the message is too long or damaged, or the server has closed.
+        """
+        try:
+            return self._connection.recv(self._timeout)
+        except self._closed as error:
+            if error.sent is not None and error.sent.code == _MESSAGE_TOO_BIG:
+                raise WebSocketError(f"its message is longer than {MAX_ANSWER_BYTES} bytes") from error
+            raise WebSocketError(str(error)) from error
+        except UnicodeDecodeError as error:
+            raise WebSocketError(f"its text is none: {error}") from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+
+class OpenpiClient:
+    """Asks a server over one connection, which is made again for the next trial when it is lost.
+
+    Args:
+        url: `ws://HOST:PORT`.
+        timeout: for a part of an answer, s.
+
+    Raises:
+        UsageError: the URL is not valid.
+        ResourceError: msgpack is not installed, or no such server answers.
+    """
+
+    def __init__(self, url: str, timeout: float) -> None:
+        require_library("a policy in another process", "msgpack", "remote")
+        self._url, self._timeout = url, timeout
+        host, port = address_of(url, SCHEME, 8000)
+        host = f"[{host}]" if ":" in host else host
+        self._address = f"{SCHEME}://{host}:{port}{urlsplit(url).path or '/'}"
+        self._socket: WebSocket | None = None
+        try:
+            self._connection()
+        except (RemoteError, TimeoutError) as error:
+            raise ResourceError(str(no_answer(url, error))) from error
+
+    def begin(self, seed: int) -> None:
+        """Connect again if the connection is lost: the server closes it after an error. Raises as `ask`."""
+        self._connection()
+
+    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The server's answer.
+
+        Raises:
+            RemoteError: the server is gone, or answers with an error or with no message.
+            TimeoutError: the server did not answer in time.
+        """
+        return self._receive(self._connection(), pack_openpi(message))
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _connection(self) -> WebSocket:
+        if self._socket is not None:
+            return self._socket
+        with answering(self._url, self.close):
+            made = self._socket = WebSocket(self._address, self._timeout)
+        # The server first sends its metadata, which are not needed.
+        self._receive(made)
+        return made
+
+    def _receive(self, connection: WebSocket, question: bytes | None = None) -> Mapping[str, Any]:
+        with answering(self._url, self.close):
+            if question is not None:
+                connection.send(question)
+            data = connection.receive()
+            if isinstance(data, str):
+                # A text is a traceback, whose last line names the error.
+                raise RemoteError(f"{self._url}: {(data.strip().splitlines() or ['an error'])[-1][:300]}", data)
+            try:
+                return unpack_openpi(data)
+            except DamagedError as error:
+                raise RemoteError(f"{self._url} answers with no message: {error}") from error
+
+
+def pack_openpi(message: Mapping[str, Any]) -> bytes:
+    """A message as openpi's packer writes it."""
+    import msgpack
+
+    return cast("bytes", msgpack.packb(message, default=_encode))
+
+
+def unpack_openpi(data: bytes) -> dict[str, Any]:
+    """The mapping in bytes; arrays in it are read-only.
+
+    Raises:
+        DamagedError: the bytes are no mapping, hold too many values, or an array is damaged.
+    """
+    import msgpack
+
+    try:
+        budget = Budget()
+        found = msgpack.unpackb(
+            data,
+            object_hook=lambda one: _decode(budget.spend(one)),
+            list_hook=budget.spend,
+            raw=False,
+            strict_map_key=False,
+        )
+    except DamagedError:
+        raise
+    # Containers that are nested thousands of times, or keys that cannot be hashed.
+    except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
+        raise DamagedError(f"no msgpack: {str(error)[:100]}") from error
+    if not isinstance(found, dict):
+        raise DamagedError(f"{type(found).__name__} in place of a mapping")
+    return found
+
+
+def _encode(value: object) -> dict[bytes, Any]:
+    if isinstance(value, np.ndarray):
+        content = np.ascontiguousarray(value).tobytes()
+        return {b"__ndarray__": True, b"data": content, b"dtype": value.dtype.str, b"shape": list(value.shape)}
+    if isinstance(value, np.generic):
+        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def _decode(found: dict[Any, Any]) -> Any:
+    if b"__ndarray__" in found:
+        return array_of(found.get(b"data"), found.get(b"dtype"), found.get(b"shape"))
+    # A scalar has its number and the name of its dtype; the number suffices.
+    return found.get(b"data") if b"__npgeneric__" in found else found

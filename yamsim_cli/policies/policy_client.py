@@ -1,0 +1,218 @@
+"""What the clients of policy servers share: addresses, lost connections, and limits of an answer.
+
+No code in an answer is run.
+"""
+
+from __future__ import annotations
+
+import http.client
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from ..core.errors import ResourceError, UsageError
+from ..core.geometry.se3 import Array
+from .base import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
+from .policy_faults import Fault
+
+MAX_ANSWER_BYTES = 4_000_000  # a thousand actions of two arms take 150,000 as JSON
+MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms as plain numbers
+MAX_TEXT = 2_000  # characters of an error text that are kept; one text is kept for each trial
+_MAX_TRACEBACK = 50_000  # characters of a traceback that are kept, from its end
+
+_MAX_AXES = 8
+_DTYPE_KINDS = "biuf"  # booleans, whole and floating-point numbers
+_MAX_ITEM_BYTES = 8
+
+
+class DamagedError(ValueError):
+    """An answer that is no message of the protocol; the text says what is wrong."""
+
+
+class RemoteError(RuntimeError):
+    """The server's policy raised an exception, or the server is gone.
+
+    Attributes:
+        fault: the description of what went wrong.
+    """
+
+    def __init__(self, text: str, traceback: str = "") -> None:
+        text = text[:MAX_TEXT]
+        super().__init__(text)
+        self.fault = Fault(text, traceback[-_MAX_TRACEBACK:])
+
+
+class Budget:
+    """Counts the values of one message while msgpack decodes it; `spend` is msgpack's hook.
+
+    Small containers take far more memory decoded than encoded, so the count is checked before the message is complete.
+    """
+
+    def __init__(self) -> None:
+        self._left = MAX_VALUES
+
+    def spend(self, found: Any) -> Any:
+        """The container itself, after its values were counted.
+
+        Raises:
+            DamagedError: the message has more than `MAX_VALUES` values.
+        """
+        self._left -= 1 + len(found)
+        if self._left < 0:
+            raise DamagedError(f"it holds more than {MAX_VALUES} values")
+        return found
+
+
+def check_json(data: bytes) -> None:
+    """Check how many values a JSON text can hold at most, before it is decoded.
+
+    Raises:
+        DamagedError: the text may hold more than `MAX_VALUES` values.
+    """
+    if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
+        raise DamagedError(f"it holds more than {MAX_VALUES} values")
+
+
+def plain_numbers(value: object, key: str) -> np.ndarray:
+    """A server's numbers as an array. Texts are refused first, since numpy makes each as wide as the longest.
+
+    Raises:
+        InvalidActionError: the value is no array of numbers, or its rows differ in length.
+    """
+    if not isinstance(value, np.ndarray):
+        level = [value]
+        for _ in range(_MAX_AXES):
+            if not all(isinstance(one, list | tuple | int | float | np.number | np.bool_) for one in level):
+                raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+            level = [inner for one in level if isinstance(one, list | tuple) for inner in one]
+        if level:
+            raise InvalidActionError(f"{key} has more than {_MAX_AXES} axes")
+    try:
+        rows = np.asarray(value)
+    except ValueError as error:
+        raise InvalidActionError(f"{key} is no array: its rows differ in length") from error
+    if rows.dtype.kind not in _DTYPE_KINDS:
+        raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+    return rows
+
+
+def array_of(content: object, dtype: object, shape: object) -> np.ndarray:
+    """An array from its bytes, the name of its dtype and its shape.
+
+    Raises:
+        DamagedError: the dtype is not one of plain numbers, or the bytes are not as many as the shape says.
+    """
+    if not isinstance(content, bytes | bytearray) or not isinstance(dtype, str | bytes):
+        raise DamagedError("an array needs bytes and the name of a dtype")
+    name = dtype.decode("ascii", "replace") if isinstance(dtype, bytes) else dtype
+    try:
+        # A comma or a bracket in the name would make a structured dtype.
+        kind = np.dtype(name) if name.isascii() and not set(name) & set(",[](){}: ") and len(name) <= 16 else None
+    except (TypeError, ValueError, SyntaxError):
+        kind = None
+    if kind is None or kind.kind not in _DTYPE_KINDS or kind.itemsize > _MAX_ITEM_BYTES:
+        raise DamagedError(f"{name[:40]!r} is no dtype of plain numbers")
+    if not isinstance(shape, list | tuple) or len(shape) > _MAX_AXES:
+        raise DamagedError("a shape is a list of at most 8 whole numbers")
+    if not all(
+        isinstance(size, int) and not isinstance(size, bool) and 0 <= size <= MAX_ANSWER_BYTES for size in shape
+    ):
+        raise DamagedError(f"{str(shape)[:60]} is no shape")
+    if math.prod(shape) * kind.itemsize != len(content):
+        raise DamagedError(f"{len(content)} bytes are no array of {kind} {tuple(shape)}")
+    return np.frombuffer(bytes(content), kind).reshape(tuple(shape))
+
+
+def rows_of(value: object, key: str, width: int) -> Array:
+    """A server's actions as finite numbers (actions, width); a single row is one action.
+
+    Raises:
+        InvalidActionError: the shape or the number of actions is wrong, or a number is not finite.
+    """
+    rows = plain_numbers(value, key)
+    if rows.size > MAX_VALUES:
+        raise InvalidActionError(f"{key} has the shape {rows.shape}, more than {MAX_VALUES} numbers")
+    whole = np.atleast_2d(rows.astype(np.float64))
+    if whole.ndim != 2 or whole.shape[1] != width:
+        raise InvalidActionError(f"{key} has the shape {rows.shape}, not (actions, {width})")
+    if not 1 <= len(whole) <= MAX_ACTIONS:
+        raise InvalidActionError(f"{key} holds {len(whole)} actions, not 1 to {MAX_ACTIONS}")
+    if not np.isfinite(whole).all():
+        first = int(np.argwhere(~np.isfinite(whole))[0][0])
+        raise InvalidActionError(f"{key} is not finite, first in action {first}")
+    return whole
+
+
+def period_of(value: Any, key: str) -> float | None:
+    """The duration of an action (s), from a server's number of ms; None for none, or for 0.
+
+    Raises:
+        InvalidActionError: the value is no number, or outside the range that a robot could use.
+    """
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
+        raise InvalidActionError(f"{key} is {str(value)[:40]!r}, not a number of ms")
+    seconds = float(value) / 1000
+    if seconds == 0:
+        return None
+    if not MIN_PERIOD <= seconds <= MAX_PERIOD:
+        raise InvalidActionError(f"{key} is {float(value):g} ms, not {MIN_PERIOD * 1000:g} to {MAX_PERIOD * 1000:g}")
+    return seconds
+
+
+def address_of(url: str, scheme: str, port: int) -> tuple[str, int]:
+    """Host and port of a URL; `port` where the URL names none.
+
+    Raises:
+        UsageError: the URL has another scheme, or no host.
+    """
+    try:
+        parts = urlsplit(url)
+        given = parts.port
+    except ValueError:
+        parts, given = urlsplit(""), None
+    if parts.scheme != scheme or not parts.hostname or parts.query or parts.fragment or parts.username:
+        raise UsageError(f"--policy {url} is not valid: give {scheme}://HOST:PORT")
+    return parts.hostname, given or port
+
+
+def no_answer(url: str, error: object) -> ResourceError:
+    """The error that no policy server answers at a URL."""
+    return ResourceError(f"--policy {url}: no policy answers there: {error}; start its server first")
+
+
+@contextmanager
+def answering(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
+    """Context of one request and its answer. An error closes the connection, on which a late answer might arrive.
+
+    Args:
+        hang_up: closes the connection.
+
+    Raises:
+        RemoteError: the server is gone.
+        TimeoutError: the server did not answer in time.
+    """
+    try:
+        yield
+    except BaseException as error:
+        hang_up()
+        if isinstance(error, OSError | http.client.HTTPException) and not isinstance(error, TimeoutError):
+            raise RemoteError(f"{url} is gone: {str(error) or type(error).__name__}") from error
+        raise
+
+
+def content_of(response: http.client.HTTPResponse) -> bytes:
+    """The whole body of an HTTP answer.
+
+    Raises:
+        http.client.HTTPException: the body is longer than `MAX_ANSWER_BYTES`.
+    """
+    data = response.read(MAX_ANSWER_BYTES + 1)
+    if len(data) > MAX_ANSWER_BYTES:
+        raise http.client.HTTPException(f"its answer is longer than {MAX_ANSWER_BYTES} bytes")
+    return data

@@ -1,0 +1,70 @@
+"""Descriptions of exceptions in a policy's code: one line for a person, and the traceback."""
+
+from __future__ import annotations
+
+import sysconfig
+import textwrap
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+_YAMSIM = str(Path(__file__).resolve().parents[1])
+# Folders of Python and of installed packages: the description names the user's line that called them.
+_INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_MAX_CHARACTERS = 300  # of an exception's message
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What went wrong in a policy.
+
+    Attributes:
+        text: one line: the exception, and in brackets the last line of the user's own code that ran.
+        traceback: the traceback from the policy's first line on; empty if there is none.
+    """
+
+    text: str
+    traceback: str = ""
+
+
+def fault_of(error: BaseException, folder: Path) -> Fault:
+    """The description of an exception that a policy raised.
+
+    Args:
+        folder: paths of files below it are given relative to it.
+    """
+    trace = error.__traceback__
+    # yamsim's own calls at the beginning are left out.
+    while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
+        trace = trace.tb_next
+    whole = "".join(traceback.format_exception(type(error), error, trace))
+    return Fault(summary_of(error) + _place(trace, folder), whole)
+
+
+def summary_of(error: BaseException) -> str:
+    """An exception in one line: its type and message."""
+    try:
+        message = str(error)
+    # The text of a user's exception may itself raise any exception.
+    except Exception:  # noqa: BLE001
+        message = "its message cannot be shown"
+    message = textwrap.shorten(message, _MAX_CHARACTERS, placeholder=" ...")
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def _place(trace: TracebackType | None, folder: Path) -> str:
+    """The last line of the user's own code, in brackets; empty if none ran."""
+    frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
+    frames = [frame for frame in frames if not frame.filename.startswith("<")]
+    own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]
+    # A policy may be an installed package itself.
+    if not (frames := own or frames):
+        return ""
+    path = Path(frames[-1].filename)
+    shown = path.relative_to(folder) if path.is_relative_to(folder) else path
+    return f" ({shown}:{frames[-1].lineno}, in {frames[-1].name})"
+
+
+def _is_below(file: str, folder: str) -> bool:
+    return Path(file).is_relative_to(folder)

@@ -1,0 +1,149 @@
+"""Serve a policy to `yamsim eval --policy http://HOST:PORT` from any process that can import yamsim.
+
+    from yamsim_cli.policies.policy_server import PolicyServer
+
+    with PolicyServer(MyPolicy, port=8080) as server:
+        print(server.url)
+        server.serve_forever()
+
+Needs numpy and msgpack alone. The given function makes a policy for each client. The policies of all clients are called
+one at a time. The server listens on 127.0.0.1 by default, and asks for no password.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.extras import require_library
+
+from ..core.errors import ResourceError
+from ..core.page_origin import refusal
+from ..core.workers.serving import forks_end_here
+from .loading import check_policy, reset_policy, wanted_images, wanted_state
+from .policy_faults import fault_of
+from .remote import PROTOCOL, UnsendableError, WireError, pack, sendable, unpack
+
+LOOPBACK = "127.0.0.1"
+
+_MAX_BYTES = 64_000_000  # of a message that is read; two pictures of 1920 x 1080 take a fifth
+_MAX_SESSIONS = 256
+
+
+class PolicyServer(ThreadingHTTPServer):
+    """Answers clients until `shutdown`; leaving it as a context manager closes the port.
+
+    Args:
+        make_policy: makes a policy, see `policies.base.Policy`; called for each client.
+        host: address to listen on; beyond 127.0.0.1, anybody who reaches the port can use it.
+        port: 0 takes a free one.
+
+    Raises:
+        ResourceError: msgpack is not installed, or the port cannot be had.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = True
+
+    def __init__(self, make_policy: Callable[[], Any], host: str = LOOPBACK, port: int = 8080) -> None:
+        require_library("a policy in another process", "msgpack", "remote")
+        self._make, self.host = make_policy, host
+        self._sessions: dict[str, Any] = {}
+        # Most models must not be called from two threads at once.
+        self._one_at_a_time = threading.Lock()
+        try:
+            super().__init__((host, port), _Handler)
+        except OSError as error:
+            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another --port") from error
+
+    @property
+    def url(self) -> str:
+        """The address that clients connect to."""
+        host, port = self.server_address[:2]
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
+
+    def answer(self, what: str, message: Any) -> bytes:
+        """The answer to a message, as bytes; an error too becomes an answer."""
+        with self._one_at_a_time:
+            try:
+                # A fork by the policy would answer the client a second time.
+                with forks_end_here():
+                    return pack(self._answer(what, message))
+            # The policy may raise any exception, which is sent to the client.
+            except Exception as error:  # noqa: BLE001
+                return _fault(error)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore lost connections, such as those of workers that were ended."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+    def _answer(self, what: str, message: Any) -> dict[str, Any]:
+        if what == "session":
+            if message["protocol"] != PROTOCOL:
+                raise WireError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
+            if len(self._sessions) >= _MAX_SESSIONS:
+                self._sessions.pop(next(iter(self._sessions)))
+            policy = check_policy(self._make(), "of the server")
+            session = secrets.token_hex(8)
+            self._sessions[session] = policy
+            asks = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
+            return {"session": session, **asks, "ticks": getattr(policy, "ticks", 1)}
+        policy = self._sessions[message["session"]]
+        if what == "reset":
+            reset_policy(policy, message["seed"])
+            return {}
+        if what == "act":
+            return {"action": sendable(policy(message["observation"]))}
+        if what == "close":
+            del self._sessions[message["session"]]
+            return {}
+        raise WireError(f"there is no /{what}")
+
+
+def _fault(error: Exception) -> bytes:
+    """The answer that reports an exception."""
+    if isinstance(error, WireError):
+        report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
+    else:
+        fault = fault_of(error, Path.cwd())
+        report = {"error": fault.text, "traceback": fault.traceback}
+        # File names may hold bytes that are no valid text.
+        report = {key: text.encode(errors="backslashreplace").decode() for key, text in report.items()}
+    return pack(report)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PolicyServer
+    # HTTP/1.1 keeps the connection open: a new one for each action would take longer than the action.
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+
+    def do_POST(self) -> None:
+        """Answer one message; requests of web pages from other sites are refused."""
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        if refusal(hosts, origins, self.server.host) is not None:
+            self.send_error(403)
+            self.close_connection = True
+            return
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > _MAX_BYTES:
+            self.send_error(413)
+            return
+        try:
+            data = self.server.answer(self.path.strip("/"), unpack(self.rfile.read(int(length))))
+        except WireError as error:
+            data = _fault(error)
+        self.send_response(200)
+        self.send_header("Content-Type", "application/msgpack")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing, since there are thirty requests a second."""

@@ -1,0 +1,230 @@
+"""The gap between recordings and their simulation as one HTML page: by joint, hand and phase, and the worst moments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.markup import (
+    Markup,
+    captioned,
+    captioned_jpeg,
+    document,
+    key_figures,
+    legend,
+    percent,
+    section,
+    table,
+    tag,
+)
+from yamsim_cli.core.plots import Values, curves
+
+_UNKNOWN = "\N{EM DASH}"
+_MIN_ERROR_SPAN = 0.2  # mrad, of an error's plot
+
+
+@dataclass(frozen=True)
+class JointCurves:
+    """A joint's commands and angles over time.
+
+    Attributes:
+        name: the arm's and the joint's name.
+        times: (n,), s.
+        commanded, measured, simulated: (n,), rad; NaN where nothing was measured.
+        mark: the time of the worst error of all joints, if it is this joint's, s.
+    """
+
+    name: str
+    times: Values
+    commanded: Values
+    measured: Values
+    simulated: Values
+    mark: float | None
+
+
+@dataclass(frozen=True)
+class CaptionedJpeg:
+    """A picture of the page: a JPEG file, and its caption."""
+
+    caption: str
+    jpeg: bytes
+
+
+def gap_page(
+    report: Mapping[str, Any], joints: Sequence[JointCurves], pictures: Sequence[CaptionedJpeg], made: str
+) -> str:
+    """The page as HTML.
+
+    Args:
+        report: of `gap.report.report_of`.
+        joints: of the recording with the worst error.
+        pictures: the simulated arms over photos of the recordings, the worst first.
+        made: see `markup.document`.
+    """
+    recordings = report["recordings"]
+    several = len(recordings) > 1
+    title = f"{len(recordings)} recordings" if several else recordings[0]["name"]
+    body = [
+        tag("p", f"on rig {report['rig']}; errors are what was measured less what was simulated", class_="where"),
+        _figures(report),
+        _joints(report["joints"]),
+        _hands(report["hands"]),
+        _phases(report["phases"]),
+        _plots(joints, report["worst"]),
+        _recordings(recordings) if several else None,
+        _pictures(report.get("pictures"), pictures),
+        _problems(report.get("problems", ())),
+    ]
+    return document(f"{title}: gap", "Gap to the simulation", title, body, made)
+
+
+def _figures(report: Mapping[str, Any]) -> Markup:
+    worst = report["worst"]
+    hand = max(report["hands"], key=lambda hand: hand["rms_mm"])
+    bounds = report.get("intervals", {}).get("rms_rad")
+    interval = f" ({bounds[0] * 1000:.3g} to {bounds[1] * 1000:.3g})" if bounds else ""
+    figures = [
+        (f"{report['rms_rad'] * 1000:.3g} mrad", f"RMS of all joints{interval}"),
+        (f"{hand['rms_mm']:.3g} mm", f"RMS of the {_called(hand, 'hand')}"),
+    ]
+    if delays := [joint["delay_s"] for joint in report["joints"] if joint["delay_s"] is not None]:
+        figures.append((f"{np.median(delays) * 1000:.1f} ms", "later than simulated, the joints' median"))
+    figures += [
+        (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"worst: {_called(worst, worst['joint'])}"),
+        (f"{report['seconds']:.0f} s", "compared"),
+    ]
+    return key_figures(figures)
+
+
+def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    heads = ("joint", "RMS", "95 %", "largest", "delay", "sag", "overshoot", "delay after command", "simulated")
+    cells = [
+        [
+            _called(row, row["name"]),
+            *_errors(row),
+            _ms(row),
+            _mrad(row, "sag_rad"),
+            _mrad(row, "overshoot_rad"),
+            _ms(row["command_to_measured"]),
+            _ms(row["command_to_simulated"]),
+        ]
+        for row in rows
+    ]
+    note = (
+        "mrad and ms. Delay, sag and overshoot are those beyond the simulation's: a positive delay is one that the "
+        "recording has and the simulation lacks. Sag is the mean error at rest. In brackets: 95 % intervals of means "
+        "over the recordings."
+    )
+    return section("By joint", tag("p", note, class_="note"), _scrolled(heads, cells))
+
+
+def _hands(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    heads = ("hand", "RMS", "95 %", "largest", "turned, RMS", "turned, largest", "delay", "fingers, RMS")
+    cells = [
+        [
+            _called(row, "hand"),
+            *(f"{_number(row[key])}{_bracket(row, key, 1)} mm" for key in ("rms_mm", "p95_mm", "max_mm")),
+            *(f"{_number(row[key])}\N{DEGREE SIGN}" for key in ("rms_deg", "max_deg")),
+            _ms(row),
+            _UNKNOWN if row["opening_rms_mm"] is None else f"{_number(row['opening_rms_mm'])} mm",
+        ]
+        for row in rows
+    ]
+    return section("By hand", _scrolled(heads, cells))
+
+
+def _phases(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    heads = ("the joint is", "share of samples", "RMS, mrad", "95 %", "largest")
+    cells = [[row["name"], percent(row["share"], 0), *_errors(row)] for row in rows]
+    return section("By phase of motion", _scrolled(heads, cells))
+
+
+def _plots(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
+    panels = []
+    for joint in joints:
+        lines = {"commanded": joint.commanded, "measured": joint.measured, "simulated": joint.simulated}
+        error = (joint.measured - joint.simulated) * 1000
+        title = f"{joint.name}: error"
+        error_plot = curves(title, joint.times, {"error-curve": error}, "mrad", joint.mark, _MIN_ERROR_SPAN)
+        panels += [
+            captioned(joint.name, curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
+            captioned(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
+        ]
+    where = (
+        f"The worst error is at {worst['time_s']:.3f} s, frame {worst['frame']} of {worst['recording']}: "
+        f"{_called(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from its simulation."
+    )
+    entries = [("commanded", "commanded"), (None, "measured"), ("simulated", "simulated")]
+    return section("Over time", tag("p", where), legend(entries), tag("div", panels, class_="columns"))
+
+
+def _recordings(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    heads = ("recording", "RMS, mrad", "95 %", "largest", "worst joint", "at", "frame", "compared")
+    cells = [
+        [
+            row["name"],
+            *_errors(row),
+            _called(row["worst"], row["worst"]["joint"]),
+            f"{row['worst']['time_s']:.2f} s",
+            str(row["worst"]["frame"]),
+            f"{row['seconds']:.1f} s",
+        ]
+        for row in sorted(rows, key=lambda row: -row["rms_rad"])
+    ]
+    return section("By recording", _scrolled(heads, cells))
+
+
+def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpeg]) -> Markup | None:
+    if figures is None:
+        return None
+    sentences = [f"{figures['photos']} photos of camera {figures['camera']} were compared."]
+    for key, what, unit in (
+        ("outline_px", "Outline to the photo's edges", "px"),
+        ("iou", "Overlap with the arm where it was measured", ""),
+    ):
+        if (found := figures[key]) is not None:
+            sentences.append(f"{what}: {found['mean']:.3g} {unit} on average, {found['worst']:.3g} at worst.")
+    shown = [captioned_jpeg(picture.caption, picture.jpeg, 460) for picture in pictures]
+    return section("In pictures", tag("p", " ".join(sentences)), tag("div", shown, class_="strips"))
+
+
+def _problems(rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+    if not rows:
+        return None
+    items = [tag("li", f"{row['recording']}: {row['text']}") for row in rows]
+    return section("What is wrong with the recordings", tag("ul", items))
+
+
+def _scrolled(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> Markup:
+    return tag("div", table(headings, cells), class_="scroll")
+
+
+def _called(row: Mapping[str, Any], name: str) -> str:
+    return f"{row['arm']} {name}" if row["arm"] else name
+
+
+def _errors(row: Mapping[str, Any]) -> list[str]:
+    """RMS, 95 % and largest error, mrad."""
+    return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
+
+
+def _mrad(row: Mapping[str, Any], key: str) -> str:
+    return _UNKNOWN if row[key] is None else f"{_number(row[key] * 1000)}{_bracket(row, key, 1000)}"
+
+
+def _ms(row: Mapping[str, Any]) -> str:
+    if row["delay_s"] is None:
+        return _UNKNOWN
+    return f"{_number(round(row['delay_s'] * 1000, 1))} ms{_bracket(row, 'delay_s', 1000)}"
+
+
+def _bracket(row: Mapping[str, Any], key: str, scale: float) -> str:
+    bounds = row.get("intervals", {}).get(key)
+    return f" ({_number(bounds[0] * scale)} to {_number(bounds[1] * scale)})" if bounds else ""
+
+
+def _number(value: float) -> str:
+    return f"{round(value, 3) + 0.0:.3g}".replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,213 @@
+"""The report on the gap of several recordings: means with 95 % intervals, its limit, and its page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.core.markup import made_line, write_page
+from yamsim_cli.real.gap.follow import held
+
+from .curves import PHASES
+from .figures import ErrorSize, Following, Gap, HandGap, JointGap, WorstError
+from .gap_page import CaptionedJpeg, JointCurves, gap_page
+
+# Two-sided 95 % of Student's t distribution, by degrees of freedom from 1 on.
+# Source: NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.2.
+_T95 = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228,
+    2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
+    2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+)  # fmt: skip
+_Z95 = 1.959963984540054
+
+
+def student95(values: Sequence[float]) -> tuple[float, float] | None:
+    """The 95 % interval of the mean of normally distributed values; None of fewer than two."""
+    n = len(values)
+    if n < 2:
+        return None
+    # Beyond the table, the next term of the quantile's series in 1 / n.
+    t = _T95[n - 2] if n - 2 < len(_T95) else _Z95 * (1 + (_Z95**2 + 1) / (4 * (n - 1)))
+    mean, half = float(np.mean(values)), t * float(np.std(values, ddof=1)) / math.sqrt(n)
+    return mean - half, mean + half
+
+
+def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
+    """The gap of recordings for JSON: means over the recordings, the worst error, and each recording.
+
+    A figure is the mean over the recordings that have it, null if none has it; for the largest errors it is the
+    maximum. `intervals` has the mean's 95 % interval if two or more recordings have the figure. Errors are measured
+    less simulated, in rad and mm.
+
+    Args:
+        gaps: of recordings of the same arms, at least one.
+    """
+    worst = max(gaps, key=lambda gap: abs(gap.worst.error))
+    return {
+        "rig": rig,
+        "seconds": sum(gap.seconds for gap in gaps),
+        **_means(gaps, lambda gap: _size(gap.error)),
+        "joints": [_joints([gap.joints[k] for gap in gaps]) for k in range(len(gaps[0].joints))],
+        "hands": [_hands([gap.hands[k] for gap in gaps]) for k in range(len(gaps[0].hands))],
+        "phases": _phases([gap.phases for gap in gaps]),
+        "worst": {"recording": worst.name, **_worst(worst.worst)},
+        "recordings": [
+            {
+                "name": gap.name,
+                "seconds": gap.seconds,
+                "samples": int(gap.counted.sum()),
+                **_size(gap.error),
+                "joints": [_joints([joint]) for joint in gap.joints],
+                "hands": [_hands([hand]) for hand in gap.hands],
+                "phases": _phases([gap.phases]),
+                "worst": _worst(gap.worst),
+            }
+            for gap in gaps
+        ],
+    }
+
+
+def require_small(report: Mapping[str, Any], most_mrad: float | None) -> None:
+    """Make sure that no joint's gap is above a limit.
+
+    Args:
+        report: of `report_of`.
+        most_mrad: the largest RMS error of any joint, mrad; None for no limit.
+
+    Raises:
+        SimulationError: a joint's error is larger.
+    """
+    if most_mrad is None:
+        return
+    above = [joint for joint in report["joints"] if joint["rms_rad"] * 1000 > most_mrad]
+    if above:
+        worst = max(above, key=lambda joint: joint["rms_rad"])
+        more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
+        raise SimulationError(
+            f"{spoken(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at most "
+            f"{most_mrad:g}"
+        )
+
+
+def spoken(row: Mapping[str, Any]) -> str:
+    """The name of a joint or a hand for people: `left joint2`, `joint2`."""
+    return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
+
+
+def _means(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
+    """Figure -> its mean, or of largest errors the maximum; and `intervals` with the means' 95 % intervals."""
+    values = [figures(row) for row in rows]
+    known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
+    largest = {key for key in known if "max" in key.split("_")}
+    never_negative = {key for key in known if {"rms", "p95"} & set(key.split("_"))}
+    means = {
+        key: float(np.max(values) if key in largest else np.mean(values)) if values else None
+        for key, values in known.items()
+    }
+    intervals = {
+        key: [max(0.0, bounds[0]) if key in never_negative else bounds[0], bounds[1]]
+        for key, values in known.items()
+        if key not in largest and (bounds := student95(values))
+    }
+    return {**means, **({"intervals": intervals} if intervals else {})}
+
+
+def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:
+    return {
+        "arm": rows[0].arm,
+        "name": rows[0].name,
+        **_means(rows, lambda row: {**_size(row.error), **_following(row.beyond)}),
+        "command_to_measured": _means(rows, lambda row: _following(row.measured)),
+        "command_to_simulated": _means(rows, lambda row: _following(row.simulated)),
+        "phases": _phases([row.phases for row in rows]),
+    }
+
+
+def _size(size: ErrorSize) -> dict[str, float | None]:
+    return {"rms_rad": size.rms, "p95_rad": size.p95, "max_rad": size.max}
+
+
+def _following(found: Following) -> dict[str, float | None]:
+    return {"delay_s": found.delay, "sag_rad": found.sag, "overshoot_rad": found.overshoot}
+
+
+def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
+    def figures(row: HandGap) -> dict[str, float | None]:
+        found: dict[str, float | None] = {}
+        for key in ("rms", "p95", "max"):
+            found[f"{key}_mm"] = getattr(row.position, key) * 1000
+            found[f"{key}_deg"] = math.degrees(getattr(row.rotation, key))
+            found[f"opening_{key}_mm"] = getattr(row.opening, key) * 1000 if row.opening else None
+        return {**found, "delay_s": row.delay}
+
+    return {"arm": rows[0].arm, **_means(rows, figures)}
+
+
+def _phases(rows: Sequence[Mapping[str, ErrorSize]]) -> list[dict[str, Any]]:
+    """For each phase that occurs: mean errors over the recordings that have it, and its share of samples."""
+    samples = sum(size.samples for row in rows for size in row.values())
+    found = []
+    for phase in map(str, PHASES):
+        sizes = [row[phase] for row in rows if phase in row]
+        if sizes:
+            share = sum(size.samples for size in sizes) / samples
+            found.append({"name": phase, "share": share, **_means(sizes, _size)})
+    return found
+
+
+def _worst(worst: WorstError) -> dict[str, Any]:
+    return {
+        "frame": worst.frame,
+        "time_s": worst.time,
+        "arm": worst.arm,
+        "joint": worst.joint,
+        "error_rad": worst.error,
+    }
+
+
+def write_gap_page(
+    report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[CaptionedJpeg], path: Path
+) -> None:
+    """Write the page on a gap, with all joints of the recording with the worst error, and replace an existing file.
+
+    Args:
+        report: of `report_of`.
+        gaps: of the report.
+        pictures: the worst first.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    worst = max(gaps, key=lambda gap: abs(gap.worst.error))
+    write_page(gap_page(report, _joint_curves(worst), pictures, made_line()), path)
+
+
+def _joint_curves(gap: Gap) -> list[JointCurves]:
+    """Each joint of a recording over the time that was compared."""
+    found = []
+    compared = np.flatnonzero(gap.counted)
+    shown = slice(int(compared[0]), int(compared[-1]) + 1)
+    names = iter(gap.joints)
+    for real, simulated in zip(gap.motion.arms, gap.simulated.arms, strict=True):
+        assert real.commands is not None, "the simulation followed them"
+        commands = held(real.commands, real.joints)
+        for k in range(real.joints.shape[1]):
+            joint = next(names)
+            marked = (joint.arm, joint.name) == (gap.worst.arm, gap.worst.joint)
+            found.append(
+                JointCurves(
+                    f"{joint.arm} {joint.name}".strip(),
+                    gap.motion.times[shown],
+                    commands[shown, k],
+                    np.where(gap.counted, real.joints[:, k], np.nan)[shown],
+                    np.where(gap.counted, simulated.joints[:, k], np.nan)[shown],
+                    gap.worst.time if marked else None,
+                )
+            )
+    return found

@@ -1,0 +1,177 @@
+"""Identified parameters with 95 % intervals, and what the logs cannot determine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.geometry.se3 import Array
+
+from .fit import Fitted, Parameter, value
+from .plant import TIMESTEP, ArmPlant
+
+# Field of `Values` -> its name in results, which has the unit.
+NAMES = {
+    "delay": "delay_s",
+    "friction": "friction_nm",
+    "damping": "damping_nms",
+    "armature": "armature",
+    "offset": "offset_rad",
+    "gravity": "gravity_factor",
+}
+# The least half width of each interval, for physics that differ from the model's.
+_DELAY = 0.0006  # s, a controller's own step
+_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: another law of friction
+_OTHER_LAW = 0.05  # share of the friction that another law of friction shows as inertia
+_OFFSET = 0.0004  # rad, an encoder's step
+_GRAVITY = 0.003
+_TOLD = 0.7  # a log determines nothing if the interval is wider than this share of the prior's
+# An identification is refused if an interval's half is wider than this share of the value.
+_REFUSED = {"friction": 0.5, "damping": 0.6}
+
+_BLOCK = 2.5  # s; errors nearer in time are dependent: friction keeps a joint on one side of its target until it turns
+_FEWEST_BLOCKS = 6
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's value, and the interval in which it lies at 95 %.
+
+    Attributes:
+        joint: name of the joint; empty for parameters of the whole arm.
+        name: one of `NAMES`' values.
+        before: value in the model.
+        told: whether the log determines it.
+    """
+
+    joint: str
+    name: str
+    value: float
+    low: float
+    high: float
+    before: float
+    told: bool
+
+    def plain(self) -> dict[str, Any]:
+        """The estimate for JSON."""
+        return {"value": self.value, "low": self.low, "high": self.high, "model": self.before, "told": self.told}
+
+
+def estimates(plant: ArmPlant, fitted: Fitted) -> list[Estimate]:
+    """Estimates of all fitted parameters, the delay first, then joint by joint."""
+    found = []
+    for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
+        if parameter.name not in NAMES:
+            continue
+        number = value(fitted.values, parameter)
+        whole = float(half) + _least_half(plant, fitted, parameter)
+        low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
+        joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
+        before = value(plant.values, parameter)
+        told = bool(half < _TOLD * 1.96 * parameter.spread)
+        found.append(Estimate(joint, NAMES[parameter.name], number, low, number + whole, before, told))
+    return found
+
+
+def half_widths(fitted: Fitted) -> Array:
+    """Half the width of each parameter's interval at 95 %, (k,), in the parameter's unit.
+
+    Errors are dependent within a block of the log and independent between blocks (Huber's and White's estimate for
+    clusters). What no model explains, such as another law of friction, differs from block to block and widens the
+    interval as noise does.
+    """
+    weighted = fitted.slopes * fitted.weights[None, :, None]
+    errors = fitted.errors * fitted.weights
+    scale = np.array([each.scale for each in fitted.parameters])
+    precision = np.diag((scale / np.array([each.spread for each in fitted.parameters])) ** 2)
+    flat = weighted.reshape(-1, weighted.shape[-1])
+    inverse = np.linalg.inv(flat.T @ flat + precision)
+    span = fitted.times[-1] - fitted.times[0]
+    blocks = max(_FEWEST_BLOCKS, round(span / _BLOCK))
+    number = np.clip(((fitted.times - fitted.times[0]) / span * blocks).astype(int), 0, blocks - 1)
+    scores = np.array([np.einsum("ijk,ij->k", weighted[number == k], errors[number == k]) for k in range(blocks)])
+    # The prior counts as one more block.
+    spread = scores.T @ scores * blocks / (blocks - 1) + precision
+    deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
+    found: Array = _student(blocks - 1) * deviation
+    return found
+
+
+def _student(freedom: int) -> float:
+    """The 97.5 % quantile of Student's distribution, for 5 degrees of freedom and more.
+
+    Source: the first terms of Cornish's and Fisher's expansion, Abramowitz and Stegun 26.7.5.
+    """
+    z = 1.959964
+    terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+    return z + float(sum(term / freedom ** (k + 1) for k, term in enumerate(terms)))
+
+
+def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
+    size, k = value(fitted.values, parameter), 0 if parameter.joint is None else parameter.joint
+    damped = float(plant.kv[k] + fitted.values.damping[k])
+    match parameter.name:
+        case "delay":
+            return _DELAY
+        case "friction":
+            return _FRICTION * size
+        case "damping":
+            return _DAMPING * damped
+        case "armature":
+            # The point of its step at which a controller damps shows as inertia.
+            law = _OTHER_LAW * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
+            return _ARMATURE * size + damped * TIMESTEP / 4 + law
+        case "offset":
+            return _OFFSET
+    return _GRAVITY
+
+
+def require_determined(plant: ArmPlant, found: list[Estimate], name: str) -> None:
+    """Refuse logs that do not determine a joint's friction or damping.
+
+    Raises:
+        DatasetError: the message names the joint and what to record.
+    """
+    for number, joint in enumerate(plant.robot.joint_names):
+        of_joint = {each.name: each for each in found if each.joint == joint}
+        sizes = {
+            "friction": max(of_joint[NAMES["friction"]].value, 0.01 * plant.most_torque[number]),
+            "damping": plant.kv[number] + of_joint[NAMES["damping"]].value,
+        }
+        for key, share in _REFUSED.items():
+            each = of_joint[NAMES[key]]
+            if (each.high - each.low) / 2 > share * sizes[key]:
+                raise DatasetError(
+                    f"{name}: {joint} is badly excited: its {key} may be anything from {each.low:.3g} to "
+                    f"{each.high:.3g} {'N m' if key == 'friction' else 'N m s/rad'}; record it turning at several "
+                    "speeds, with turns back; `yamsim excite` writes such a motion"
+                )
+
+
+def cannot_tell(found: list[Estimate], gripper: bool) -> list[str]:
+    """What the logs, or any such log, cannot determine, a sentence each.
+
+    Args:
+        gripper: whether the logs hold the gripper's opening, or the arm has no gripper.
+    """
+    lines = [
+        f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.before:.3g}: the log holds it to "
+        f"{each.low:.3g}..{each.high:.3g} only"
+        for each in found
+        if not each.told
+    ]
+    if not gripper:
+        lines.append(
+            "nobody recorded the gripper, and it counts as closed: if it was open, its fingers' inertia shows in the "
+            "last joint's armature"
+        )
+    return [
+        *lines,
+        "damping_nms is what the joint has beside the model's kv, which is held: the log tells only their sum",
+        "kp is held at the model's: friction, damping and armature are in proportion to it",
+        "delay_s is that of commands and sensors together",
+        "a mass at the tip would show as gravity factors of the joints that carry it",
+    ]

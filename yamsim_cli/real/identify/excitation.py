@@ -1,0 +1,291 @@
+"""A motion whose log determines all that can be identified of an arm, clear of obstacles, and its files."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.scene.build import build_rig_scene
+from yamsim_cli.core.scene.compose import add_home_key, compose
+from yamsim_cli.real.gap.follow import follow
+
+from ..recordings.csv_file import TIME, csv_bytes, header
+from .plant import ArmPlant
+
+_RATE = 100  # commands per s
+_SPEED, _TORQUE = 0.5, 0.5  # largest shares of the motors' speed and torque
+_TRIES = 20  # of motions, each in a smaller box
+
+# Each joint's sines: number, lowest frequency, and range of the highest one, Hz.
+_SINES, _SLOWEST, _FASTEST = 8, 0.1, (2.0, 5.0)
+_PER_TURN = 2.0  # highest frequency for each turn per s of the motor
+# A sine's amplitude falls with this power of its frequency, for the slowest and for the quickest joints. The quickest
+# joints have a small inertia, which only fast sines show.
+_FALL = (0.8, 0.4)
+# The motion is cycles of about that many s. Sines take this share of each cycle, and slow turns the rest, so that
+# every third of the motion has both.
+_CYCLE, _QUICK_SHARE = 20.0, 0.6
+_SLOW, _REST = (0.05, 0.5), 0.4  # speeds of slow turns, rad/s, and the rest after each, s
+_RAMP = 2.0  # s, in which the arm swings in and comes to rest
+
+# Least distance to the table and to another arm, and to the arm itself, m. Collision boxes are larger than the parts.
+_DISTANCE, _OWN_DISTANCE = 0.03, 0.003
+_FROM_STOPS = 0.15  # rad, distance of joints from their stops
+_WIDEST, _NARROWEST = 0.9, 0.2  # rad, largest and least swing of a joint to either side
+_MIDDLES, _AROUND = 60, 60  # poses tried as the middle of the box, and around each of them
+_NARROWER = 0.85  # factor by which a box with a contact shrinks
+
+
+@dataclass(frozen=True)
+class JointBox:
+    """A range of joint positions: its middle (dof,) and how far it extends to either side (dof,), rad."""
+
+    middle: Array
+    half: Array
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Commands for an arm.
+
+    Attributes:
+        times: of the commands (n,), s.
+        commands: of the joints (n, dof), rad. The arm must be at the first one at the start, and ends there.
+        box: the range of the commands.
+        speed, torque: largest shares, of 1, that any joint needs of its motor's speed and torque.
+    """
+
+    times: Array
+    commands: Array
+    box: JointBox
+    speed: float
+    torque: float
+
+
+def excite(
+    rig: RigConfig, number: int, scene: SceneConfig, locations: Locations, seconds: float, seed: int
+) -> Excitation:
+    """A motion of one arm of a rig that swings every joint, quickly and slowly, around one pose.
+
+    Raises:
+        SimulationError: there is no room for the motion, or it would need more than the motors give.
+    """
+    rng = np.random.default_rng([seed, number])
+    room, plant = Room(rig, number, scene, locations), ArmPlant(rig.arms[number])
+    box = room.widest(rng)
+    motors = np.array([joint.motor_rad_s for joint in rig.arms[number].robot.joints])
+    times = np.arange(round(seconds * _RATE) + 1) / _RATE
+    for _ in range(_TRIES):
+        shares = [_share(times, float(half), float(motor), rng) for half, motor in zip(box.half, motors, strict=True)]
+        commands = box.middle + box.half * np.column_stack(shares)
+        speed = float((np.abs(np.gradient(commands, times, axis=0)) / motors).max())
+        torque = float((np.abs(_torques(plant, times, commands)) / plant.most_torque).max())
+        if speed <= _SPEED and torque <= _TORQUE and not any(room.touches(row) for row in commands[::5]):
+            return Excitation(times, commands, box, speed, torque)
+        box = JointBox(box.middle, box.half * 0.9)
+    raise SimulationError(
+        f"{rig.arms[number].name}: no motion of {seconds:g} s was found that keeps to what its motors can do; try "
+        "another --seed"
+    )
+
+
+def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
+    """A CSV of the commands of all arms of a rig; arms other than `number` rest."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([name for name in header(rig) if name == TIME or name.startswith("command_")])
+    for time, row in zip(found.times, np.hstack(_commands(rig, number, found)), strict=True):
+        writer.writerow([f"{time:.4f}", *(f"{value:.6f}" for value in row)])
+    return stream.getvalue().encode()
+
+
+def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
+    """A CSV of the commands and of what the simulated arms' encoders read, without noise and steps."""
+    commands, arms = _commands(rig, number, found), []
+    for rows, k in zip(commands, rig.recorded, strict=True):
+        arm, dof = rig.arms[k], rig.arms[k].robot.dof
+        openings = rows[:, dof] if arm.robot.fingers is not None else None
+        side = arm.side if len(rig.arms) > 1 else ""
+        arms.append(ArmMotion(side, rows[:, :dof], rows[:, :dof], openings, openings))
+    followed = follow(build_rig_scene(rig, surroundings, locations), Motion("excite", found.times, tuple(arms)))
+    read = [
+        part
+        for arm in followed.arms
+        for part in (arm.joints, *([] if arm.openings is None else [arm.openings[:, None]]))
+    ]
+    return csv_bytes(rig, found.times, np.column_stack([*commands, *read]))
+
+
+def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
+    """Commands of each arm's drives (n, drives), in the order of recordings."""
+    count, arms = len(found.times), []
+    for k in rig.recorded:
+        robot = rig.arms[k].robot
+        rows = found.commands if k == number else np.tile(robot.home, (count, 1))
+        if robot.fingers is not None:
+            rows = np.column_stack([rows, np.full(count, robot.fingers.opened)])
+        arms.append(rows)
+    return arms
+
+
+def _share(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
+    """A joint's position in its box over time (n,), -1..1; 0 at both ends.
+
+    Args:
+        half: of the box, rad.
+        motor: largest speed of the motor, rad/s.
+    """
+    fastest = float(np.clip(_PER_TURN * motor / (2 * np.pi), *_FASTEST))
+    cycles = max(1, round(times[-1] / _CYCLE))
+    length = times[-1] / cycles
+    quick = length * _QUICK_SHARE
+    number = np.clip((times // length).astype(int), 0, cycles - 1)
+    found = np.empty(len(times))
+    for cycle in range(cycles):
+        here = number == cycle
+        now = times[here] - cycle * length
+        ramp = np.minimum(_smooth(now / _RAMP), _smooth((quick - now) / _RAMP))
+        found[here] = np.where(now < quick, ramp * _sines(now, fastest, rng), _turns(quick, length, half, rng)(now))
+    return found
+
+
+def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
+    """The sum of sines of random frequencies and phases (n,), -1..1."""
+    edges = np.geomspace(_SLOWEST, fastest, _SINES + 1)
+    frequencies = rng.uniform(edges[:-1], edges[1:])
+    sizes = frequencies ** -np.interp(fastest, _FASTEST, _FALL)
+    total = (sizes * np.sin(2 * np.pi * frequencies * times[:, None] + rng.uniform(0, 2 * np.pi, _SINES))).sum(axis=1)
+    found: Array = total / np.abs(total).max()
+    return found
+
+
+def _turns(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
+    """Slow turns to and fro with a rest after each, from 0 back to 0."""
+    knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
+    while True:
+        place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SLOW)))
+        turn = abs(place - places[-1]) * half / speed
+        back = abs(place) * half / _SLOW[1] * 2
+        if now + turn + _REST + back + _RAMP > end:
+            break
+        knots += [now + turn, now + turn + _REST]
+        places += [place, place]
+        now, side = knots[-1], -side
+    rest = max(abs(places[-1]) * half / _SLOW[1] * 2, 1e-3)
+    knots += [now + rest, end + 1]
+    places += [0.0, 0.0]
+    when, where = np.array(knots), np.array(places)
+
+    def at(times: Array) -> Array:
+        k = np.clip(np.searchsorted(when, times, side="right") - 1, 0, len(when) - 2)
+        share = (times - when[k]) / (when[k + 1] - when[k])
+        found: Array = where[k] + (where[k + 1] - where[k]) * _smooth(share)
+        return found
+
+    return at
+
+
+def _smooth(share: Array) -> Array:
+    inside = np.clip(share, 0, 1)
+    found: Array = inside**3 * (10 - 15 * inside + 6 * inside**2)
+    return found
+
+
+def _torques(plant: ArmPlant, times: Array, joints: Array) -> Array:
+    """The drives' torques for a motion (n, dof), N m."""
+    data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
+    speeds = np.gradient(joints, times, axis=0)
+    accelerations = np.gradient(speeds, times, axis=0)
+    for k, row in enumerate(joints):
+        data.qpos[plant.qpos], data.qvel[plant.dof], data.qacc[plant.dof] = row, speeds[k], accelerations[k]
+        mujoco.mj_inverse(plant.model, data)
+        found[k] = data.qfrc_inverse[plant.dof]
+    return found
+
+
+class Room:
+    """Collision checks of one arm of a rig on its table.
+
+    Args:
+        number: of the arm, in the rig.
+    """
+
+    def __init__(self, rig: RigConfig, number: int, scene: SceneConfig, locations: Locations) -> None:
+        arm = rig.arms[number]
+        spec = compose(Blueprint(rig, scene.for_span(rig.span), boards=False, background=False), locations)
+        model = add_home_key(spec, rig, {})
+        self._model = copy.copy(model)
+        self._data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, self._data, 0)
+        self._qpos = np.array([model.joint(arm.prefix + name).qposadr[0] for name in arm.robot.joint_names])
+        if arm.robot.fingers is not None:
+            for name, sign in zip(arm.robot.fingers.joints, arm.robot.finger_signs, strict=True):
+                self._data.qpos[model.joint(arm.prefix + name).qposadr[0]] = sign * arm.robot.fingers.opened
+        base = model.body(arm.prefix + arm.robot.base).id
+        self._own_geoms = model.body_rootid[model.geom_bodyid] == base
+        self._moving_geoms = self._own_geoms & (model.geom_bodyid != base)
+        hand = np.zeros(model.nbody, bool)
+        hand[model.body(arm.prefix + arm.robot.flange).id] = True
+        for body in range(1, model.nbody):
+            hand[body] |= hand[model.body_parentid[body]]
+        self._hand_geoms = hand[model.geom_bodyid]
+        self._model.geom_margin[:] = np.where(self._own_geoms, _DISTANCE, 0.0)
+        self._range, self._name = arm.robot.joint_range, arm.name
+
+    def touches(self, joints: Array) -> bool:
+        """Whether the arm, with its joints (dof,), rad, is too near to anything."""
+        self._data.qpos[self._qpos] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+        geoms, distance = self._data.contact.geom, self._data.contact.dist
+        near = distance < np.where(self._own_geoms[geoms].all(axis=1), _OWN_DISTANCE, _DISTANCE)
+        # A hand's parts are near each other in every pose of the arm.
+        return bool((near & self._moving_geoms[geoms].any(axis=1) & ~self._hand_geoms[geoms].all(axis=1)).any())
+
+    def widest(self, rng: np.random.Generator) -> JointBox:
+        """The widest box, of those tried, in which the arm touches nothing.
+
+        Raises:
+            SimulationError: no box is wide enough.
+        """
+        low, high = self._range[:, 0] + _FROM_STOPS, self._range[:, 1] - _FROM_STOPS
+        best: JointBox | None = None
+        for _ in range(_MIDDLES):
+            middle = rng.uniform(low + _NARROWEST, high - _NARROWEST)
+            half = np.minimum(np.minimum(middle - low, high - middle), _WIDEST)
+            box = self._clear_box(middle, half, rng)
+            if box is not None and (best is None or _width(box) > _width(best)):
+                best = box
+        if best is None:
+            raise SimulationError(
+                f"{self._name}: no pose was found around which every joint may swing by {_NARROWEST} rad without "
+                f"coming nearer than {1000 * _DISTANCE:g} mm to anything; give the arm more room"
+            )
+        return best
+
+    def _clear_box(self, middle: Array, half: Array, rng: np.random.Generator) -> JointBox | None:
+        sides = rng.uniform(-1, 1, (_AROUND, len(middle)))
+        # Every second pose is a corner of the box.
+        sides[::2] = np.sign(sides[::2])
+        while half.min() >= _NARROWEST:
+            if not any(self.touches(middle + half * side) for side in sides):
+                return JointBox(middle, half)
+            half = half * _NARROWER
+        return None
+
+
+def _width(box: JointBox) -> float:
+    return float(np.log(box.half).mean() + np.log(box.half.min()))

@@ -1,0 +1,327 @@
+"""Imports recordings of real arms into a dataset of yamsim's format, with the corrections that a user states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.config.real import GripperUnit, RealConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.disk_faults import reason
+from yamsim_cli.core.dataset.layout import (
+    CONFIG,
+    EPISODE,
+    STAGING,
+    episode_directories,
+    episode_name,
+    image_name,
+    lowdim_name,
+)
+from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame
+from yamsim_cli.core.dataset.real import ImportedFrom, RealRecord, real_config
+from yamsim_cli.core.dataset.records import to_json
+from yamsim_cli.core.dataset.writing.opening import OpenMode, claim
+from yamsim_cli.core.episode.payload import versions
+from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
+from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.files.writing import publish_directory, sha256_bytes, write_file
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.jpeg import jpeg_header
+from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.progress import Progress
+
+from ..recordings.faults import MotionFault, MotionProblem, find_faults, find_gaps
+from ..recordings.reading import format_of, reader_of
+from ..recordings.recording import Recording, Samples
+
+# Faults for which a recording is refused, and the flag that corrects each; other faults are noted in its record.
+_CORRECTED_BY = {
+    MotionFault.DEGREES: "--degrees",
+    MotionFault.SWAPPED_ARMS: "--swap-arms",
+    MotionFault.GRIPPER_SHARE: "--gripper share",
+    MotionFault.GRIPPER_UPSIDE_DOWN: "--mirror-gripper measured, or commanded",
+}
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What a user states about recordings that do not state it, or state it wrongly.
+
+    Attributes:
+        degrees: joints are in degrees.
+        swap_arms: measurements of the left arm are the right arm's, and vice versa.
+        gripper: unit of openings; None for the format's own.
+        mirrored: openings that are counted from the other end: 0 open, and the largest closed.
+    """
+
+    degrees: bool = False
+    swap_arms: bool = False
+    gripper: GripperUnit | None = None
+    mirrored: Literal["measured", "commanded", "both"] | None = None
+
+
+@dataclass(frozen=True)
+class ImportRequest:
+    """What to import, and how.
+
+    Attributes:
+        sources: files and folders.
+        format: of all sources; None detects it for each.
+        mapping: naming of the columns; None detects it.
+        out, mode: the dataset's directory, and what to do if it is not empty.
+    """
+
+    sources: Sequence[Path]
+    rig: RigConfig
+    format: str | None = None
+    mapping: str | None = None
+    corrections: Corrections = field(default_factory=Corrections)
+    out: Path = Path("real")
+    mode: OpenMode = OpenMode.NEW
+
+
+@dataclass
+class ImportReport:
+    """What was imported.
+
+    Attributes:
+        episodes, frames: number of episodes and frames written.
+        kept: number of episodes that existed before.
+        problems: episode's name -> faults found in it.
+        moved_aside: new path of an older dataset.
+    """
+
+    path: Path
+    episodes: int = 0
+    frames: int = 0
+    kept: int = 0
+    problems: dict[str, list[str]] = field(default_factory=dict)
+    moved_aside: Path | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The report for JSON."""
+        return {
+            "path": str(self.path),
+            "source": "real",
+            "episodes": self.episodes,
+            "frames": self.frames,
+            "kept": self.kept,
+            "problems": self.problems,
+            "moved_aside": str(self.moved_aside) if self.moved_aside else None,
+        }
+
+
+def import_recordings(request: ImportRequest, locations: Locations, progress: Progress) -> ImportReport:
+    """Write the recordings as episodes of a dataset, one after the other.
+
+    Each episode appears whole. Resuming keeps the episodes that exist.
+
+    Raises:
+        DatasetError: a recording cannot be read, or has a fault that a flag corrects.
+        UsageError: the directory is not empty, and the mode does not say what to do.
+        ConfigError: the dataset to resume has another rig, format or unit.
+        ResourceError: something cannot be written, or a library is not installed.
+    """
+    read = [(name, recording) for path in request.sources for name, recording in _recordings(path, request, locations)]
+    config = _config(request, read)
+    try:
+        held = claim(request.out, request.mode, locks_reach_others=True)
+    except OSError as error:
+        raise _unwritable(request.out, error) from error
+    report = ImportReport(request.out, moved_aside=held.moved_aside)
+    try:
+        if held.occupied:
+            _require_same(request.out, config, locations)
+        else:
+            write_file(request.out / CONFIG, dump_yaml(config.model_dump(mode="json")).encode())
+        existing = dict(episode_directories(request.out))
+        for number, (name, recording) in enumerate(read):
+            progress(number, len(read))
+            if number in existing:
+                report.kept += 1
+            else:
+                _publish(number, name, recording, request, report)
+        progress(len(read), len(read))
+    except OSError as error:
+        raise _unwritable(request.out, error) from error
+    finally:
+        held.lock.release()
+    return report
+
+
+def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
+    """The format and each corrected recording of a file or a folder."""
+    name = request.format or format_of(path)
+    for recording in reader_of(name)(path, request.rig, request.mapping, locations):
+        made = _corrected(recording, request.corrections, request.rig)
+        for problem in find_faults(made.in_metres(request.rig), request.rig):
+            if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
+                raise DatasetError(f"{recording.motion.name}: {problem.text} If so, say {flag}")
+        yield name, made
+
+
+def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -> Recording:
+    arms = recording.motion.arms
+    if corrections.swap_arms:
+        if len(arms) != 2:
+            raise UsageError("--swap-arms: the rig has one arm; give a --rig with two, or leave it out")
+        arms = tuple(
+            replace(arm, joints=other.joints, openings=other.openings, velocities=other.velocities)
+            for arm, other in zip(arms, reversed(arms), strict=True)
+        )
+    if corrections.degrees:
+        arms = tuple(
+            replace(
+                arm,
+                joints=np.deg2rad(arm.joints),
+                commands=None if arm.commands is None else np.deg2rad(arm.commands),
+                velocities=None if arm.velocities is None else np.deg2rad(arm.velocities),
+            )
+            for arm in arms
+        )
+    unit = corrections.gripper or recording.gripper
+    if corrections.mirrored is not None:
+        numbered = zip(arms, rig.recorded, strict=True)
+        arms = tuple(_mirrored(arm, _full_opening(rig, k, unit), corrections.mirrored) for arm, k in numbered)
+    return replace(recording, motion=replace(recording.motion, arms=arms), gripper=unit)
+
+
+def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
+    fingers = rig.arms[arm].robot.fingers
+    return fingers.full_opening if fingers and unit == "metres" else 1.0
+
+
+def _mirrored(arm: ArmMotion, full: float, which: str) -> ArmMotion:
+    """An arm's motion with its openings counted from the other end."""
+    measured, commanded = arm.openings, arm.commanded_openings
+    if measured is not None and which != "commanded":
+        measured = full - measured
+    if commanded is not None and which != "measured":
+        commanded = full - commanded
+    return replace(arm, openings=measured, commanded_openings=commanded)
+
+
+def _config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> RealConfig:
+    kinds = {(name, recording.gripper) for name, recording in read}
+    if not kinds:
+        raise DatasetError("there is no recording to import")
+    if len(kinds) > 1:
+        raise DatasetError(
+            f"the recordings are of several kinds ({', '.join(sorted({name for name, _ in kinds}))}, grippers in "
+            f"{', '.join(sorted({unit for _, unit in kinds}))}): import each kind into a dataset of its own"
+        )
+    name, unit = kinds.pop()
+    return RealConfig(source="real", rig=request.rig, imported=name, gripper=unit)
+
+
+def _require_same(out: Path, config: RealConfig, locations: Locations) -> None:
+    existing = real_config(out, locations)
+    for key in ("rig", "imported", "gripper"):
+        if getattr(existing, key) != getattr(config, key):
+            raise ConfigError(f"{out / CONFIG}: {key} differs from that of the recordings; choose another --out")
+
+
+def _publish(number: int, name: str, recording: Recording, request: ImportRequest, report: ImportReport) -> None:
+    motion = recording.in_metres(request.rig)
+    samples = _frame_samples(motion, recording)
+    frames = [_frame(motion, recording, int(sample)) for sample in samples]
+    problems = [*recording.problems, *(problem.text for problem in _problems(motion, recording, request.rig))]
+    files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
+    sizes: dict[str, tuple[int, int]] = {}
+    for camera in recording.pictures:
+        for k, data in enumerate(_jpegs(recording, camera, samples)):
+            header = jpeg_header(data)
+            size = None if header is None else (header.width, header.height)
+            if size is None or sizes.setdefault(camera, size) != size:
+                raise DatasetError(f"{motion.name}: picture {k} of {camera} is no JPEG of {sizes.get(camera)} px")
+            files[image_name(camera, k)] = data
+    times = motion.times[samples]
+    record = RealRecord(
+        episode=number,
+        imported=ImportedFrom(format=name, name=motion.name),
+        rig=request.rig.name,
+        frames=len(frames),
+        frame_period_s=float(np.median(np.diff(times))) if len(times) > 1 else 1.0,
+        cameras=sizes,
+        arms=len(motion.arms),
+        drives=len(frames[0]["joints"]) // len(motion.arms),
+        prompt=recording.prompt,
+        problems=tuple(problems),
+        versions=versions(),
+        content_sha256=content_hash(frames),
+        files={name: sha256_bytes(data) for name, data in sorted(files.items())},
+    )
+    publish_directory(request.out / episode_name(number), {**files, EPISODE: to_json(record)}, request.out / STAGING)
+    report.episodes += 1
+    report.frames += len(frames)
+    if problems:
+        report.problems[episode_name(number)] = problems
+
+
+def _problems(motion: Motion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
+    """Faults of the motion; if the motion has no gaps, also gaps of each camera."""
+    yield from find_faults(motion, rig)
+    if not any(find_gaps(motion.times)):
+        for camera, pictures in recording.pictures.items():
+            yield from find_gaps(motion.times[pictures.samples], f"{camera} saw nothing")
+
+
+def _frame_samples(motion: Motion, recording: Recording) -> Samples:
+    """The samples that become frames: those of the camera with the most images; without cameras all."""
+    seen = [pictures.samples for pictures in recording.pictures.values()]
+    return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
+
+
+def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[bytes]:
+    """A camera's latest image at each of the samples."""
+    pictures = recording.pictures[camera]
+    images, number, data = pictures.read(), -1, b""
+    for wanted in np.clip(np.searchsorted(pictures.samples, samples, side="right") - 1, 0, None):
+        while number < wanted:
+            number, data = number + 1, next(images, data)
+        if not data:
+            raise DatasetError(f"{recording.motion.name}: {camera} has fewer pictures than it says")
+        yield data
+
+
+def _frame(motion: Motion, recording: Recording, sample: int) -> dict[str, Any]:
+    """The frame of a sample, without the keys that were not recorded."""
+    arms = motion.arms
+    frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
+    frame["timestamp"] = float(motion.times[sample])
+    # A row of commands needs the commands of all drives that were measured.
+    if all(arm.commands is not None and (arm.openings is None or arm.commanded_openings is not None) for arm in arms):
+        commands = [(arm.commands, None if arm.openings is None else arm.commanded_openings) for arm in arms]
+        frame["ctrl"] = _row(commands, sample)
+    if all(arm.velocities is not None for arm in arms):
+        frame["joint_velocities"] = _row([(arm.velocities, None) for arm in arms], sample)
+    if lenses := {camera: _f32(K) for camera, K in recording.intrinsics.items() if camera in recording.pictures}:
+        frame["intrinsics"] = lenses
+    if poses := {camera: _f32(T[sample]) for camera, T in recording.extrinsics.items() if camera in recording.pictures}:
+        frame["extrinsics"] = poses
+    if recording.prompt:
+        frame["language_prompt"] = recording.prompt
+    return frame
+
+
+def _row(parts: Sequence[tuple[Array | None, Array | None]], sample: int) -> NDArray[np.float32]:
+    values = [
+        np.append(joints[sample], [] if openings is None else openings[sample])
+        for joints, openings in parts
+        if joints is not None
+    ]
+    return _f32(np.concatenate(values))
+
+
+def _f32(values: Array) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _unwritable(out: Path, error: OSError) -> ResourceError:
+    return ResourceError(f"{out} cannot be written: {reason(error, out)}; choose another --out")

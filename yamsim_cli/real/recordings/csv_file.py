@@ -1,0 +1,172 @@
+"""Motions as CSV: a header, then a row for each sample; s, rad, and m of one finger's opening.
+
+Columns are `t`, `command_joint1`, `position_gripper` and so on; of two arms, `position_left_joint3`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.motion import ArmMotion, Motion
+
+from .recording import sides
+
+TIME = "t"
+_COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
+_GRIPPER = "gripper"
+
+_MOST_BYTES = 1 << 30  # of a file; three hours at 250 Hz are 0.6 GB
+
+
+def header(rig: RigConfig) -> list[str]:
+    """The columns of a motion's table, in the order in which yamsim writes them."""
+    robots = [rig.arms[k].robot for k in rig.recorded]
+    return [
+        TIME,
+        *(
+            _column(kind, side, joint)
+            for kind in (_COMMAND, _POSITION)
+            for side, robot in zip(sides(rig), robots, strict=True)
+            for joint in (*robot.joint_names, *([_GRIPPER] if robot.fingers else []))
+        ),
+    ]
+
+
+def read_csv(path: Path, rig: RigConfig) -> Motion:
+    """The motion in a CSV.
+
+    Raises:
+        DatasetError: the file cannot be read, has other columns, or a row that is not a sample.
+    """
+    names, rows = _table(path)
+    if TIME not in names:
+        raise DatasetError(f"{path}: line 1: has no column {TIME!r}; the header is {','.join(header(rig))}")
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+    if len(values) < 2:
+        raise DatasetError(f"{path}: has {len(values)} samples; a motion needs two at least")
+    columns: dict[str, Array] = {name: values[:, k] for k, name in enumerate(names)}
+    times = columns.pop(TIME)
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        line = int(back[0]) + 3
+        raise DatasetError(
+            f"{path}: line {line}: t is {times[back[0] + 1]:g}, and {times[back[0]]:g} in the line before: times "
+            "increase; sort the rows, or remove duplicate rows"
+        )
+    return Motion(str(path), times - times[0], _arm_motions(columns, rig, path))
+
+
+def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
+    """A CSV of a motion; `read_csv` returns the same numbers.
+
+    Args:
+        times: of the samples (n,), s.
+        columns: (n, m), in the order of `header` after its first.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header(rig))
+    for time, row in zip(times, columns, strict=True):
+        writer.writerow([repr(float(time)), *(repr(float(value)) for value in row)])
+    return stream.getvalue().encode()
+
+
+def _table(path: Path) -> tuple[list[str], list[list[float]]]:
+    """The header's names, and the rows below."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise DatasetError(f"{path}: has {path.stat().st_size / 1e9:.1f} GB; valid: up to {_MOST_BYTES / 1e9:.1f}")
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = csv.reader(file)
+            names = [name.strip() for name in next(lines, [])]
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise DatasetError(f"{path}: line 1: column {twice!r} is there twice")
+            return names, list(_rows(path, names, lines))
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DatasetError(f"{path} is no CSV: {error}") from error
+
+
+def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Iterator[list[float]]:
+    for number, cells in enumerate(lines, start=2):
+        if not cells:
+            continue
+        if len(cells) != len(names):
+            raise DatasetError(
+                f"{path}: line {number}: has {len(cells)} of {len(names)} values: was the recording cut off? "
+                "Remove the line"
+            )
+        row = []
+        for name, cell in zip(names, cells, strict=True):
+            try:
+                value = float(cell)
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                raise DatasetError(f"{path}: line {number}: {name} is {cell!r}; valid: a finite number")
+            row.append(value)
+        yield row
+
+
+def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
+    """The arms' motions in columns (n,), the left arm's first; columns with other names are ignored.
+
+    Raises:
+        DatasetError: a joint has no position, or only some joints have a command.
+    """
+    columns = {_usual_name(name, sides(rig)): values for name, values in columns.items()}
+    motions = []
+    for side, k in zip(sides(rig), rig.recorded, strict=True):
+        joints = rig.arms[k].robot.joint_names
+        measured = _joint_columns(columns, _POSITION, side, joints, path)
+        if measured is None:
+            raise DatasetError(
+                f"{path}: has no column {_column(_POSITION, side, joints[0])!r}; its columns are "
+                f"{', '.join(columns)}; rig {rig.name!r} needs {', '.join(header(rig))}"
+            )
+        motions.append(
+            ArmMotion(
+                side,
+                measured,
+                _joint_columns(columns, _COMMAND, side, joints, path),
+                columns.get(_column(_POSITION, side, _GRIPPER)),
+                columns.get(_column(_COMMAND, side, _GRIPPER)),
+                _joint_columns(columns, _VELOCITY, side, joints, path),
+            )
+        )
+    return tuple(motions)
+
+
+def _column(kind: str, side: str, joint: str) -> str:
+    return "_".join(part for part in (kind, side, joint) if part)
+
+
+def _usual_name(name: str, arms: Sequence[str]) -> str:
+    """A name such as `left_command_joint1` as `command_left_joint1`; any other name as it is."""
+    side, _, rest = name.partition("_")
+    kind, _, joint = rest.partition("_")
+    return _column(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
+
+
+def _joint_columns(
+    columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
+) -> Array | None:
+    """The joints' columns side by side (n, dof); None if no joint has one."""
+    names = [_column(kind, side, joint) for joint in joints]
+    missing = [name for name in names if name not in columns]
+    if len(missing) == len(names):
+        return None
+    if missing:
+        raise DatasetError(f"{path}: has no column {missing[0]!r}, but others such as it; give all of {names}")
+    return np.column_stack([columns[name] for name in names])

@@ -1,0 +1,202 @@
+"""MCAP files with arms' joints in messages, protobuf or JSON, such as the episodes of ABC-130k."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.config.real import RecordingNames
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.jpeg import encode_jpeg
+from yamsim_cli.core.images.video import packet_frames
+from yamsim_cli.core.motion import ArmMotion, Motion
+
+from .naming import KIND, arm_keys, candidate_names
+from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, sides, times_from_nanoseconds
+
+_MOST_MESSAGES = 5_000_000  # of a file
+# A topic that starts later than this after the first arm's state is refused; one that ends earlier is reported, s.
+_LATEST_START = _EARLIEST_END = 1.0
+
+Rows = list[tuple[int, Array]]  # time (ns) and numbers of each message of a topic
+
+
+def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
+    """The recording in an MCAP file.
+
+    Samples are those of the first arm's state. Each other topic has its last value at that time.
+
+    Raises:
+        DatasetError: the file is damaged or cut off, or no naming fits its topics.
+        ConfigError: `mapping` does not exist or does not fit.
+        ResourceError: mcap is not installed.
+    """
+    with _OpenedMcap(path) as reader:
+        summary = reader.get_summary()
+        if summary is None:
+            raise DatasetError(f"{path}: has no summary: was it cut off? `mcap recover` mends it")
+        topics = [channel.topic for channel in summary.channels.values()]
+    names = _naming(topics, rig, mapping, path, locations)
+    rows: dict[str, Rows] = {
+        topic: []
+        for arm in names.topics.values()
+        for topic in (arm.state, arm.action, arm.gripper_state, arm.gripper_action)
+        if topic and topic in topics
+    }
+    prompt = ""
+    for topic, time, message in _messages(path, {*rows, *([names.prompt_topic] if names.prompt_topic else [])}):
+        if topic == names.prompt_topic:
+            text = _field(message, names.prompt_field)
+            prompt = prompt or (text if isinstance(text, str) else "")
+        else:
+            rows[topic].append((time, _numbers(message, names.field, topic, path)))
+    first = names.topics[arm_keys(rig)[0]].state
+    stamps = np.array([time for time, _ in rows[first]], dtype=np.int64)
+    motion = Motion(str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arms(path, rig, names, rows, stamps))
+    pictures = {camera: _images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
+    return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))]
+
+
+def _arms(
+    path: Path, rig: RigConfig, names: RecordingNames, rows: Mapping[str, Rows], stamps: Samples
+) -> tuple[ArmMotion, ...]:
+    def values_of(topic: str | None, width: int) -> Array | None:
+        return _last_values(rows[topic], stamps, width, f"{path} {topic}") if topic and topic in rows else None
+
+    motions = []
+    for side, key, k in zip(sides(rig), arm_keys(rig), rig.recorded, strict=True):
+        arm, dof = names.topics[key], rig.arms[k].robot.dof
+        joints = values_of(arm.state, dof)
+        assert joints is not None, "the naming fits"
+        measured, commanded = values_of(arm.gripper_state, 1), values_of(arm.gripper_action, 1)
+        motions.append(
+            ArmMotion(
+                side,
+                joints,
+                values_of(arm.action, dof),
+                None if measured is None else measured[:, 0],
+                None if commanded is None else commanded[:, 0],
+            )
+        )
+    return tuple(motions)
+
+
+def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
+    """A line for each topic that ends long before the motion does."""
+    for topic, messages in sorted(rows.items()):
+        if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
+            yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
+
+
+def _naming(
+    topics: Collection[str], rig: RigConfig, mapping: str | None, path: Path, locations: Locations
+) -> RecordingNames:
+    keys = arm_keys(rig)
+    for names in candidate_names(mapping, locations):
+        if set(keys) <= set(names.topics) and all(names.topics[key].state in topics for key in keys):
+            return names
+    error = ConfigError if mapping else DatasetError
+    raise error(
+        f"{path}: its topics are {', '.join(topics) or 'none'}, and "
+        + (f"--mapping {mapping}" if mapping else f"no naming in configs/{KIND}/")
+        + f" does not name the states of rig {rig.name!r} among them; give --mapping names.yaml or another --rig"
+    )
+
+
+def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
+    """The last value of a topic at each time (n, width)."""
+    if not rows:
+        raise DatasetError(f"{source}: holds no message")
+    when = np.array([time for time, _ in rows], dtype=np.int64)
+    if when[0] - stamps[0] > _LATEST_START * 1e9:
+        raise DatasetError(
+            f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; was it cut off?"
+        )
+    short = next((k for k, (_, values) in enumerate(rows) if len(values) < width), None)
+    if short is not None:
+        raise DatasetError(f"{source}: message {short} has {len(rows[short][1])} numbers; {width} are needed")
+    values = np.array([row[:width] for _, row in rows])
+    if not np.isfinite(values).all():
+        raise DatasetError(f"{source}: message {int(np.argwhere(~np.isfinite(values))[0, 0])} is not finite")
+    return values[np.clip(np.searchsorted(when, stamps, side="right") - 1, 0, None)]
+
+
+def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
+    """A camera's images, each at the last sample before the image."""
+    when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
+    after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
+    kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
+    return CameraImages(kept, functools.partial(_jpegs, path, topic, frozenset(int(k) for k in first)))
+
+
+def _jpegs(path: Path, topic: str, kept: frozenset[int]) -> Iterator[bytes]:
+    codec = next((str(_field(message, "format") or "") for _, _, message in _messages(path, {topic})), "")
+    packets = (bytes(_field(message, "data")) for _, _, message in _messages(path, {topic}))
+    for number, image in enumerate(packet_frames(packets, codec, f"{path} {topic}")):
+        if number in kept:
+            yield encode_jpeg(image, JPEG_QUALITY)
+
+
+def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
+    values = _field(message, field)
+    try:
+        return np.atleast_1d(np.asarray(list(values) if np.iterable(values) else values, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise DatasetError(f"{path} {topic}: {field} holds no numbers: {str(values)[:60]!r}") from None
+
+
+def _field(message: Any, name: str) -> Any:
+    """A field of a decoded message; dots in `name` separate nested fields."""
+    for part in name.split("."):
+        message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
+    return message
+
+
+def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time (ns) and content of each message, in the order of their times."""
+    with _OpenedMcap(path) as reader:
+        made = reader.iter_decoded_messages if decoded else reader.iter_messages
+        for count, found in enumerate(made(topics=sorted(topics))):
+            if count > _MOST_MESSAGES:
+                raise DatasetError(f"{path}: has more than {_MOST_MESSAGES} messages; split it")
+            yield found[1].topic, int(found[2].log_time), found[3] if decoded else None
+
+
+class _OpenedMcap:
+    """An open MCAP file, with decoders for protobuf and JSON; errors of mcap become `DatasetError`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> Any:
+        try:
+            from mcap.reader import make_reader
+            from mcap_protobuf.decoder import DecoderFactory
+        except ModuleNotFoundError as error:
+            raise ResourceError("MCAP needs mcap, which is not here: pip install 'yamsim[mcap]'") from error
+        try:
+            self._file = self._path.open("rb")
+        except OSError as error:
+            raise DatasetError(f"{self._path} cannot be read: {error.strerror or error}") from error
+        decoders: list[Any] = [DecoderFactory(), _JsonDecoders()]
+        return make_reader(self._file, decoder_factories=decoders)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        self._file.close()
+        if kind is not None and kind.__module__.split(".")[0] in ("mcap", "google", "mcap_protobuf"):
+            raise DatasetError(f"{self._path}: is damaged: {error}; was it copied whole?") from error
+
+
+class _JsonDecoders:
+    """The decoder factory that mcap asks for messages that are JSON."""
+
+    def decoder_for(self, encoding: str, schema: Any) -> Any:
+        return json.loads if encoding == "json" else None

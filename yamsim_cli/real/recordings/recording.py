@@ -1,0 +1,143 @@
+"""A recording made by another program: its motion, and the images of its cameras."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yamsim_cli.core.config.real import GripperUnit
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.files.documents.base import NAME_PATTERN
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.motion import ArmMotion, Motion
+
+Samples = NDArray[np.int64]  # sample numbers, or ns
+
+JPEG_QUALITY = 95  # of images that the recording does not hold as JPEG: hardly any loss
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """The JPEGs of one camera.
+
+    Attributes:
+        samples: numbers (k,) of the motion's samples that have an image, increasing.
+        read: yields one JPEG for each of these samples, in order.
+    """
+
+    samples: Samples
+    read: Callable[[], Iterator[bytes]]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording.
+
+    Attributes:
+        motion: joints in rad, openings in the unit `gripper`.
+        gripper: unit of the openings.
+        pictures: camera -> its images.
+        prompt: the task in words; empty if it was not recorded.
+        intrinsics: camera -> K (3, 3), for cameras whose K is known.
+        extrinsics: camera -> poses (n, 4, 4) in the base, for cameras whose pose is known.
+        problems: faults that the recording itself reports, as text.
+
+    Raises:
+        DatasetError: a camera's name is not valid as a folder's name.
+    """
+
+    motion: Motion
+    gripper: GripperUnit
+    pictures: Mapping[str, CameraImages] = field(default_factory=dict)
+    prompt: str = ""
+    intrinsics: Mapping[str, Array] = field(default_factory=dict)
+    extrinsics: Mapping[str, Array] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for camera in self.pictures:
+            if not re.fullmatch(NAME_PATTERN, camera):
+                raise DatasetError(
+                    f"{self.motion.name}: camera {camera[:80]!r} is not valid; valid: a letter, then letters, digits "
+                    "and _; rename it in the recording"
+                )
+
+    def in_metres(self, rig: RigConfig) -> Motion:
+        """The motion with openings of one finger, m."""
+        if self.gripper == "metres":
+            return self.motion
+        arms = []
+        for arm, k in zip(self.motion.arms, rig.recorded, strict=True):
+            fingers = rig.arms[k].robot.fingers
+            full = fingers.full_opening if fingers else 0.0
+            measured, commanded = (self._metres(values, full) for values in (arm.openings, arm.commanded_openings))
+            arms.append(replace(arm, openings=measured, commanded_openings=commanded))
+        return replace(self.motion, arms=tuple(arms))
+
+    def _metres(self, values: Array | None, full: float) -> Array | None:
+        if values is None:
+            return None
+        return full * (1 - values if self.gripper == "closed_share" else values)
+
+
+def sides(rig: RigConfig) -> tuple[str, ...]:
+    """`side` of each arm's motion, in the order of recordings: left first; empty for a lone arm."""
+    return tuple(rig.arms[k].side for k in rig.recorded) if len(rig.arms) > 1 else ("",)
+
+
+def split_arms(
+    joints: Array, commands: Array | None, rig: RigConfig, velocities: Array | None = None
+) -> tuple[ArmMotion, ...]:
+    """Each arm's motion, from rows (n, arms, drives) with the gripper last; openings keep their unit."""
+    motions = []
+    for k, (side, number) in enumerate(zip(sides(rig), rig.recorded, strict=True)):
+        robot = rig.arms[number].robot
+        dof, has_gripper = robot.dof, robot.fingers is not None and joints.shape[2] > robot.dof
+        motions.append(
+            ArmMotion(
+                side,
+                joints[:, k, :dof],
+                None if commands is None else commands[:, k, :dof],
+                joints[:, k, dof] if has_gripper else None,
+                commands[:, k, dof] if has_gripper and commands is not None else None,
+                None if velocities is None else velocities[:, k, :dof],
+            )
+        )
+    return tuple(motions)
+
+
+def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
+    """Seconds (n,) since the first of the time stamps (n,), ns.
+
+    Raises:
+        DatasetError: see `times_from_seconds`.
+    """
+    values = np.asarray(stamps)
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        raise DatasetError(f"{source}: timestamps are {values.dtype} {values.shape}; valid: whole numbers (n,), ns")
+    # Differences first: a float does not hold the 19 digits of a time stamp.
+    return times_from_seconds((values - values[:1]).astype(np.float64) * 1e-9, source)
+
+
+def times_from_seconds(times: Array, source: str) -> Array:
+    """Seconds (n,) since the first of the times (n,), s.
+
+    Raises:
+        DatasetError: there are fewer than two times, or the times do not increase.
+    """
+    if len(times) < 2:
+        raise DatasetError(f"{source}: has {len(times)} samples; a motion needs two at least")
+    back = np.flatnonzero(~(np.diff(times) > 0))
+    if len(back):
+        k = int(back[0])
+        raise DatasetError(
+            f"{source}: sample {k + 1} is at {times[k + 1]:.4f} s, and the one before at {times[k]:.4f} s: times "
+            "increase; remove duplicate samples"
+        )
+    since: Array = times - times[0]
+    return since

@@ -1,0 +1,130 @@
+"""CAN buses for other programs: on a Unix socket each, or on a CAN interface of the kernel.
+
+A message is 16 bytes, Linux' `struct can_frame`. On a Unix socket each program has its own connection, and receives the
+motors' frames and those of the other programs, as on a bus.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from yamsim_cli.core.errors import ResourceError
+
+from ..motors import frames
+from ..motors.frames import Frame
+from .sockets import Client, UnixServer
+
+_READ_FRAMES = 256  # the most that one read takes, so that a flood of frames does not stop physics
+_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
+_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # that wait for a client; further frames are lost, as in a full adapter
+
+# A distribution of its own, which is only on the path of the programs that `can-run` starts.
+_SITE = Path(__file__).resolve().parents[2] / "can_site"
+
+
+class UnixBus(UnixServer):
+    """A bus on a Unix socket, `<folder>/<channel>`; close it.
+
+    Raises:
+        ResourceError: another program serves that channel there, or the socket cannot be made.
+    """
+
+    def __init__(self, folder: Path, channel: str) -> None:
+        super().__init__(folder / channel, _READ_BYTES)
+
+    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+        """The frames that arrived; each is also sent to the other clients.
+
+        Args:
+            ready: the sockets that `select` reports readable.
+        """
+        for client in self.read(ready):
+            whole = len(client.received) - len(client.received) % frames.FRAME_BYTES
+            wires = bytes(client.received[:whole])
+            del client.received[:whole]
+            for start in range(0, whole, frames.FRAME_BYTES):
+                frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
+                if frame is not None:
+                    if len(self.clients) > 1:
+                        self.send(frame, sender=client)
+                    yield frame
+
+    def send(self, frame: Frame, sender: Client | None = None) -> None:
+        """Send a frame to all clients but its sender."""
+        wire = frames.to_wire(frame)
+        for client in self.clients:
+            if client is not sender:
+                if len(client.outgoing) + len(wire) <= _BACKLOG_BYTES:
+                    client.outgoing += wire
+                self.write(client)
+
+
+class KernelBus:
+    """A bus on a CAN interface of the kernel, such as one made by `ip link add can0 type vcan`; close it.
+
+    Raises:
+        ResourceError: this system has no CAN, or no interface of that name is up.
+    """
+
+    def __init__(self, channel: str) -> None:
+        opened = None
+        try:
+            opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            opened.bind((channel,))
+        except (AttributeError, OSError) as error:
+            if opened is not None:
+                opened.close()
+            raise ResourceError(
+                f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
+                f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
+                "use `yamsim can-run`"
+            ) from error
+        self._socket = opened
+        self._socket.setblocking(False)
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """The sockets to select for reading."""
+        return [self._socket]
+
+    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+        """The frames that arrived."""
+        for _ in range(_READ_FRAMES if self._socket in ready else 0):
+            try:
+                frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
+            except OSError:
+                return
+            if frame is not None:
+                yield frame
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame; it is lost if the interface is down or its buffer is full."""
+        try:
+            self._socket.send(frames.to_wire(frame))
+        except OSError:
+            return
+
+    def flush(self) -> None:
+        """Do nothing: frames never wait."""
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, str]:
+    """The environment variables with which python-can in a program opens the buses that a folder's sockets serve.
+
+    Raises:
+        ResourceError: nothing is served in the folder.
+    """
+    served = sorted(path.name for path in folder.glob("*") if path.is_socket()) if folder.is_dir() else []
+    if not served:
+        raise ResourceError(
+            f"{folder}: nothing is served there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
+        )
+    path = os.pathsep.join(filter(None, (str(_SITE), environ.get("PYTHONPATH"))))
+    return {"PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}

@@ -1,0 +1,273 @@
+"""The robot as the WebSocket server that raiden's policies connect to: the protocol chiral of TRI-ML's raiden.
+
+A message is a header's length (4 bytes), the header in msgpack, and raw arrays. Reading a message runs no code of it.
+Source: TRI-ML/chiral f7293d7, protocol.py.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.extras import require_library
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.page_origin import refusal
+
+from .policy_robot import PolicyRobot, RobotObservation
+from .sockets import Client, TcpServer
+
+_READ_BYTES = 65_536
+_HANDSHAKE_S = 5.0  # s, until a client has to speak WebSocket
+_MAX_QUEUED = 256  # unanswered messages of a client, before the client is dropped
+_PER_STEP = 2  # messages of a client that are answered before physics continues
+
+MAX_MESSAGE_BYTES = 65_536  # that is read; an action has some hundred bytes
+_MAX_ACTION_NUMBERS = 256
+_DTYPES = ("float16", "float32", "float64")
+
+_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"
+
+
+class ChiralError(ValueError):
+    """Bytes that are no message of chiral."""
+
+
+@dataclass
+class _Connection:
+    """The protocol's state for one client.
+
+    Attributes:
+        protocol: of WebSocket, without a socket.
+        began: when the client connected, s of the monotonic clock.
+        messages: not answered yet, oldest first.
+        parts: of a message that is not whole yet.
+        pending: a reset or an observation request that waits for pictures taken after `since`; "" for none.
+        drives: whether the client has sent an action.
+    """
+
+    protocol: Any
+    began: float
+    messages: deque[bytes] = field(default_factory=deque)
+    parts: bytearray = field(default_factory=bytearray)
+    pending: str = ""
+    since: float = 0.0
+    drives: bool = False
+
+
+class ChiralServer(TcpServer):
+    """Serves one robot to raiden's policies; close it. No method blocks.
+
+    Requests of web pages from other sites are refused, since a browser would let any page reach this port.
+
+    Raises:
+        ResourceError: msgpack or websockets is not installed, or the port cannot be listened on.
+    """
+
+    def __init__(self, robot: PolicyRobot, host: str, port: int) -> None:
+        for library in ("msgpack", "websockets"):
+            require_library("--chiral", library, "remote")
+        self._robot, self._host = robot, host
+        super().__init__(host, port, "--chiral", _READ_BYTES)
+        self._connections: dict[Client, _Connection] = {}
+
+    def handle(self, ready: set[Any]) -> None:
+        """Receive messages, and answer them."""
+        for client in self.read(ready):
+            self._receive_messages(client, self._connection(client))
+
+    def flush(self) -> None:
+        """Answer what can be answered now, send outgoing bytes, and stop the arms whose client has gone."""
+        from websockets.protocol import State
+
+        now = time.monotonic()
+        clients = self.clients
+        for client in clients:
+            self._connection(client)
+        for client, connection in list(self._connections.items()):
+            if client not in clients:
+                self._end(client)
+            elif connection.protocol.state is State.CONNECTING and now > connection.began + _HANDSHAKE_S:
+                self.drop(client)
+            else:
+                self._work(client, connection)
+
+    def _connection(self, client: Client) -> _Connection:
+        from websockets.server import ServerProtocol
+
+        if client not in self._connections:
+            protocol = ServerProtocol(max_size=MAX_MESSAGE_BYTES)
+            self._connections[client] = _Connection(protocol, time.monotonic())
+        return self._connections[client]
+
+    def _receive_messages(self, client: Client, connection: _Connection) -> None:
+        from websockets.frames import Frame, Opcode
+        from websockets.http11 import Request
+
+        protocol = connection.protocol
+        protocol.receive_data(bytes(client.received))
+        client.received.clear()
+        for event in protocol.events_received():
+            if isinstance(event, Request):
+                headers = event.headers
+                refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
+                protocol.send_response(protocol.accept(event) if refused is None else protocol.reject(403, refused))
+            elif isinstance(event, Frame) and event.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
+                connection.parts += event.data
+                if event.fin:
+                    connection.messages.append(bytes(connection.parts))
+                    connection.parts.clear()
+        if len(connection.messages) > _MAX_QUEUED:
+            protocol.fail(1008, "too many messages at once")
+            connection.messages.clear()
+        self._work(client, connection)
+
+    def _work(self, client: Client, connection: _Connection) -> None:
+        """Answer some messages in order, and send; no further message is answered while bytes wait to be sent."""
+        try:
+            for _ in range(_PER_STEP):
+                if not self._send(client, connection) or client.outgoing or not self._answer_next(connection):
+                    return
+        except (ChiralError, ValueError) as error:
+            connection.messages.clear()
+            connection.pending = ""
+            connection.protocol.fail(1008, str(error)[:100])
+        self._send(client, connection)
+
+    def _answer_next(self, connection: _Connection) -> bool:
+        """Answer the pending request, or handle the next message; whether there was something to do."""
+        if connection.pending:
+            return self._answer_pending(connection)
+        if connection.messages:
+            self._handle_message(connection, connection.messages.popleft())
+            return True
+        return False
+
+    def _handle_message(self, connection: _Connection, message: bytes) -> None:
+        kind, numbers = read_message(message)
+        if kind == _METADATA:
+            connection.protocol.send_binary(_packed({"type": "metadata_response", "data": dict(self._robot.metadata)}))
+        elif numbers is not None:
+            self._robot.act(numbers)
+            connection.drives = True
+        else:
+            connection.pending, connection.since = kind, 0.0
+            if kind == _RESET:
+                self._robot.reset()
+
+    def _answer_pending(self, connection: _Connection) -> bool:
+        """Answer the pending request; whether there were pictures for that."""
+        robot, shot = self._robot, self._robot.shot
+        is_reset = connection.pending == _RESET
+        if is_reset and robot.is_going_home:
+            connection.since = robot.now
+        elif shot is not None and shot.sim_time >= connection.since:
+            connection.pending = ""
+            connection.protocol.send_binary(_observation_message(robot.observed(shot), is_reset=is_reset))
+            return True
+        return False
+
+    def _send(self, client: Client, connection: _Connection) -> bool:
+        """Send what the protocol has to send; whether the connection stays open."""
+        over = False
+        for data in connection.protocol.data_to_send():
+            over = over or not data  # An empty item marks the end of the connection.
+            client.outgoing += data
+        if client.outgoing:
+            self.write(client)
+        if over:
+            self.drop(client)
+        return not over
+
+    def _end(self, client: Client) -> None:
+        if self._connections.pop(client).drives and not self._robot.stopped:
+            self._robot.stop("the program that drove the arms has gone; reset to go on")
+
+
+def read_message(message: bytes) -> tuple[str, Array | None]:
+    """A client's request, and the numbers (n,) of an action.
+
+    Raises:
+        ChiralError: the bytes are no valid message.
+    """
+    import msgpack
+
+    length = int.from_bytes(message[:4], "little")
+    if len(message) < 4 or not 1 <= length <= len(message) - 4:
+        raise ChiralError("the header's length does not fit")
+    try:
+        header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
+    # These two are the bases of msgpack's errors.
+    except (ValueError, msgpack.exceptions.UnpackException) as error:
+        raise ChiralError("the header is not msgpack") from error
+    kind = header.get("type") if isinstance(header, dict) else None
+    if kind in (_METADATA, _RESET, _OBSERVATION):
+        return str(kind), None
+    if kind != _ACTION:
+        raise ChiralError(f"a message is one of {_METADATA}, {_RESET}, {_OBSERVATION} and {_ACTION}")
+    return _ACTION, _action_numbers(header.get("shape"), header.get("dtype"), message[4 + length :])
+
+
+def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
+    if dtype not in _DTYPES:
+        raise ChiralError(f"an action's dtype is one of {', '.join(_DTYPES)}")
+    if not isinstance(shape, list) or not 1 <= len(shape) <= 3 or not all(type(n) is int and n > 0 for n in shape):
+        raise ChiralError("an action's shape is not valid")
+    count = math.prod(shape)
+    if count > _MAX_ACTION_NUMBERS or count * np.dtype(dtype).itemsize != len(data):
+        raise ChiralError("an action has not as many bytes as its shape says")
+    numbers: Array = np.frombuffer(data, dtype).astype(np.float64)
+    return numbers
+
+
+def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
+    """The answer to an observation request or to a reset."""
+    parts: list[bytes] = []
+    at = 0
+
+    def put(data: bytes) -> tuple[int, int]:
+        nonlocal at
+        parts.append(data)
+        at += len(data)
+        return at - len(data), len(data)
+
+    cameras = []
+    for name, view in observation.views.items():
+        start, size = put(view.picture.tobytes())
+        cameras.append(
+            {
+                "name": name,
+                "timestamp": view.time_ns,
+                "intrinsics": view.K.ravel().tolist(),
+                "extrinsics": view.T_cam_in_base.ravel().tolist(),
+                "image_shape": list(view.picture.shape),
+                "image_dtype": "uint8",
+                "image_offset": start,
+                "image_size": size,
+            }
+        )
+    proprios = []
+    for name, values in observation.proprios.items():
+        start, size = put(np.asarray(values, np.float32).tobytes())
+        proprios.append({"name": name, "dtype": "float32", "offset": start, "size": size})
+    header = {
+        "type": "reset_response" if is_reset else "obs_response",
+        "timestamp": observation.time,
+        "cameras": cameras,
+        "proprios": proprios,
+        "extra": dict(observation.extra),
+        **({"info": {}} if is_reset else {}),
+    }
+    return _packed(header) + b"".join(parts)
+
+
+def _packed(header: Mapping[str, Any]) -> bytes:
+    import msgpack
+
+    packed: bytes = msgpack.packb(header)
+    return len(packed).to_bytes(4, "little") + packed

@@ -1,0 +1,127 @@
+"""An arm that is commanded by joints, as the maker's SDK does on top of the motors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.compiled import SceneArm
+
+from ..motors.frames import KD_MAX, KP_MAX, Mit
+from ..motors.wiring import Wiring
+from .plant import Plant
+
+# N, with which fingers press at most. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
+_GRIP_FORCE = 50.0
+_BEYOND = 0.15  # rad, by which a commanded joint may lie beyond a stop. Source: the same file, "safety buffer"
+
+
+class Follower:
+    """Drives one arm of a plant from the first command on; before that, other programs may drive the motors.
+
+    Joints are in rad. The last value is the gripper's, from 0, closed, to 1, fully open.
+
+    Args:
+        number: of the arm, in the plant.
+    """
+
+    def __init__(self, plant: Plant, number: int, arm: SceneArm, wiring: Wiring) -> None:
+        self._plant, self._number, self._wiring = plant, number, wiring
+        self._motors = plant.buses[number].motors
+        hand = wiring.gripper
+        turns = [float(row.direction) for row in wiring.arm.motors]
+        self._ratio, self._offset = np.array(turns), np.zeros(len(turns))
+        self._kp, self._kd = np.array(arm.kp), np.array(arm.kv)
+        self._low, self._high = arm.joint_range[:, 0] - _BEYOND, arm.joint_range[:, 1] + _BEYOND
+        self._grip_torque = 0.0
+        if hand is not None and arm.fingers is not None:
+            # Fully open is at the fingers' stop, where the maker's SDK finds it.
+            self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.stops))
+            self._offset = np.append(self._offset, hand.closed)
+            self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
+            self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
+            # Both fingers press.
+            self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
+        # Positions, velocities, and gains kp and kd.
+        self._command: tuple[Array, Array, Array, Array] | None = None
+
+    @property
+    def commanded(self) -> Array | None:
+        """The commanded joint positions (dofs,); None before the first command."""
+        return None if self._command is None else self._command[0].copy()
+
+    def num_dofs(self) -> int:
+        """The number of joints, the gripper included."""
+        return len(self._motors)
+
+    def joint_pos(self) -> Array:
+        """The present joint positions (dofs,)."""
+        angles = np.array([motor.position for motor in self._motors])
+        position: Array = (angles - self._offset) / self._ratio
+        return position
+
+    def observations(self) -> dict[str, Array]:
+        """Positions, velocities and torques, of the joints and of the gripper, as the maker's `get_observations`."""
+        values = {
+            "pos": self.joint_pos(),
+            "vel": np.array([motor.velocity for motor in self._motors]) / self._ratio,
+            # Torques of the motors themselves, with the joints' signs.
+            "eff": np.array([motor.torque for motor in self._motors]) * np.sign(self._ratio),
+        }
+        joints = len(self._wiring.arm.motors)
+        found = {f"joint_{key}": value[:joints] for key, value in values.items()}
+        if self._wiring.gripper is not None:
+            found |= {f"gripper_{key}": value[joints:] for key, value in values.items()}
+        return found
+
+    def command_joint_pos(self, joint_pos: Any) -> None:
+        """Command joints (dofs,), with the arm's own gains.
+
+        Raises:
+            ValueError: the number of values is wrong, or a value is not finite.
+        """
+        position = self._numbers("joint_pos", joint_pos)
+        self._command = position, np.zeros(len(position)), self._kp, self._kd
+
+    def command_joint_state(self, joint_state: Any) -> None:
+        """Command joints `pos` and velocities `vel`, (dofs,) each, with gains `kp` and `kd` where given.
+
+        Raises:
+            ValueError: a key is missing, the number of values is wrong, or a value is not finite.
+        """
+        if not isinstance(joint_state, dict) or not {"pos", "vel"} <= joint_state.keys():
+            raise ValueError("a joint state has pos and vel, and may have kp and kd")
+        pos, vel = (self._numbers(key, joint_state[key]) for key in ("pos", "vel"))
+        kp, kd = (
+            np.clip(self._numbers(key, joint_state[key]), 0.0, most) if key in joint_state else own
+            for key, most, own in (("kp", KP_MAX, self._kp), ("kd", KD_MAX, self._kd))
+        )
+        self._command = pos, vel, kp, kd
+
+    def tick(self) -> None:
+        """Command the motors for the next physics step."""
+        if self._command is None:
+            return
+        position, velocity, kp, kd = self._command
+        angles = np.clip(position, self._low, self._high) * self._ratio + self._offset
+        if self._wiring.gripper is not None and kp[-1] > 0:
+            # The commanded angle is at most as far away as the fingers' force limit and damping require.
+            motor = self._motors[-1]
+            reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
+            angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)
+        speeds = velocity * self._ratio
+        for motor, *law in zip(self._motors, angles, speeds, kp, kd, self._plant.held(self._number), strict=True):
+            motor.drive(Mit(*map(float, law)), self._plant.now)
+
+    def _numbers(self, what: str, given: Any) -> Array:
+        try:
+            values = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueError(f"{what}: not numbers") from None
+        if values.shape != (len(self._motors),):
+            raise ValueError(f"{what}: has shape {values.shape}; give {len(self._motors)} numbers, the gripper's last")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{what}: has numbers that are not finite")
+        return values

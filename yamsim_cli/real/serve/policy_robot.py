@@ -1,0 +1,297 @@
+"""The robot as raiden's policy server has it: arms that interpolate between actions, and stop where one is too far.
+
+Source of all figures: `raiden/server.py` and `raiden/robot/controller.py` of TRI-ML/raiden 2353b10.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import ArmConfig
+from yamsim_cli.core.expert.planning.arm_kinematics import ArmKinematics
+from yamsim_cli.core.expert.planning.ik import IkSolver
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.images.fit import fitted
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.scene.robot import bare_arm
+
+from .follower import Follower
+from .pictures import PictureProcess, Shot
+from .plant import Plant
+
+_ACTION_S = 0.1  # s, from one action to the next
+_HOME_S = 2.0  # s, of the motion home after a reset
+_COMMAND_S = 0.01  # s, between the interpolated commands of a motion
+_MAX_JOINT_STEP = 0.2  # rad, from a joint's position to where an action commands it
+_MAX_QUEUED = 32  # actions that wait; the newest are discarded beyond that
+_SIDE = 384  # px, of the square to which each picture is stretched
+
+_IK_ITERATIONS = 20  # for one pose, which lies near the one before
+_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position decides where the arm cannot reach the whole pose
+_SHORTEST_ROW = 1e-3  # shorter rows, or rows as nearly parallel as this, define no rotation
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """What a camera saw.
+
+    Attributes:
+        picture: RGB (height, width, 3).
+        K: intrinsics (3, 3).
+        T_cam_in_base: pose (4, 4) in the left arm's base, in OpenCV's convention.
+        time_ns: when, ns since 1970.
+    """
+
+    picture: Image
+    K: Array
+    T_cam_in_base: Array
+    time_ns: int
+
+
+@dataclass(frozen=True)
+class RobotObservation:
+    """What a policy observes: views by camera, arrays (n,) by name, the time in s since 1970, and further values."""
+
+    views: Mapping[str, CameraView]
+    proprios: Mapping[str, Array]
+    time: float
+    extra: Mapping[str, Any]
+
+
+class HandKinematics:
+    """Forward and inverse kinematics of an arm's `grasp_site`, in the arm's own base."""
+
+    def __init__(self, arm: ArmConfig) -> None:
+        model = bare_arm(arm)
+        self._forward = ArmKinematics(model)
+        self._range: Array = model.jnt_range.copy()
+        self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
+        home = np.array(arm.robot.home)
+        T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
+        self._solver.hold(inverse(T_pinch) @ T_grasp)
+
+    def T_in_base(self, joints: Array) -> Array:
+        """The hand's pose (4, 4) at joints (dof,)."""
+        return self._forward.T_grasp_in_base(joints)
+
+    def joints(self, T_hand_in_base: Array, near: Array) -> Array:
+        """Joints (dof,) that bring the hand to a pose (4, 4), or the nearest that a search from `near` (dof,) finds."""
+        start = np.clip(near, *self._range.T)
+        return self._solver.follow(T_hand_in_base, self._solver.at(start), _IK_ITERATIONS).joints
+
+
+def pose_of_rows(position: Array, rows: Array) -> Array:
+    """The pose (4, 4) at a position (3,) whose rotation has these first two rows (6,), made orthonormal.
+
+    Raises:
+        ValueError: the rows define no rotation.
+    """
+    first, second = rows[:3], rows[3:]
+    lengths = np.linalg.norm(first), np.linalg.norm(second)
+    third = np.cross(first, second)
+    if min(lengths) < _SHORTEST_ROW or np.linalg.norm(third) < _SHORTEST_ROW * lengths[0] * lengths[1]:
+        raise ValueError("the six numbers of a rotation are its first two rows, and these name none")
+    x = first / lengths[0]
+    z = third / np.linalg.norm(third)
+    return pose(position, np.array([x, np.cross(z, x), z]))
+
+
+@dataclass
+class _Motion:
+    """Commands that go evenly from one row of all arms' joints to another, from a time on, for a duration, s."""
+
+    start: Array
+    goal: Array
+    began: float
+    lasts: float
+
+
+class PolicyRobot:
+    """Arms that a policy drives by joints or by poses of the hands, and what the policy observes.
+
+    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, fully open, the left arm's first.
+
+    Attributes:
+        stopped: why the arms stand still until the next reset; "" while actions are accepted.
+        discarded: how many actions found the queue full.
+
+    Args:
+        sides, followers, hands: of each arm, the left one first.
+        names: camera -> its name for the policy.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        sides: Sequence[str],
+        followers: Sequence[Follower],
+        hands: Sequence[HandKinematics],
+        source: PictureProcess,
+        names: Mapping[str, str],
+    ) -> None:
+        self._plant, self._sides, self._followers = plant, tuple(sides), tuple(followers)
+        self._hands, self._source, self._names = tuple(hands), source, dict(names)
+        self._widths = [follower.num_dofs() for follower in followers]
+        self._joint_numbers, self._pose_numbers = sum(self._widths), 10 * len(self._widths)
+        self._commanded: Array | None = None
+        self._actions: deque[Array] = deque()
+        self._motion: _Motion | None = None
+        self._next_command = 0.0
+        self._views: tuple[int, dict[str, CameraView]] = -1, {}
+        self.stopped = ""
+        self.discarded = 0
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """The robot's description: cameras, arrays, and the layout of an action."""
+        parts = (("xyz", 3), ("rot6d", 6), ("grip", 1))
+        return {
+            "cameras": [self._names[camera] for camera in self._source.cameras],
+            "action_type": "ee_pose",
+            "action_shape": [self._pose_numbers],
+            "action_layout": "+".join(f"{side}_{part}({n})" for part, n in parts for side in self._sides),
+            "joint_action_shape": [self._joint_numbers],
+            "joint_action_layout": "+".join(
+                f"{side}_joints({n})" for side, n in zip(self._sides, self._widths, strict=True)
+            ),
+            "proprio_names": [name for side in self._sides for name in _proprio_names(side)],
+        }
+
+    @property
+    def is_going_home(self) -> bool:
+        """Whether the motion home after a reset goes on."""
+        return self._motion is not None and self._motion.lasts == _HOME_S
+
+    @property
+    def now(self) -> float:
+        """Time in the simulation, s."""
+        return self._plant.now
+
+    def reset(self) -> None:
+        """Accept actions again, and move the arms home: joints at 0, grippers open."""
+        goal = np.concatenate([np.append(np.zeros(width - 1), 1.0) for width in self._widths])
+        self._actions.clear()
+        self.stopped = ""
+        self._commanded = None
+        self._motion = _Motion(self._row(), goal, self._plant.now, _HOME_S)
+
+    def stop(self, why: str) -> None:
+        """Hold the arms where they are, and ignore actions until the next reset."""
+        self.stopped = why
+        self._actions.clear()
+        self._motion = None
+        self._send(self._row())
+
+    def act(self, numbers: Array) -> None:
+        """Queue an action: the joints of a row, or 10 numbers an arm, see `metadata`.
+
+        Raises:
+            ValueError: the action has another shape, or is not finite.
+        """
+        if not np.isfinite(numbers).all():
+            raise ValueError("an action has numbers that are not finite")
+        if numbers.shape not in ((self._joint_numbers,), (self._pose_numbers,)):
+            raise ValueError(f"an action has {self._pose_numbers} or {self._joint_numbers} numbers")
+        if self.stopped or self.is_going_home:
+            return
+        row = numbers if len(numbers) == self._joint_numbers else self._by_hands(numbers)
+        if fault := self._too_far(row):
+            self.stop(fault)
+            return
+        self._commanded = row
+        if len(self._actions) >= _MAX_QUEUED:
+            self.discarded += 1
+            return
+        self._actions.append(row)
+
+    def tick(self) -> None:
+        """Command the arms for the next physics step."""
+        now = self._plant.now
+        if self._motion is None and self._actions:
+            command = self._command()
+            start = self._row() if command is None else command
+            self._motion = _Motion(start, self._actions.popleft(), now, _ACTION_S)
+        motion = self._motion
+        if motion is None or now < self._next_command:
+            return
+        self._next_command = now + _COMMAND_S
+        share = min((now - motion.began) / motion.lasts, 1.0)
+        self._send((1 - share) * motion.start + share * motion.goal)
+        if share == 1.0:
+            self._motion = None
+
+    def observed(self, shot: Shot) -> RobotObservation:
+        """What a policy observes at the time of a shot."""
+        proprios: dict[str, Array] = {}
+        for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
+            T = hand.T_in_base(joints[:-1])
+            values = joints, T[:3, 3], T[:2, :3].ravel(), joints[-1:]
+            proprios |= dict(zip(_proprio_names(side), values, strict=True))
+        if self._views[0] != shot.number:
+            self._views = shot.number, {self._names[camera]: self._view(shot, camera) for camera in shot.pictures}
+        extra = {"sim_time": shot.sim_time, "stopped": self.stopped}
+        return RobotObservation(self._views[1], proprios, shot.time_ns * 1e-9, extra)
+
+    @property
+    def shot(self) -> Shot | None:
+        """The newest pictures."""
+        return self._source.shot
+
+    def _view(self, shot: Shot, camera: str) -> CameraView:
+        width, height = self._source.size
+        K = np.diag([_SIDE / width, _SIDE / height, 1.0]) @ self._source.K[camera]
+        picture = fitted(shot.pictures[camera], (_SIDE, _SIDE), pad=False)
+        return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
+
+    def _by_hands(self, numbers: Array) -> Array:
+        """The row that brings hands to poses: all positions (3), then rows of all rotations (6), then grippers."""
+        arms = len(self._widths)
+        positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
+        near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
+        found = []
+        for hand, start, position, row, grip in zip(
+            self._hands, near, positions.reshape(arms, 3), rows.reshape(arms, 6), grips, strict=True
+        ):
+            found.append(np.append(hand.joints(pose_of_rows(position, row), start[:-1]), grip))
+        return np.concatenate(found)
+
+    def _too_far(self, row: Array) -> str:
+        """Which joint a row moves too far, as a sentence; "" for none."""
+        off = np.abs(row - self._row())
+        ends = np.cumsum(self._widths)
+        off[ends - 1] = 0.0  # Grippers may move through their whole range.
+        if off.max() <= _MAX_JOINT_STEP:
+            return ""
+        worst = int(off.argmax())
+        arm = int(np.searchsorted(ends, worst, side="right"))
+        joint = worst - (ends[arm] - self._widths[arm]) + 1
+        return (
+            f"an action asked joint {joint} of the {self._sides[arm]} arm to go {off[worst]:.2f} rad at once, "
+            f"more than {_MAX_JOINT_STEP} rad; reset to go on"
+        )
+
+    def _command(self) -> Array | None:
+        """The present command to all arms; None before the first."""
+        rows = [follower.commanded for follower in self._followers]
+        return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
+
+    def _row(self) -> Array:
+        return np.concatenate([follower.joint_pos() for follower in self._followers])
+
+    def _send(self, row: Array) -> None:
+        for follower, joints in zip(self._followers, np.split(row, np.cumsum(self._widths)[:-1]), strict=True):
+            follower.command_joint_pos(joints)
+
+
+def _proprio_names(side: str) -> tuple[str, str, str, str]:
+    return (
+        f"follower_{side[0]}_joint_pos",
+        f"robot__actual__poses__{side}::yam__xyz",
+        f"robot__actual__poses__{side}::yam__rot_6d",
+        f"robot__actual__grippers__{side}::yam_hand",
+    )

@@ -1,0 +1,241 @@
+"""The remote calls by which programs reach the maker's robot through portal, as in its `minimum_gello.py`.
+
+A message is its length (8 bytes), a request's number, a method's name or a status, and a packed tree: the number of
+buffers, their sizes, and the buffers. The first two buffers are msgpack: the tree, and the type of each leaf. Reading a
+message runs no code of it. Source: `portal` 3.8.3, packlib.py, buffers.py, client.py. Its leaves in shared memory are
+refused.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.extras import require_library
+
+from .follower import Follower
+from .sockets import Client, TcpServer
+
+_READ_BYTES = 65_536
+_BACKLOG_BYTES = 1_000_000  # answers that wait for a client that reads nothing, before the client is dropped
+
+HANDSHAKE = b"portal_handshake"
+_MAX_MESSAGE_BYTES = 65_536  # that is read; a command has some hundred bytes
+_MAX_LEAVES = 256
+_MAX_DEPTH = 8
+_DTYPE_KINDS = "biuf"
+_STATUS_ERROR = 4
+
+
+class PortalError(ValueError):
+    """Bytes that are no call of portal."""
+
+
+class PortalServer(TcpServer):
+    """Answers calls about one arm; close it. No method blocks.
+
+    Raises:
+        ResourceError: msgpack is not installed, or the port cannot be listened on.
+    """
+
+    def __init__(self, follower: Follower, host: str, port: int) -> None:
+        require_library("--portal", "msgpack", "remote")
+        self._methods: dict[str, Callable[..., Any]] = {
+            "num_dofs": follower.num_dofs,
+            "get_joint_pos": follower.joint_pos,
+            "command_joint_pos": follower.command_joint_pos,
+            "command_joint_state": follower.command_joint_state,
+            "get_observations": follower.observations,
+        }
+        super().__init__(host, port, "--portal", _READ_BYTES, _BACKLOG_BYTES)
+
+    def handle(self, ready: set[Any]) -> None:
+        """Receive calls and answer them."""
+        for client in self.read(ready):
+            try:
+                while (message := _next_message(client)) is not None:
+                    client.outgoing += self._answer(message)
+            except PortalError:
+                self.drop(client)
+            else:
+                self.write(client)
+
+    def _answer(self, message: bytes) -> bytes:
+        """The answer to a message; an invalid call is answered with an error."""
+        try:
+            number, name, arguments = _read_call(message)
+        except PortalError as error:
+            return _refusal(message[:8].ljust(8, b"\0"), f"Could not decode message: {error}")
+        method = self._methods.get(name)
+        if method is None:
+            return _refusal(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
+        try:
+            return _framed(number + bytes(8) + pack(method(*arguments)))
+        # The number or the types of the arguments are wrong.
+        except (TypeError, ValueError) as error:
+            return _refusal(number, f"Error in server method: {error}")
+
+
+def _next_message(client: Client) -> bytes | None:
+    """The next whole message, removed from the received bytes; None until it is whole.
+
+    Raises:
+        PortalError: the bytes are not portal's, or announce a message that is too long.
+    """
+    received = client.received
+    if not client.greeted:
+        head = bytes(received[: len(HANDSHAKE)])
+        if not HANDSHAKE.startswith(head):
+            raise PortalError("this is not portal")
+        if len(head) < len(HANDSHAKE):
+            return None
+        client.greeted = True
+        del received[: len(head)]
+    if len(received) < 8:
+        return None
+    length = int.from_bytes(received[:8], "little")
+    if not 1 <= length <= _MAX_MESSAGE_BYTES:
+        raise PortalError(f"a message of {length} bytes is too long")
+    if len(received) < 8 + length:
+        return None
+    message = bytes(received[8 : 8 + length])
+    del received[: 8 + length]
+    return message
+
+
+def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
+    """A request's number (8 bytes), the method that it calls, and the arguments.
+
+    Raises:
+        PortalError: the message is no call.
+    """
+    if len(message) < 16:
+        raise PortalError("the message is too short")
+    length = int.from_bytes(message[8:16], "little")
+    if length > 64:
+        raise PortalError("the method's name is too long")
+    try:
+        name = message[16 : 16 + length].decode()
+    except UnicodeDecodeError as error:
+        raise PortalError("the method's name is no text") from error
+    arguments = unpack(message[16 + length :])
+    if not isinstance(arguments, list):
+        raise PortalError("the arguments are no list")
+    return message[:8], name, arguments
+
+
+def _refusal(number: bytes, text: str) -> bytes:
+    """The answer that a request failed."""
+    return _framed(number + _STATUS_ERROR.to_bytes(8, "little") + text.encode())
+
+
+def _framed(message: bytes) -> bytes:
+    return len(message).to_bytes(8, "little") + message
+
+
+def pack(tree: Any) -> bytes:
+    """The bytes of a tree of dictionaries with text keys, lists, arrays, numbers and None."""
+    import msgpack
+
+    specs: list[list[Any]] = []
+    buffers = []
+    for leaf in _leaves(tree):
+        if leaf is None:
+            specs.append(["none"])
+            buffers.append(b"\0")
+        else:
+            array = np.asarray(leaf, order="C")
+            specs.append(["array", list(array.shape), array.dtype.str])
+            buffers.append(array.tobytes() or b"\0")
+    buffers = [msgpack.packb(_structure(tree)), msgpack.packb(specs), *buffers]
+    sizes = struct.pack(f"<{len(buffers)}Q", *map(len, buffers))
+    return b"".join([len(buffers).to_bytes(8, "little"), sizes, *buffers])
+
+
+def unpack(data: bytes) -> Any:
+    """The tree of packed bytes.
+
+    Raises:
+        PortalError: the bytes are no tree, or have a leaf of a type that is refused.
+    """
+    import msgpack
+
+    count = int.from_bytes(data[:8], "little")
+    if not 2 <= count <= _MAX_LEAVES or len(data) < 8 + 8 * count:
+        raise PortalError("the arguments are not packed as they should be")
+    sizes = struct.unpack_from(f"<{count}Q", data, 8)
+    if sum(sizes) != len(data) - 8 - 8 * count:
+        raise PortalError("the sizes of the arguments do not add up")
+    buffers, at = [], 8 + 8 * count
+    for size in sizes:
+        buffers.append(data[at : at + size])
+        at += size
+    try:
+        tree, specs = (msgpack.unpackb(one, strict_map_key=True) for one in buffers[:2])
+    # These two are the bases of msgpack's errors.
+    except (ValueError, msgpack.exceptions.UnpackException) as error:
+        raise PortalError("the arguments are not packed as they should be") from error
+    if not isinstance(specs, list) or len(specs) != len(buffers) - 2:
+        raise PortalError("the arguments are not described as they should be")
+    leaves = iter([_leaf(spec, buffer) for spec, buffer in zip(specs, buffers[2:], strict=True)])
+    found = _filled(tree, leaves, 0)
+    if next(leaves, leaves) is not leaves:
+        raise PortalError("there are more leaves than the tree has")
+    return found
+
+
+def _leaves(tree: Any) -> Iterator[Any]:
+    if isinstance(tree, dict | list):
+        for value in tree.values() if isinstance(tree, dict) else tree:
+            yield from _leaves(value)
+    else:
+        yield tree
+
+
+def _structure(tree: Any) -> Any:
+    if isinstance(tree, dict):
+        return {key: _structure(value) for key, value in tree.items()}
+    return [_structure(value) for value in tree] if isinstance(tree, list) else None
+
+
+def _leaf(spec: Any, data: bytes) -> Any:
+    kind = spec[0] if isinstance(spec, list) and spec else None
+    if kind == "none":
+        return None
+    if kind == "utf8":
+        return data.decode(errors="replace")
+    if kind == "bytes":
+        return data
+    if kind != "array" or len(spec) != 3:
+        raise PortalError("a leaf is of a kind that is not taken")
+    shape, name = spec[1:]
+    most = _MAX_MESSAGE_BYTES
+    if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n <= most for n in shape):
+        raise PortalError("an array's shape is not valid")
+    try:
+        dtype = np.dtype(name) if isinstance(name, str) and len(name) <= 4 else None
+    except (TypeError, ValueError):
+        dtype = None
+    if dtype is None or dtype.kind not in _DTYPE_KINDS:
+        raise PortalError("an array is of a type that is not taken")
+    if math.prod(shape) * dtype.itemsize != (len(data) if math.prod(shape) else 0):
+        raise PortalError("an array has not as many bytes as its shape says")
+    return np.frombuffer(data if math.prod(shape) else b"", dtype).reshape(shape)
+
+
+def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
+    """A tree with the leaves in place of its None values."""
+    if depth > _MAX_DEPTH:
+        raise PortalError("the arguments are nested too deeply")
+    if isinstance(tree, dict):
+        return {key: _filled(value, leaves, depth + 1) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_filled(value, leaves, depth + 1) for value in tree]
+    try:
+        return next(leaves)
+    except StopIteration:
+        raise PortalError("the tree has more leaves than there are") from None

@@ -1,0 +1,232 @@
+"""Hands out attempts, and writes finished attempts into the dataset in order.
+
+Episode k is the k-th successful attempt in the order of attempts, whichever worker finishes first. The data therefore
+depends on the configuration and the seed alone.
+
+An attempt that ends every worker that tries it becomes a failure of cause `worker_lost`. The attempt remains a failure
+when the recording is resumed: later episodes are numbered without it. Such an end can also be the machine's fault.
+A lost attempt is therefore in doubt until a later attempt comes back. If none does, the recording stops without
+writing the attempts in doubt, and `--resume` tries them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from ..core.config.recording import RecordConfig
+from ..core.dataset.layout import episode_name
+from ..core.dataset.records import attempt_record, episode_record
+from ..core.dataset.writing.ledger import vacant_episode
+from ..core.dataset.writing.stage import Sink
+from ..core.errors import DatasetError, InterruptedJobError, PartialJobError
+from ..core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
+from ..core.workers.executor import Executor, LostJobError
+from ..core.workers.stop import Stop
+from .prospects import NoBetterStart, RetryLimit
+
+_LOOKAHEAD = 4  # attempts per worker ahead of the oldest unfinished attempt; limits the episodes in memory
+_MAX_LOST_IN_A_ROW = 3  # attempts in a row that lose their workers, after which the machine is at fault
+_STOP_SECONDS = 60.0  # s, that attempts in hand may take after a request to stop
+_POLL_SECONDS = 0.5
+
+EpisodeExecutor = Executor[EpisodeJob, EpisodePayload]
+
+
+@dataclass(frozen=True)
+class Notifier:
+    """Callbacks of a recording.
+
+    Attributes:
+        progress: called with episodes done, episodes wanted and attempts made.
+        warn: called with a sentence for the user.
+    """
+
+    progress: Callable[[int, int, int], None]
+    warn: Callable[[str], None]
+
+
+class Collector:
+    """Hands out attempts and takes their results until the dataset is complete."""
+
+    def __init__(
+        self, config: RecordConfig, sink: Sink, watch: Notifier, stop: Stop, no_better_start: NoBetterStart
+    ) -> None:
+        self._config = config
+        self._limit = RetryLimit(config, no_better_start)
+        self._sink = sink
+        self._watch = watch
+        self._stop = stop
+        # Attempts whose episode or line is gone are made again first, under their old numbers.
+        self._gone = {attempt.attempt: attempt for attempt in sink.missing}
+        self._queue = sorted(self._gone.keys() | sink.lost_lines, reverse=True)
+        self._next = len(sink.attempts)
+        self._finished: dict[int, EpisodePayload] = {}
+        self._doubtful: set[int] = set()
+        self._renderer = ""
+
+    @property
+    def outstanding(self) -> int:
+        """Episodes that still have to be made."""
+        return max(0, self._config.episodes - self._sink.episodes) + len(self._gone)
+
+    @property
+    def work(self) -> int:
+        """How many attempts have to be made at least."""
+        return self.outstanding + len(self._sink.lost_lines)
+
+    @property
+    def done(self) -> int:
+        """Episodes that are whole."""
+        return self._sink.episodes - len(self._gone)
+
+    def run(self, executor: EpisodeExecutor) -> None:
+        """Record until the dataset holds all episodes.
+
+        Raises:
+            InterruptedJobError: stopped by the user; attempts in hand were waited for at most `_STOP_SECONDS`.
+            DatasetError: a lost episode cannot be made again on this machine.
+            PartialJobError: the task fails too often, or workers do not last.
+            SimulationError: the task cannot work, see `check_prospects`.
+            OSError: the disk refused something.
+        """
+        self._report()
+        while self.work:
+            while not self._stop.asked and executor.idle and self._may_start(executor):
+                executor.submit(EpisodeJob(self._config.seed, self._take()))
+            # After handing out, so that workers are busy during writing.
+            if self._commit_finished():
+                continue
+            if self._stop.asked and (not executor.in_flight or self._stop.waited > _STOP_SECONDS):
+                raise InterruptedJobError("interrupted")
+            self._receive(executor)
+
+    def _receive(self, executor: EpisodeExecutor) -> None:
+        try:
+            job, payload = executor.result(_POLL_SECONDS)
+        except TimeoutError:
+            return
+        except LostJobError as error:
+            self._lose(error)
+            return
+        self._doubtful.clear()
+        self._compare_renderers(payload)
+        self._finished[job.attempt] = payload
+
+    def _commit_finished(self) -> bool:
+        """Write what can be written, in the order of attempts; returns whether anything was written."""
+        before = len(self._finished)
+        for attempt in self._gone.keys() & self._finished.keys():
+            self._restore(self._finished.pop(attempt))
+        while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
+            self._log_again(self._finished.pop(lost))
+        # Further episodes get numbers only when all attempts before them are known.
+        while not self._sink.lost_lines and self._next_is_finished:
+            self._commit(self._finished.pop(len(self._sink.attempts)))
+        if len(self._finished) == before:
+            return False
+        self._report()
+        return True
+
+    @property
+    def _next_is_finished(self) -> bool:
+        attempt = len(self._sink.attempts)
+        return attempt in self._finished and attempt not in self._doubtful
+
+    def _may_start(self, executor: EpisodeExecutor) -> bool:
+        """Whether another attempt may be handed out: no more than are needed if all succeed."""
+        if self._queue:
+            return True
+        if self._next >= self._limit.most_attempts and not self._doubtful:
+            return False
+        promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
+        ahead = self._next - len(self._sink.attempts)
+        # An attempt in doubt blocks writing until a later attempt has come back.
+        near = ahead < _LOOKAHEAD * self._config.workers or (self._doubtful and not executor.in_flight)
+        return promised < self.outstanding and bool(near)
+
+    def _take(self) -> int:
+        if self._queue:
+            return self._queue.pop()
+        self._next += 1
+        return self._next - 1
+
+    def _lose(self, error: LostJobError) -> None:
+        job = error.job
+        assert isinstance(job, EpisodeJob)
+        detail = f"ended its worker {error.tries} times; the last one {error.reason}"
+        if job.attempt in self._gone:
+            number = self._gone[job.attempt].episode
+            raise PartialJobError(f"{episode_name(number or 0)} cannot be made again: {error}") from error
+        if job.attempt in self._sink.lost_lines:
+            if vacant_episode(self._sink.attempts, job.attempt) is not None:
+                raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
+        else:
+            self._doubtful.add(job.attempt)
+            if (lost := len(self._doubtful)) >= _MAX_LOST_IN_A_ROW:
+                raise PartialJobError(f"{lost} attempts in a row lost their workers, the last one: {error}")
+            self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
+        self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
+
+    def _commit(self, payload: EpisodePayload) -> None:
+        episode = self._sink.episodes if payload.outcome.success else None
+        if episode is not None:
+            self._publish(payload, episode)
+        self._sink.log(attempt_record(payload, episode))
+        self.check_prospects()
+
+    def check_prospects(self) -> None:
+        """Raise GaveUpError if the task works too rarely, and SimulationError if it cannot work."""
+        if self._sink.lost_lines:
+            # The results of these attempts are not known yet.
+            return
+        if self.outstanding > len(self._gone) and (
+            error := self._limit.ended_by(self._sink.attempts, self._sink.episodes)
+        ):
+            raise error
+
+    def _restore(self, payload: EpisodePayload) -> None:
+        """Publish a lost episode again, under its old number."""
+        lost = self._gone[payload.job.attempt]
+        if not payload.outcome.success or lost.episode is None:
+            raise self._fails_now(payload, lost.episode or 0)
+        self._publish(payload, lost.episode)
+        del self._gone[lost.attempt]
+
+    def _fails_now(self, payload: EpisodePayload, episode: int) -> DatasetError:
+        return DatasetError(
+            f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
+            f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
+        )
+
+    def _log_again(self, payload: EpisodePayload) -> None:
+        """Log an attempt whose line was lost. An attempt that gave no episode but succeeds now had lost its workers."""
+        number = vacant_episode(self._sink.attempts, payload.job.attempt)
+        if payload.outcome.success and number is None:
+            detail = (
+                "its line in the ledger was lost; made again it succeeds, and the episodes after it do not count it"
+            )
+            payload = replace(payload, outcome=Outcome(False, Cause.WORKER_LOST, detail), files={})
+        episode = number if payload.outcome.success else None
+        if episode is not None:
+            self._publish(payload, episode)
+        elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
+            # Later episodes exist, and this episode can have come from no other attempt.
+            raise self._fails_now(payload, number)
+        self._sink.log(attempt_record(payload, episode))
+        self.check_prospects()
+
+    def _publish(self, payload: EpisodePayload, episode: int) -> None:
+        self._sink.publish(episode_record(self._config, payload, episode), payload.files)
+
+    def _compare_renderers(self, payload: EpisodePayload) -> None:
+        """Warn if workers render with different drivers, which give different bytes."""
+        if self._renderer and payload.renderer and payload.renderer != self._renderer:
+            self._watch.warn(
+                f"Workers render with different OpenGL ({self._renderer}; {payload.renderer}): "
+                "which of them rendered an episode decides its images' bytes."
+            )
+        self._renderer = payload.renderer or self._renderer
+
+    def _report(self) -> None:
+        self._watch.progress(self.done, self._config.episodes, len(self._sink.attempts))

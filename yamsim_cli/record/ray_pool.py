@@ -1,0 +1,156 @@
+"""Workers that are actors on a Ray cluster.
+
+Actors run the same code as local processes, by the same rules. An actor that is lost with its process or its node
+costs its job one try, and is replaced where the cluster has room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import pickle
+import signal
+import socket
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Generic, cast
+
+from ..core.errors import ResourceError
+from ..core.workers.executor import Factory, J, R
+from ..core.workers.pool import JOB_SECONDS, Died, Event, Pool, Worker
+from ..core.workers.serving import STOP_SIGNALS, Servant
+
+_CONNECT_SECONDS = 5.0  # s, that the head of a cluster may take to accept a connection
+
+
+class RayPool(Pool[J, R]):
+    """An `Executor` over the actors of a Ray cluster; see `Pool`.
+
+    Args:
+        factory: makes each worker's runner, in the actor.
+        workers: how many workers there are; each takes one CPU of the cluster.
+        address: address of a running cluster, as `ray.init` takes it. None starts a cluster on this machine, which
+            ends with the pool.
+        environ: environment variables of the actors' processes.
+
+    Raises:
+        ResourceError: Ray is not installed, no cluster answers, or it has fewer CPUs than `workers`.
+    """
+
+    def __init__(
+        self,
+        factory: Factory[J, R],
+        workers: int,
+        *,
+        address: str | None = None,
+        environ: Mapping[str, str] | None = None,
+        job_seconds: float = JOB_SECONDS,
+    ) -> None:
+        super().__init__(_Cluster(factory, workers, address, dict(environ or {})), workers, job_seconds)
+
+
+class _Actor(Generic[J]):
+    def __init__(self, ray: Any, handle: Any, name: str, opened: Any) -> None:
+        self._ray = ray
+        self._handle = handle
+        self.name = name
+        # Reference to the awaited answer; None while the actor is idle.
+        self.answer: Any = opened
+
+    def send(self, job: J) -> None:
+        self.answer = self._handle.run.remote(job)
+
+    def kill(self) -> None:
+        self.answer = None
+        self._ray.kill(self._handle, no_restart=True)
+
+
+class _Cluster(Generic[J, R]):
+    """The `Backend` that starts actors."""
+
+    def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
+        self._ray = _import_ray()
+        self._ours = not self._ray.is_initialized()
+        if self._ours:
+            _connect(self._ray, address, workers)
+        cpus = int(self._ray.cluster_resources().get("CPU", 0))
+        if cpus < workers:
+            self.close()
+            raise ResourceError(
+                f"the Ray cluster has {cpus} CPUs, and {workers} workers need one each: "
+                f"add nodes, or give --workers {cpus}"
+            )
+        # One copy in the cluster's store, which each node fetches once.
+        self._factory = self._ray.put(pickle.dumps(factory))
+        options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
+        if environ:
+            options["runtime_env"] = {"env_vars": environ}
+        self._actors = self._ray.remote(**options)(Servant)
+
+    def start(self, number: int) -> Worker[J]:
+        handle = self._actors.remote()
+        return _Actor[J](self._ray, handle, f"ray-worker-{number}", handle.open.remote(self._factory))
+
+    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
+        actors = [worker for worker in workers if isinstance(worker, _Actor)]
+        awaited = {actor.answer: actor for actor in actors if actor.answer is not None}
+        if not awaited:
+            time.sleep(timeout)
+            return []
+        ready, _ = self._ray.wait(list(awaited), num_returns=1, timeout=timeout)
+        return [(awaited[answer], self._event(awaited[answer])) for answer in ready]
+
+    def _event(self, actor: _Actor[J]) -> Event[R]:
+        answer, actor.answer = actor.answer, None
+        try:
+            return cast("Event[R]", pickle.loads(self._ray.get(answer)))
+        except self._ray.exceptions.RayError as error:
+            return Died(f"was lost by Ray: {str(error).splitlines()[0]}")
+
+    def close(self) -> None:
+        if self._ours:
+            self._ray.shutdown()
+
+
+def _import_ray() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise ResourceError("--executor ray needs the package ray: pip install 'yamsim[ray]'") from error
+    return ray
+
+
+def _connect(ray: Any, address: str | None, workers: int) -> None:
+    quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
+    with _own_signals():
+        try:
+            if address is None:
+                ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
+            else:
+                _require_listener(address)
+                ray.init(address=address, **quiet)
+        # SystemExit, too: if a head has vanished, Ray waits for it, and then sends its own process a SIGTERM.
+        except (OSError, RuntimeError, ValueError, SystemExit, ray.exceptions.RayError) as error:
+            reason = "no answer" if isinstance(error, SystemExit) else f"{error}".partition("\n")[0]
+            where = f"at {address}" if address else "on this machine"
+            raise ResourceError(f"no Ray cluster {where}: {reason}; start one with `ray start --head`") from error
+
+
+def _require_listener(address: str) -> None:
+    """Raise OSError if nothing listens at a HOST:PORT: Ray itself takes minutes to report that."""
+    host, colon, port = address.rpartition("://")[2].rpartition(":")
+    if colon and port.isdecimal():
+        socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
+
+
+@contextlib.contextmanager
+def _own_signals() -> Iterator[None]:
+    """Restore the signals' handlers after the block: Ray replaces that of SIGTERM when it connects."""
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            # Only the main thread can set handlers. In another thread, Ray cannot replace them, either.
+            with contextlib.suppress(ValueError):
+                signal.signal(number, handler)

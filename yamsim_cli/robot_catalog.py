@@ -1,0 +1,297 @@
+"""Lists arms, grippers and stations, writes the files of a new arm, and checks an arm of the user's own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from .core.config.loader import load_config
+from .core.config.rig import RigConfig
+from .core.config.robot_names import ARMS, GRIPPERS, valid_families
+from .core.config.scene import SceneConfig
+from .core.errors import ConfigError, SimulationError, UsageError, suggest
+from .core.files.resources import Locations
+from .core.files.writing import refusal, write_file
+from .core.robots.models import ArmModel, Gripper, fit
+from .core.scene.assets import AssetStore, load_lock
+from .core.scene.build import build_rig_scene
+from .core.scene.compose import rig_mesh_sets
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_HOLD_S = 1.0  # s, for which the arm holds its home: long enough for drives to settle
+_MAX_SAG = 0.1  # rad, largest deviation of a joint from home then: beyond, a drive cannot bear the arm
+
+_YAML = """\
+# The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
+mjcf: arm.xml
+source: a skeleton, its figures are invented   # where your figures are from
+base: base_link     # the body in arm.xml whose frame is the arm's base frame
+flange: flange      # the last body; a gripper becomes part of it
+
+# From the base to the flange: stops, rad; the motor's no-load speed at the joint, revolutions a minute; and the fastest
+# motion that the drive reports, rad/s. The names are those of joints, and of their drives, in arm.xml.
+joints:
+- {{name: joint1, range: [-3.0, 3.0], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint2, range: [-1.8, 1.8], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint3, range: [0.0, 2.8], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint4, range: [-0.5, 3.0], motor_rpm: 200, reported_rad_s: 30}}
+- {{name: joint5, range: [-1.5, 1.5], motor_rpm: 200, reported_rad_s: 30}}
+- {{name: joint6, range: [-3.1, 3.1], motor_rpm: 200, reported_rad_s: 30}}
+home: [0, -0.4, 2.0, 1.5, 0, 0]      # at rest, rad
+start: [0, 0.3, 1.29, 1.55, 0, 0]    # where tasks start, rad
+
+# Gripper -> how it sits on the flange: `mount: {{position: [x, y, z], quat: [w, x, y, z]}}`, m.
+grippers:
+  linear_4310: {{}}
+"""
+
+_XML = """\
+<!-- From the base to the flange, with a position drive for each joint. Lengths in m, masses in kg. -->
+<mujoco model="{name}">
+  <compiler angle="radian" autolimits="true"/>
+  <option integrator="implicitfast"/>
+  <default>
+    <default class="{name}">
+      <joint axis="0 1 0" armature="0.02" frictionloss="0.1"/>
+      <!-- kp in N m/rad, kv in N m s/rad, torques in N m; the range is that of the joint. -->
+      <position inheritrange="1" kp="80" kv="5" forcerange="-28 28"/>
+      <!-- What collides; its masses are in the <inertial> of each body. -->
+      <geom type="capsule" size="0.025" group="3" mass="0" rgba="0.5 0.5 0.5 1"/>
+    </default>
+  </default>
+  <worldbody>
+    <body name="base_link" childclass="{name}">
+      <inertial mass="1" pos="0 0 0.02" diaginertia="0.002 0.002 0.002"/>
+      <geom type="cylinder" size="0.05 0.02" pos="0 0 0.02"/>
+      <!-- gravcomp="1": the drives make up for the body's weight. -->
+      <body name="link1" pos="0 0 0.06" gravcomp="1">
+        <inertial mass="0.3" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+        <joint name="joint1" axis="0 0 1"/>
+        <body name="link2" pos="0 0 0.06" gravcomp="1">
+          <inertial mass="0.8" pos="0 0 0.17" diaginertia="0.008 0.008 0.0004"/>
+          <joint name="joint2"/>
+          <geom fromto="0 0 0 0 0 0.30"/>
+          <body name="link3" pos="0 0 0.34" gravcomp="1">
+            <inertial mass="0.5" pos="0 0 0.16" diaginertia="0.004 0.004 0.0003"/>
+            <joint name="joint3"/>
+            <geom fromto="0 0 0.06 0 0 0.24" size="0.02"/>
+            <body name="link4" pos="0 0 0.30" gravcomp="1">
+              <inertial mass="0.2" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+              <joint name="joint4"/>
+              <body name="link5" pos="0 0 0.05" gravcomp="1">
+                <inertial mass="0.2" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+                <joint name="joint5" axis="1 0 0"/>
+                <body name="flange" pos="0 0 0.04" gravcomp="1">
+                  <inertial mass="1e-6" pos="0 0 0" diaginertia="1e-9 1e-9 1e-9"/>
+                  <joint name="joint6" axis="0 0 1"/>
+                </body>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+{drives}
+  </actuator>
+</mujoco>
+"""
+
+ARM, GRIPPER, STATION = "arm", "gripper", "station"
+
+
+def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
+    """Every arm, gripper and rig with two arms, in this order, as plain data.
+
+    An arm or a station with an invalid file has its error as `fault`, and an empty `goes_with`.
+
+    Raises ConfigError if a gripper's file is not valid.
+    """
+    meshes = _meshes(locations)
+    families, faults = valid_families(locations)
+    arms, broken_arms = _loaded_arms(locations, faults)
+    grippers = {name: load_config(Gripper, GRIPPERS, name, locations) for name in locations.config_names(GRIPPERS)}
+    newest = {list(revisions.values())[-1] for revisions in families.values()}
+    pairs = {(arm, gripper) for arm in arms for gripper in grippers if _fits(arms[arm], grippers[gripper])}
+    found: list[dict[str, Any]] = []
+    for name, arm in arms.items():
+        found.append(
+            {
+                "kind": ARM,
+                "name": name,
+                "family": arm.family,
+                "revision": arm.revision,
+                "newest": name in newest,
+                "joints": len(arm.joints),
+                "goes_with": [gripper for gripper in grippers if (name, gripper) in pairs],
+                **_common(arm.source, arm.mjcf.file, arm.mesh_sets, meshes),
+            }
+        )
+    found += [_faulty(ARM, ARMS, name, fault, locations) for name, fault in broken_arms.items()]
+    for name, gripper in grippers.items():
+        fingers = gripper.fingers
+        found.append(
+            {
+                "kind": GRIPPER,
+                "name": name,
+                "opens_mm": round(2000 * fingers.full_opening, 1) if fingers else 0.0,
+                "pads": fingers is not None and fingers.pads,
+                "goes_with": [arm for arm in arms if (arm, name) in pairs],
+                **_common(gripper.source, gripper.mjcf.file, gripper.mesh_sets, meshes),
+            }
+        )
+    return (*found, *_stations(locations, meshes))
+
+
+def robot_there(name: str, locations: Locations) -> dict[str, Any]:
+    """The arm, gripper or station of that name; of a family, its newest revision.
+
+    Raises:
+        UsageError: there is no such robot.
+        ConfigError: its file is not valid.
+    """
+    items = robots_there(locations)
+    for item in items:
+        if name == item["name"] or (item.get("newest") and name == item["family"]):
+            if "fault" in item:
+                raise ConfigError(item["fault"])
+            return item
+    known = [*(item["name"] for item in items), *valid_families(locations)[0]]
+    raise UsageError(f"unknown robot {name!r}; {suggest(name, known)}")
+
+
+def _loaded_arms(
+    locations: Locations, faults: Mapping[str, ConfigError]
+) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
+    """Name -> arm, and name -> fault of each invalid arm; `faults` has those of `valid_families`."""
+    loaded, broken = dict[str, ArmModel](), dict(faults)
+    for name in locations.config_names(ARMS):
+        try:
+            if name not in broken:
+                loaded[name] = load_config(ArmModel, ARMS, name, locations)
+        except ConfigError as error:
+            broken[name] = error
+    return loaded, broken
+
+
+def _faulty(what: str, kind: str, name: str, fault: ConfigError, locations: Locations) -> dict[str, Any]:
+    path = str(locations.config_file(kind, name))
+    return {"kind": what, "name": name, "goes_with": [], **_common(None, path, (), {}), "fault": str(fault)}
+
+
+def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict[str, Any]]:
+    for name in locations.config_names("rigs"):
+        try:
+            rig = load_config(RigConfig, "rigs", name, locations)
+        except ConfigError as error:
+            yield _faulty(STATION, "rigs", name, error, locations)
+            continue
+        if len(rig.arms) > 1:
+            yield {
+                "kind": STATION,
+                "name": name,
+                "cameras": list(rig.camera_names),
+                "goes_with": [f"{arm.model.name}+{arm.gripper.name}" for arm in rig.arms],
+                **_common(None, str(locations.config_file("rigs", name)), rig_mesh_sets(rig), meshes),
+            }
+
+
+def _fits(arm: ArmModel, gripper: Gripper) -> bool:
+    try:
+        fit(arm, gripper)
+    except ValueError:
+        return False
+    return True
+
+
+def _meshes(locations: Locations) -> dict[str, bool]:
+    """Asset set -> whether the store has it."""
+    store = AssetStore(locations.assets)
+    return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
+
+
+def _common(source: str | None, path: str, sets: Iterable[str], meshes: Mapping[str, bool]) -> dict[str, Any]:
+    return {"source": source, "path": path, "meshes": {name: meshes.get(name, False) for name in sets}}
+
+
+def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
+    """Write the files of a new arm under a root of data, and return their paths.
+
+    Raises UsageError if the name is not valid or taken, or the folder cannot be written.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")
+    folder = data / "robot_models" / name
+    if folder.exists() or name in locations.config_names(ARMS):
+        raise UsageError(f"an arm {name!r} exists and is not overwritten; give another name, or remove {folder}")
+    paths = []
+    try:
+        folder.mkdir(parents=True)
+        for file, text in _arm_files(name).items():
+            write_file(folder / file, text.encode())
+            paths.append(folder / file)
+    except OSError as error:
+        raise UsageError(refusal(error, folder)) from error
+    return tuple(paths)
+
+
+def _arm_files(name: str) -> Mapping[str, str]:
+    """File name -> text of an arm of six joints, with comments for the user."""
+    names = [f"joint{k}" for k in range(1, 7)]
+    drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
+    return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}
+
+
+def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
+    """Check an arm with each gripper that fits: it compiles, and its drives hold it at home.
+
+    Returns:
+        For each gripper: `gripper`, `ok` (None where the pair makes no rig, such as without a wrist camera), `sag_rad`
+        (largest deviation of a joint from home), `detail`.
+
+    Raises:
+        ConfigError: a file is not valid, or no gripper fits.
+        UsageError: no arm has that name.
+    """
+    arm = load_config(ArmModel, ARMS, name, locations)
+    grippers = robot_there(arm.name, locations)["goes_with"]
+    if not grippers:
+        raise ConfigError(f"{arm.mjcf.file}: no gripper fits {arm.name!r}; name one under `grippers` in its model.yaml")
+    found = [_check_with(arm, gripper, locations) for gripper in grippers]
+    if all(one["ok"] is None for one in found):
+        raise ConfigError(f"{arm.mjcf.file}: no gripper makes a rig with {arm.name!r}: {found[0]['detail']}")
+    return found
+
+
+def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, Any]:
+    try:
+        rig = load_config(RigConfig, "rigs", f"{arm.name}+{gripper}", locations)
+    except ConfigError as error:
+        return {"gripper": gripper, "ok": None, "sag_rad": None, "detail": str(error)}
+    try:
+        scene = build_rig_scene(rig, load_config(SceneConfig, "scenes", "studio", locations), locations)
+    except SimulationError as error:
+        return {"gripper": gripper, "ok": False, "sag_rad": None, "detail": str(error)}
+    model, addresses = scene.model, scene.arms[0]
+    data = mujoco.MjData(model)
+    home = np.array(arm.home)
+    data.qpos[addresses.joint_qpos], data.ctrl[addresses.arm_ctrl] = home, home
+    mujoco.mj_step(model, data, nstep=int(_HOLD_S / model.opt.timestep))
+    off = np.abs(data.qpos[addresses.joint_qpos] - home)
+    joint, sag = arm.joints[int(np.argmax(off))].name, float(off.max())
+    ok = bool(np.isfinite(off).all() and sag <= _MAX_SAG)
+    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is right"
+    return {"gripper": gripper, "ok": ok, "sag_rad": sag, "detail": detail}
+
+
+def require_checked(name: str, found: list[dict[str, Any]]) -> None:
+    """Make sure that an arm passed with each gripper. Raises SimulationError if the arm failed with a gripper."""
+    for one in found:
+        if one["ok"] is False:
+            raise SimulationError(f"arm {name!r} with {one['gripper']}: {one['detail']}")

@@ -1,0 +1,195 @@
+"""A browser page that shows a live rig, moves its joints, and takes its cameras' pictures."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from typing import Any, Protocol
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from ..core.errors import ResourceError
+from ..core.geometry.camera import opencv_from_mujoco
+from ..core.geometry.se3 import quat_from_rotation
+from .address import PageAddress
+from .bodies_page import BodiesPage
+from .viewed_scene import Drive, LiveRig
+from .viewpoint import Viewpoint
+
+_STATUS_PERIOD = 1.0  # s
+_STEP = 0.001  # rad or m, of sliders
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arms; closer, their bases would touch
+
+
+class CameraPictures(Protocol):
+    """Renders what cameras see. Only one thread calls it."""
+
+    def render(self, camera: str) -> NDArray[np.uint8]:
+        """An RGB image (height, width, 3) of uint8.
+
+        Raises:
+            ResourceError: nothing can be rendered here.
+        """
+        ...
+
+
+class RigPage(BodiesPage):
+    """The page of a live rig: a slider for every drive, check boxes for what is shown, and its cameras.
+
+    Args:
+        boards: whether boards and mounts are shown at first, if the rig has them.
+        pictures: renders what the rig's cameras see; None if nothing can be rendered.
+    """
+
+    def __init__(
+        self,
+        live: LiveRig,
+        viewpoint: Viewpoint,
+        address: PageAddress,
+        *,
+        boards: bool = True,
+        pictures: CameraPictures | None = None,
+    ) -> None:
+        super().__init__(live, viewpoint, address)
+        self._live = live
+        self._measured = (time.monotonic(), live.time)
+        home = self._server.gui.add_button("Home", icon=viser.Icon.HOME, hint="Arms back to rest, grippers shut")
+        home.on_click(self._go_home)
+        self.sliders = self._add_sliders()
+        self.margin = self._add_margin()
+        self._add_switches(boards=boards)
+        self._cameras = CamerasPanel(self._server, live, pictures)
+        self.update()
+
+    def update(self) -> None:
+        """Send what has changed since the last call to all clients."""
+        super().update()
+        self._cameras.update()
+        self._show_status()
+
+    def _add_sliders(self) -> dict[tuple[str, str], viser.GuiSliderHandle[float]]:
+        """(arm, drive) -> its slider."""
+        sliders = {}
+        for arm, drives in itertools.groupby(self._live.drives, key=lambda drive: drive.arm):
+            with self._server.gui.add_folder(arm):
+                for drive in drives:
+                    sliders[arm, drive.name] = self._add_slider(drive)
+        return sliders
+
+    def _add_slider(self, drive: Drive) -> viser.GuiSliderHandle[float]:
+        # A slider counts its steps from its lower end. If that is a whole number of steps, so are all values.
+        low, high = math.ceil(drive.low / _STEP) * _STEP, math.floor(drive.high / _STEP) * _STEP
+        slider = self._server.gui.add_slider(
+            f"{drive.name} ({drive.unit})", round(low, 3), round(high, 3), step=_STEP, initial_value=drive.home
+        )
+        slider.on_update(lambda _: self._live.command(drive, slider.value))
+        return slider
+
+    def _add_margin(self) -> viser.GuiSliderHandle[float] | None:
+        """A slider for the distance between two arms; None for a lone arm."""
+        rig = self._live.rig
+        if len(rig.arms) < 2:
+            return None
+        low, high = min(_MARGINS[0], rig.margin), max(_MARGINS[1], rig.margin)
+        slider = self._server.gui.add_slider("margin (m)", low, high, step=_STEP, initial_value=rig.margin)
+        slider.on_update(lambda _: self._live.place(slider.value))
+        return slider
+
+    def _add_switches(self, *, boards: bool) -> None:
+        """Add check boxes for what is shown."""
+        gui, bodies = self._server.gui, self._bodies
+        model = self._live.model
+        mocap = [frame for body, frame in bodies.frames.items() if model.body_mocapid[body] >= 0]
+        with gui.add_folder("Shown"):
+            for label, nodes, shown in (
+                ("boards", mocap, boards),
+                ("looks", bodies.looks, True),
+                ("collision primitives", bodies.colliders, False),
+            ):
+                if nodes:
+                    self._add_switch(label, nodes, shown=shown)
+
+    def _add_switch(self, label: str, nodes: Any, *, shown: bool) -> None:
+        box = self._server.gui.add_checkbox(label, initial_value=shown)
+
+        def show(_: Any = None) -> None:
+            for node in nodes:
+                node.visible = box.value
+
+        box.on_update(show)
+        show()
+
+    def _go_home(self, _: Any) -> None:
+        for drive in self._live.drives:
+            # viser's setter takes more types than its getter returns, which mypy cannot express.
+            self.sliders[drive.arm, drive.name].value = drive.home  # type: ignore[misc]
+        self._live.reset()
+
+    def _show_status(self) -> None:
+        now, (then, simulated) = time.monotonic(), self._measured
+        if now - then >= _STATUS_PERIOD:
+            self._measured = now, self._live.time
+            speed = max(0.0, self._live.time - simulated) / (now - then)
+            state = "paused" if self._live.paused else f"{speed:.2f} × real time"
+            self._status.content = f"{self._live.time:.0f} s, {state}"
+
+
+class CamerasPanel:
+    """A folder of the page with buttons to take pictures and to look through cameras; absent without cameras."""
+
+    def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
+        self._gui = server.gui
+        self._live = live
+        self._pictures = pictures
+        self._images: dict[str, viser.GuiImageHandle] = {}
+        self._requested = False
+        self._cameras = tuple(live.model.cam(k).name for k in range(live.model.ncam))
+        if not self._cameras:
+            return
+        self._folder = server.gui.add_folder("Cameras")
+        with self._folder:
+            if pictures is not None:
+                self._button = server.gui.add_button("Take pictures", icon=viser.Icon.CAMERA)
+                self._button.on_click(self._request)
+            for camera in self._cameras:
+                self._add_view(camera)
+
+    def update(self) -> None:
+        """Take the requested pictures; to be called from the thread that owns OpenGL."""
+        if not self._requested or self._pictures is None:
+            return
+        self._requested = False
+        for camera in self._cameras:
+            try:
+                image = self._pictures.render(camera)
+            except ResourceError as error:
+                # Rendering would fail again, so the button is disabled.
+                self._pictures, self._button.disabled = None, True
+                with self._folder:
+                    self._gui.add_markdown(f"No pictures: {error}")
+                return
+            if camera in self._images:
+                self._images[camera].image = image
+                continue
+            with self._folder:
+                self._images[camera] = self._gui.add_image(image, label=camera)
+
+    def _request(self, _: Any) -> None:
+        self._requested = True
+
+    def _add_view(self, camera: str) -> None:
+        button = self._gui.add_button(f"Look through {camera}", icon=viser.Icon.EYE)
+
+        def look(event: Any) -> None:
+            with self._live.lock:
+                seen = self._live.data.cam(camera)
+                position, R = seen.xpos.copy(), opencv_from_mujoco(seen.xmat)
+            view = event.client.camera
+            with event.client.atomic():
+                view.wxyz, view.position = quat_from_rotation(R), position
+                view.fov = math.radians(float(self._live.model.cam(camera).fovy[0]))
+
+        button.on_click(look)

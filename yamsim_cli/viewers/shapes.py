@@ -1,0 +1,212 @@
+"""Adds a compiled scene to a viser page: a frame for each body with its geoms, and a mesh for each cloth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+
+from ..core.geometry.se3 import Array
+
+_FIRST_HIDDEN_GROUP = 3  # MuJoCo's viewer hides groups from this one on; collision primitives behind meshes are in it
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default of a geom; any other colour overrides the geom's material
+_IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down viser's images, and up MuJoCo's planes
+
+# Collision primitives are transparent, so that the parts behind them are seen.
+_COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
+
+Paint = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class BodyNodes:
+    """A page's nodes.
+
+    Attributes:
+        frames: body -> its frame in `world`, for bodies with geoms. Frames start at the origin.
+        looks: parent nodes of the visible geoms, one per body, without those of the world itself.
+        colliders: parent nodes of collision primitives behind visible geoms, one per body; hidden at first.
+    """
+
+    frames: dict[int, viser.FrameHandle]
+    looks: tuple[viser.FrameHandle, ...]
+    colliders: tuple[viser.FrameHandle, ...]
+
+
+def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
+    """Add all geoms of a model to a page, and return their nodes."""
+    frames: dict[int, viser.FrameHandle] = {}
+    groups: dict[tuple[int, bool], viser.FrameHandle] = {}
+    for geom in range(model.ngeom):
+        body, hidden = int(model.geom_bodyid[geom]), bool(model.geom_group[geom] >= _FIRST_HIDDEN_GROUP)
+        path = f"/{model.body(body).name}"
+        group = f"{path}/{'collision' if hidden else 'look'}"
+        if body not in frames:
+            frames[body] = scene.add_frame(path, show_axes=False)
+        if (body, hidden) not in groups:
+            groups[body, hidden] = scene.add_frame(group, show_axes=False, visible=not hidden)
+        paint = _COLLISION_PAINT if hidden else {"color": _colour(model, geom)}
+        _add_geom(scene, model, geom, f"{group}/{model.geom(geom).name or geom}", paint)
+    return BodyNodes(
+        frames,
+        tuple(node for (body, hidden), node in groups.items() if not hidden and body),
+        tuple(node for (_, hidden), node in groups.items() if hidden),
+    )
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
+    rgba, material = model.geom_rgba[geom], model.geom_matid[geom]
+    if material >= 0 and np.allclose(rgba, _DEFAULT_RGBA):
+        rgba = model.mat_rgba[material]
+    return _rgb(255 * rgba)
+
+
+def _rgb(colour: Array) -> tuple[int, int, int]:
+    """A colour's first three channels, from 0 to 255, as whole numbers."""
+    red, green, blue = (round(float(part)) for part in colour[:3])
+    return red, green, blue
+
+
+def _add_geom(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
+    placed = {"position": model.geom_pos[geom], "wxyz": model.geom_quat[geom]}
+    size = model.geom_size[geom]
+    match mujoco.mjtGeom(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_MESH | mujoco.mjtGeom.mjGEOM_SDF:
+            _add_mesh(scene, model, geom, name, paint, placed)
+        case mujoco.mjtGeom.mjGEOM_PLANE:
+            _add_plane(scene, model, geom, name, placed)
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            scene.add_box(name, **paint, dimensions=tuple(2 * size), **placed)
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            scene.add_icosphere(name, size[0], **paint, **placed)
+        case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            ball = trimesh.creation.icosphere()
+            scene.add_mesh_simple(name, ball.vertices * size, ball.faces, **paint, **placed)
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            scene.add_cylinder(name, size[0], 2 * size[1], **paint, **placed)
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            scene.add_cylinder(name, size[0], 2 * size[1], **paint, **placed)
+            for end, z in (("bottom", -size[1]), ("top", size[1])):
+                scene.add_icosphere(f"{name}/{end}", size[0], position=(0.0, 0.0, z), **paint)
+
+
+def _add_mesh(
+    scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint, placed: dict[str, Any]
+) -> None:
+    mesh = model.geom_dataid[geom]
+    if "opacity" not in paint and (textured := textured_mesh(model, geom)) is not None:
+        scene.add_mesh_trimesh(name, textured, **placed)
+        return
+    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    # Smooth shading would round off every edge of a machined part.
+    scene.add_mesh_simple(name, model.mesh_vert[vertices], model.mesh_face[faces], flat_shading=True, **paint, **placed)
+
+
+def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """A geom's mesh with its material's texture; None where the geom has no texture."""
+    from PIL import Image
+
+    mesh, material = int(model.geom_dataid[geom]), int(model.geom_matid[geom])
+    texture = _texture_of(model, material)
+    if texture < 0 or model.mesh_texcoordadr[mesh] < 0:
+        return None
+    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    coordinates = model.mesh_texcoord[model.mesh_texcoordadr[mesh] :][: model.mesh_texcoordnum[mesh]]
+    # Corners with the same vertex and texture coordinates are merged: normals then go on over edges as in MuJoCo.
+    corners = np.stack(
+        [model.mesh_face[first : first + count], model.mesh_facetexcoord[first : first + count]], axis=-1
+    )
+    pairs, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
+    uv = coordinates[pairs[:, 1]] * model.mat_texrepeat[material]
+    material_of: Any = trimesh.visual.material.PBRMaterial
+    look = material_of(
+        baseColorTexture=Image.fromarray(_texture(model, texture)),
+        baseColorFactor=np.rint(255 * model.mat_rgba[material]).astype(np.uint8),
+        metallicFactor=0.0,
+        roughnessFactor=0.7,
+    )
+    # MuJoCo counts v from the texture's upper edge, glTF's writer from its lower edge.
+    visual_of: Any = trimesh.visual.TextureVisuals
+    visual = visual_of(uv=np.column_stack([uv[:, 0], 1 - uv[:, 1]]), material=look)
+    return trimesh.Trimesh(vertices[pairs[:, 0]], index.reshape(-1, 3), visual=visual, process=False)
+
+
+def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, placed: dict[str, Any]) -> None:
+    """Add a plane: a printed board if its texture covers it once, or a floor if its texture repeats."""
+    material = int(model.geom_matid[geom])
+    texture = _texture_of(model, material)
+    width, height = 2 * model.geom_size[geom, :2]
+    if texture >= 0 and not model.mat_texuniform[material]:
+        wxyz = np.empty(4)
+        mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
+        pixels, turned = _texture(model, texture), placed | {"wxyz": wxyz}
+        # As PNG, since a marker's edges must stay sharp.
+        scene.add_image(name, pixels, width, height, format="png", cast_shadow=False, **turned)
+        return
+    image = _texture(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
+    darkest = image.min(axis=(0, 1))
+    scene.add_grid(
+        name,
+        width,
+        height,
+        cell_size=0.1,
+        cell_color=_rgb(darkest),
+        section_color=_rgb(darkest * 0.9),
+        plane_color=_rgb(image.mean(axis=(0, 1))),
+        plane_opacity=1.0,
+        **placed,
+    )
+
+
+def _texture_of(model: mujoco.MjModel, material: int) -> int:
+    """The number of a material's colour texture; -1 without one."""
+    return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+
+
+def _texture(model: mujoco.MjModel, texture: int) -> Array:
+    """A texture's pixels (height, width, channels) uint8, first row on top."""
+    shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    start = model.tex_adr[texture]
+    pixels: Array = model.tex_data[start : start + np.prod(shape)].reshape(shape)
+    return pixels
+
+
+class ClothNodes:
+    """A page's cloths, each in the mean colour of its texture; all their points start at the origin."""
+
+    def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
+        self._points = [
+            slice(first, first + n) for first, n in zip(model.flex_vertadr, model.flex_vertnum, strict=True)
+        ]
+        self._nodes = [
+            scene.add_mesh_simple(
+                f"/cloth/{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, k)}",
+                np.zeros((int(model.flex_vertnum[k]), 3)),
+                # Points are numbered from 0 in each cloth.
+                model.flex_elem[model.flex_elemdataadr[k] :][: 3 * model.flex_elemnum[k]].reshape(-1, 3),
+                color=_cloth_colour(model, int(model.flex_matid[k])),
+                side="double",
+            )
+            for k in range(model.nflex)
+        ]
+
+    def show(self, points: Array) -> None:
+        """Move all points (nflexvert, 3) in `world`, m; viser sends changes only."""
+        for node, own in zip(self._nodes, self._points, strict=True):
+            node.vertices = points[own].astype(np.float32)
+
+    def remove(self) -> None:
+        """Take them off the page."""
+        for node in self._nodes:
+            node.remove()
+
+
+def _cloth_colour(model: mujoco.MjModel, material: int) -> tuple[int, int, int]:
+    texture = _texture_of(model, material)
+    return _rgb(_texture(model, texture).mean(axis=(0, 1)) if texture >= 0 else 255 * model.mat_rgba[material])

@@ -1,0 +1,147 @@
+"""Compose a rig, with or without a task, into a folder or a zip file for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.sampling import no_start, sample
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.errors import ResourceError, SimulationError, UsageError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.files.writing import move_aside, publish_file, refusal, staged_directory, write_file
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.scene.compose import add_home_key, compose
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
+
+
+@dataclass(frozen=True)
+class ComposeReport:
+    """A composed scene: its path, its files, and the compiled model's size and bodies."""
+
+    path: Path
+    files: tuple[str, ...]
+    nq: int
+    nu: int
+    bodies: tuple[str, ...]
+    moved_aside: Path | None
+
+
+@dataclass(frozen=True)
+class Home:
+    """The state of a composed scene in its keyframe `home`.
+
+    Attributes:
+        T_in_world: object -> pose (4, 4) in `world`.
+        joints: of each arm, rad; None for home.
+        parts: joint of an articulated object -> its opening, m or rad; others are closed.
+    """
+
+    T_in_world: Mapping[str, Array] = field(default_factory=dict)
+    joints: Sequence[Sequence[float]] | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
+
+
+def task_start(session: Session) -> tuple[RecordConfig, Home]:
+    """The first attempt of a session's seed: the config with the things of this attempt, and the start state.
+
+    Raises:
+        SimulationError: the things have no room, or the scene cannot be compiled.
+    """
+    job = EpisodeJob(session.config.seed, 0)
+    with Simulators(session.without_meshes()) as simulators:
+        simulator = simulators.of(job)
+        attempt = sample(simulator, job)
+        config = simulator.config
+        if attempt.layout is None or attempt.start is None:
+            raise SimulationError(f"task {config.task.name!r}: {no_start(simulator, attempt)}")
+        parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
+        opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
+    # An arm without a part in the task stands where the arm's own tasks begin.
+    joints = [
+        config.start_joints if number in config.acting else arm.robot.start
+        for number, arm in enumerate(config.rig.arms)
+    ]
+    return config, Home(attempt.layout.T_in_world, joints, opened)
+
+
+def at_home(
+    blueprint: Blueprint, locations: Locations, home: Home | None = None
+) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """A composed scene with keyframe `home`, and its compiled model.
+
+    Args:
+        home: the arms at rest without objects, unless given.
+    """
+    spec, home = compose(blueprint, locations), home or Home()
+    return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
+
+
+def write_scene(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    out: Path,
+    *,
+    as_zip: bool,
+    overwrite: bool,
+    reader: Reader = "3.3",
+) -> ComposeReport:
+    """Write a composed scene to a folder, or to one zip file.
+
+    Args:
+        overwrite: an existing `out` is renamed once the new scene is on the disk.
+
+    Raises:
+        UsageError: `out` exists, or the scene uses elements that `reader` does not know.
+        ResourceError: `out` cannot be written, and is unchanged.
+        SimulationError: the scene is not stable: its parts move apart in plain MuJoCo.
+    """
+    _check_stable(model)
+    files = scene_files(spec, model, reader)
+    try:
+        if out.is_dir() and not any(out.iterdir()):
+            out.rmdir()
+        if (out.exists() or out.is_symlink()) and not overwrite:
+            raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
+    except OSError as error:
+        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
+    bodies = tuple(model.body(k).name for k in range(1, model.nbody))
+    return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
+
+
+def _write_folder(files: dict[str, bytes], out: Path) -> Path | None:
+    with staged_directory(out, overwrite=True) as stage:
+        for name, data in files.items():
+            path = stage.path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+    return stage.moved_aside
+
+
+def _write_zip(files: dict[str, bytes], out: Path) -> Path | None:
+    part = out.with_name(f".{out.name}.part")
+    try:
+        write_file(part, zip_bytes(files, out.stem))
+        moved = move_aside(out) if out.exists() or out.is_symlink() else None
+        publish_file(part, out)
+    finally:
+        part.unlink(missing_ok=True)
+    return moved
+
+
+def _check_stable(model: mujoco.MjModel) -> None:
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, 100)
+    if not np.isfinite(data.qpos).all() or np.abs(data.qpos - model.key_qpos[0]).max() > 0.05:
+        raise SimulationError("the composed scene does not stay where it is put: do parts of it overlap?")

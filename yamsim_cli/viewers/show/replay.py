@@ -1,0 +1,233 @@
+"""Show a recorded episode: as a video or in a viewer, and repeat its actions in physics.
+
+Of a real recording, viewers show the rig as it was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.lowdim import has_simulation
+from yamsim_cli.core.dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, recorded_images
+from yamsim_cli.core.dataset.records import recorded_attempt
+from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.simulator import Simulator, simulator_for
+from yamsim_cli.core.errors import DatasetError, UsageError, suggest
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.images.video import VideoWriter
+from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.types import EpisodeJob
+
+from ..address import PageAddress
+from ..viewed_scene import EpisodePlayer
+from ..viewpoint import Viewpoint, frame_rig
+from .compose import at_home
+from .view import show_scene, task_viewpoint
+
+if TYPE_CHECKING:
+    from ..bodies_page import BodiesPage
+
+
+@dataclass(frozen=True)
+class Film:
+    """A video that was written: its length in s, its size in pixels, and the new path of an older file of its name."""
+
+    path: Path
+    frames: int
+    seconds: float
+    size: tuple[int, int]
+    cameras: tuple[str, ...]
+    moved_aside: Path | None
+
+
+def film_recorded(
+    episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
+) -> Film:
+    """Make a video of the images that were recorded.
+
+    Args:
+        cameras: cameras that are put side by side; the first one if empty.
+        frame_period: from one frame to the next in the video, s.
+
+    Raises:
+        UsageError: there is no such camera, or the file exists.
+        DatasetError: an image is missing, altered or damaged; no video is left then.
+        ResourceError: see `VideoWriter`.
+    """
+    if not episode.record.cameras:
+        raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
+    chosen = _choose(cameras, tuple(episode.record.cameras))
+    return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
+
+
+def film_rendered(
+    episode: StoredEpisode,
+    session: Session,
+    cameras: Sequence[str],
+    path: Path,
+    frame_period: float,
+    *,
+    overwrite: bool,
+) -> Film:
+    """Make a video of an episode rendered anew.
+
+    Args:
+        session: of `shown_again`, with its meshes.
+
+    Raises:
+        DatasetError: the episode was not simulated, or in another scene.
+        UsageError, ResourceError: as for `film_recorded`.
+    """
+    with _simulator_of(episode, session) as simulator:
+        chosen = _choose(cameras, simulator.scene.cameras)
+        attempt = recorded_attempt(episode.record)
+        seen = (render(simulator, attempt, qpos, chosen) for qpos in positions(episode, simulator))
+        images = (np.concatenate(list(image.values()), axis=1) for image in seen)
+        return _film(images, chosen, path, frame_period, overwrite=overwrite)
+
+
+def _film(
+    images: Iterable[Image], cameras: tuple[str, ...], path: Path, frame_period: float, *, overwrite: bool
+) -> Film:
+    size = (0, 0)
+    with VideoWriter(path, frame_period, overwrite=overwrite) as video:
+        for image in images:
+            video.write(image)
+            size = (image.shape[1], image.shape[0])
+    return Film(path, video.frames, video.frames * frame_period, size, cameras, video.moved_aside)
+
+
+def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
+    for name in wanted:
+        if name not in valid:
+            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, valid)}")
+    return tuple(wanted) or (valid[0],)
+
+
+def shown_again(session: Session, size: tuple[int, int] | None = None) -> Session:
+    """A dataset's session with a wrist camera, even if none was recorded.
+
+    Args:
+        size: width and height of images, px; the recorded size unless given.
+    """
+    image = session.config.image
+    return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
+
+
+def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
+    """MuJoCo's positions (frames, nq) of a simulated episode.
+
+    Raises:
+        DatasetError: the episode was not simulated, or in another scene, or a file is damaged.
+    """
+    frames = episode.frames()
+    if not all(map(has_simulation, frames)):
+        raise DatasetError(
+            f"{episode.directory} holds no sim_qpos, so only its recorded images can be shown: --video without --render"
+        )
+    nq = simulator.scene.model.nq
+    for k, frame in enumerate(frames):
+        if len(frame["sim_qpos"]) != nq:
+            raise DatasetError(
+                f"{episode.directory}: frame {k} has {len(frame['sim_qpos'])} positions, and its scene {nq}: "
+                "it was made with another robot model or scene than its dataset says"
+            )
+    return np.array([frame["sim_qpos"] for frame in frames])
+
+
+def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
+    """The simulator of a session in which an episode took place."""
+    return simulator_for(session, EpisodeJob(episode.record.seed, episode.record.attempt))
+
+
+def play(
+    episode: StoredEpisode,
+    session: Session,
+    speed: float,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Play a simulated episode in a loop, see `view.show_scene`.
+
+    Args:
+        session: of the dataset's own config.
+        speed: how fast time passes; 1 is real time.
+
+    Raises:
+        DatasetError: the episode was not simulated, or is damaged.
+        UsageError, ResourceError: see `view.show_scene`.
+    """
+    record, config = episode.record, session.config
+    with _simulator_of(episode, shown_again(session)) as simulator:
+        states = positions(episode, simulator)
+        model = simulator.varied(recorded_attempt(record)).model
+        player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)
+        _show(player, episode, task_viewpoint(config), address, ready, stopped)
+
+
+def play_real(
+    episode: RecordedEpisode,
+    motion: Motion,
+    blueprint: Blueprint,
+    locations: Locations,
+    speed: float,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Play the measured motion of a real recording's arms in a loop, see `play`.
+
+    Args:
+        motion: of the recording's arms, in the order of the rig's recorded arms.
+
+    Raises:
+        UsageError, ResourceError: see `view.show_scene`.
+    """
+    _, model = at_home(blueprint, locations)
+    period = episode.record.frame_period_s
+    states = _measured_positions(motion, blueprint, model, period)
+    player = EpisodePlayer(str(episode.directory), model, states, period, speed)
+    _show(player, episode, frame_rig(blueprint.rig), address, ready, stopped)
+
+
+def _show(
+    player: EpisodePlayer,
+    episode: RecordedEpisode,
+    viewpoint: Viewpoint,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    def open_page(address: PageAddress) -> BodiesPage:
+        from ..episode_page import EpisodePage
+
+        return EpisodePage(player, viewpoint, address, RecordedImages(episode))
+
+    show_scene(player, viewpoint, address, open_page, ready, stopped)
+
+
+def _measured_positions(motion: Motion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
+    """MuJoCo's positions (n, nq) at even times, each of the latest measurement."""
+    rig = blueprint.rig
+    even = np.arange(0.0, motion.duration + period / 2, period)
+    rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)
+    states = np.tile(model.key_qpos[0], (len(even), 1))
+    for arm, number in zip(motion.arms, rig.recorded, strict=True):
+        robot, prefix = rig.arms[number].robot, rig.arms[number].prefix
+        for k, name in enumerate(robot.joint_names):
+            states[:, model.joint(prefix + name).qposadr[0]] = arm.joints[rows, k]
+        if robot.fingers is not None and arm.openings is not None:
+            for name, sign in zip(robot.fingers.joints, robot.finger_signs, strict=True):
+                states[:, model.joint(prefix + name).qposadr[0]] = sign * arm.openings[rows]
+    return states

@@ -1,0 +1,198 @@
+"""A composed scene as files: `scene.xml` and all files that the XML names.
+
+MuJoCo writes MJCF of its own version. For MuJoCo 3.3, all later versions and dm_control, the MJCF is translated: frames
+become part of their children's poses, and values whose defaults differ between versions are written out. A scene that
+3.3 cannot express is refused.
+"""
+
+from __future__ import annotations
+
+import io
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Iterable, Iterator
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.geometry.se3 import Array
+
+from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
+
+Reader = Literal["3.3", "4"]  # the oldest MuJoCo that can read a scene
+Element = ElementTree.Element
+
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip file; a constant date makes equal scenes equal bytes
+
+
+def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:
+    """Relative path -> content of a scene's files; equal specs give equal bytes.
+
+    Args:
+        model: the compiled `spec`.
+
+    Raises:
+        UsageError: the scene has something that `reader` does not know.
+    """
+    named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
+    files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
+    text = classic_xml(spec, model) if reader == "3.3" else spec.to_xml()
+    return {"scene.xml": text.encode(), **files}
+
+
+def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
+    """A zip file of `files` inside `folder`; equal files give equal bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(f"{folder}/{name}", _ZIP_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
+    return stream.getvalue()
+
+
+def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
+    """The MJCF of a scene for MuJoCo 3.3 and newer, with all digits.
+
+    Args:
+        model: the compiled `spec`.
+
+    Raises:
+        UsageError: the scene has something that 3.3 does not know.
+    """
+    root = ElementTree.fromstring(_as_authored(spec))
+    _write_defaults(root, model)
+    for body, number in zip(root.iter("body"), range(1, model.nbody), strict=True):
+        _write_inertia(body, model, number)
+    _unroll(_child(root, "worldbody"))
+    for light in root.iter("light"):
+        _write_light_type(light)
+    for number, actuator in enumerate(_child(root, "actuator")):
+        if model.actuator_ctrllimited[number]:
+            actuator.set("ctrlrange", _text(model.actuator_ctrlrange[number]))
+    _reduce(root, spec.modelname)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _as_authored(spec: mujoco.MjSpec) -> str:
+    """MuJoCo's own MJCF of the scene with all digits; of a compiled spec MuJoCo would round to six."""
+    compiler = spec.compiler
+    before = compiler.savecompiled, compiler.savecanonical
+    try:
+        compiler.savecompiled, compiler.savecanonical = False, True
+        text: str = spec.to_xml()
+    finally:
+        compiler.savecompiled, compiler.savecanonical = before
+    return text
+
+
+def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
+    """Write out the values whose defaults differ between versions.
+
+    `island`, on by default since 3.3.6, is left out: the flag only solves the same equations in parts, and makes older
+    versions colour each moving body by its island.
+    """
+    option = _child(root, "option")
+    option.set("ccd_iterations", str(model.opt.ccd_iterations))
+    # Since 3.8 a pair of convex geoms may touch at several points. Source: MuJoCo's changelog.
+    several = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    _child(option, "flag").set("multiccd", "enable" if several else "disable")
+    # 4.0 has a third value for the headlight, which looks the same as 1.
+    _child(_child(root, "visual"), "headlight").set("active", "1" if model.vis.headlight.active else "0")
+
+
+def _write_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
+    """Write out a mass of 0; otherwise MuJoCo 3.3.5 looks for the centre of the massless geoms."""
+    if model.body_mass[number] == 0 and body.find("inertial") is None:
+        place = {"pos": _text(model.body_ipos[number]), "quat": _text(model.body_iquat[number])}
+        body.insert(0, ElementTree.Element("inertial", {**place, "mass": "0", "diaginertia": "0 0 0"}))
+
+
+def _write_light_type(light: Element) -> None:
+    """Write a light's type as the attribute of 3.3.0."""
+    kind = light.get("type")
+    if kind in ("directional", "spot"):
+        del light.attrib["type"]
+        light.set("directional", "true" if kind == "directional" else "false")
+
+
+def _unroll(parent: Element) -> None:
+    """Replace every frame by its children, with the frame's pose and class, in place."""
+    for child in parent:
+        _unroll(child)
+    parent[:] = [item for child in parent for item in (_moved(child) if child.tag == "frame" else [child])]
+
+
+def _moved(frame: Element) -> Iterator[Element]:
+    position, quat = _numbers(frame, "pos", "0 0 0"), _numbers(frame, "quat", "1 0 0 0")
+    for child in frame:
+        if name := frame.get("childclass"):
+            attribute = "childclass" if child.tag == "body" else "class"
+            child.set(attribute, child.get(attribute, name))
+        child.set("pos", _text(position + _turned(_numbers(child, "pos", "0 0 0"), quat)))
+        match child.tag:
+            case "light":
+                child.set("dir", _text(_turned(_numbers(child, "dir", "0 0 -1"), quat)))
+            case "joint":
+                child.set("axis", _text(_turned(_numbers(child, "axis", "0 0 1"), quat)))
+            case _:
+                turn = np.empty(4)
+                mujoco.mju_mulQuat(turn, quat, _numbers(child, "quat", "1 0 0 0"))
+                child.set("quat", _text(turn))
+        yield child
+
+
+def _reduce(root: Element, scene: str) -> None:
+    """Remove the attributes that 3.3 does not need, and refuse those that 3.3 does not know."""
+    for where, element in _walk(root):
+        if where not in ATTRIBUTES:
+            raise UsageError(_unknown(scene, f"<{element.tag}>"))
+        known, optional, values = ATTRIBUTES[where], OPTIONAL.get(where, {}), VALUES.get(where, {})
+        for name, value in list(element.attrib.items()):
+            if name in optional and ((harmless := optional[name]) is None or value in harmless):
+                del element.attrib[name]
+            elif name not in known or value not in values.get(name, {value}):
+                raise UsageError(_unknown(scene, f'{name}="{value}" of <{element.tag}> {element.get("name", "")}'))
+
+
+def _unknown(scene: str, what: str) -> str:
+    return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 does not read, or otherwise: write it with --mujoco 4"
+
+
+def _walk(root: Element) -> Iterator[tuple[str, Element]]:
+    yield root.tag, root
+    for section in root:
+        for element in section.iter():
+            yield _key(section, element), element
+
+
+def _key(section: Element, element: Element) -> str:
+    if element is section or element.tag == "default":
+        return element.tag
+    if section.tag == "default":
+        return CLASS_ELEMENTS.get(element.tag, f"default/{element.tag}")
+    return f"{section.tag}/{element.tag}"
+
+
+def _child(parent: Element, tag: str) -> Element:
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if found is None else found
+
+
+def _turned(vector: Array, quat: Array) -> Array:
+    out = np.empty(3)
+    mujoco.mju_rotVecQuat(out, vector, quat)
+    return out
+
+
+def _numbers(element: Element, name: str, default: str) -> Array:
+    return np.array([float(number) for number in element.get(name, default).split()])
+
+
+def _text(numbers: Iterable[float]) -> str:
+    """Numbers as text that reads back to the same values; -0 becomes 0."""
+    return " ".join(repr(float(number) + 0.0).removesuffix(".0") for number in numbers)

@@ -1,0 +1,174 @@
+"""Writes driven attempts into the dataset, in order, after a worker process has rendered them."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+from typing import Protocol
+
+from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episode_record
+from yamsim_cli.core.dataset.writing.stage import Sink
+from yamsim_cli.core.episode.engine import Simulated, with_distractors
+from yamsim_cli.core.episode.payload import payload, result
+from yamsim_cli.core.episode.runner import require_meshes
+from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.types import EpisodeJob, EpisodePayload
+from yamsim_cli.core.workers.executor import Executor
+from yamsim_cli.core.workers.processes import WorkerPool
+
+SOURCE = "teleop"
+
+_POLL_SECONDS = 0.1  # s, between two checks whether a waiting writer was closed
+
+
+class DrivenRunner(Closing):
+    """Renders successful driven attempts, which were judged while they were driven.
+
+    Args:
+        render: whether successes become files.
+    """
+
+    def __init__(self, session: Session, *, render: bool = True) -> None:
+        self._render = render
+        if render:
+            require_meshes(session)
+        self._simulators = Simulators(session)
+        # Compiled at once, since the scene's files may be gone when the first attempt arrives.
+        self._simulators.of(EpisodeJob(session.config.seed, 0))
+
+    def run(self, driven: Simulated) -> EpisodePayload:
+        """The recorded bytes of an attempt."""
+        simulator, done = self._simulators.of(driven.attempt.job), driven
+        if done.outcome.success:
+            done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
+        return payload(simulator, done) if self._render else result(done)
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._simulators.close()
+
+
+DrivenExecutor = Executor[Simulated, EpisodePayload]
+
+
+def open_worker(session: Session) -> WorkerPool[Simulated, EpisodePayload]:
+    """A worker process, so that rendering does not delay the arm."""
+    return WorkerPool(functools.partial(DrivenRunner, session), 1)
+
+
+class AttemptReceiver(Protocol):
+    """Receives driven attempts."""
+
+    @property
+    def next_attempt(self) -> int:
+        """The number of the next attempt."""
+        ...
+
+    def submit(self, driven: Simulated) -> None:
+        """Receive an attempt."""
+        ...
+
+
+class AttemptWriter(Closing):
+    """Has driven attempts rendered, and writes them in order, in a thread of its own.
+
+    Writing an episode can take longer than a control tick. A context manager: on its exit, attempts that are not
+    written yet are given up. While it is open, no other code may use the sink or the executor.
+
+    Args:
+        written: called with an attempt's number once the attempt is in the sink.
+    """
+
+    def __init__(
+        self,
+        config: RecordConfig,
+        sink: Sink,
+        executor: DrivenExecutor,
+        written: Callable[[int], None] = lambda attempt: None,
+    ) -> None:
+        self._config, self._sink, self._executor, self._written = config, sink, executor, written
+        self._first = len(sink.attempts)
+        self._submitted = 0
+        self._ended = threading.Event()
+        self._thread = ThreadPoolExecutor(1, "yamsim-writer")
+        self._futures: deque[Future[AttemptRecord | None]] = deque()
+        self.trials: list[AttemptRecord] = []
+        self.episodes = sink.episodes
+
+    @property
+    def waiting(self) -> int:
+        """The number of submitted attempts that `next_written` has not returned yet."""
+        return len(self._futures)
+
+    @property
+    def next_attempt(self) -> int:
+        """The number of the next attempt."""
+        return self._first + self._submitted
+
+    def submit(self, driven: Simulated) -> None:
+        """Queue an attempt."""
+        self._submitted += 1
+        self._futures.append(self._thread.submit(self._process, driven))
+
+    def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
+        """The next attempt that is written; None if none is within `timeout` seconds.
+
+        Raises:
+            OSError: the disk refused something.
+            PartialJobError: the worker ended in each of several tries.
+            ResourceError: nothing can be rendered here.
+        """
+        if not self._futures:
+            return None
+        # A TimeoutError of the future could also be that of a network disk.
+        if not wait(list(self._futures)[:1], timeout).done:
+            return None
+        attempt = self._futures.popleft().result()
+        assert attempt is not None  # it is None only after `close`
+        self.trials.append(attempt)
+        self.episodes += attempt.episode is not None
+        return attempt
+
+    def _process(self, driven: Simulated) -> AttemptRecord | None:
+        try:
+            if self._ended.is_set():
+                return None
+            self._executor.submit(driven)
+            payload = self._payload()
+            return None if payload is None else self._write(payload)
+        except BaseException:
+            # Later attempts would leave a gap in the ledger.
+            self._ended.set()
+            raise
+
+    def _payload(self) -> EpisodePayload | None:
+        """The worker's result; None once the writer is closed."""
+        while not self._ended.is_set():
+            try:
+                return self._executor.result(_POLL_SECONDS)[1]
+            except TimeoutError:
+                continue
+        return None
+
+    def _write(self, payload: EpisodePayload) -> AttemptRecord:
+        number = self._sink.episodes if payload.outcome.success else None
+        if number is not None:
+            record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})
+            self._sink.publish(record, dict(payload.files))
+        attempt = attempt_record(payload, number)
+        self._sink.log(attempt)
+        self._written(attempt.attempt)
+        return attempt
+
+    def close(self) -> None:
+        """Give up the attempts that are not written yet."""
+        self._ended.set()
+        # An episode that is being written becomes whole.
+        self._thread.shutdown(wait=True, cancel_futures=True)

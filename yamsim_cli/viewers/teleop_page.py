@@ -1,0 +1,256 @@
+"""A browser page from which a person drives an arm, or two in turn, and records what they do."""
+
+from __future__ import annotations
+
+import html
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import numpy as np
+import viser
+
+from ..core.errors import counted
+from ..core.geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
+from .address import PageAddress
+from .bodies_page import BodiesPage
+from .driven import Driven, DriveStatus
+from .viewpoint import Viewpoint
+
+_GREEN, _RED = (46, 139, 87), (200, 40, 40)
+_STEP = 0.01  # m, shift of the target by a key
+_TURN = np.radians(5.0)  # rad, turn of the target about the vertical by a key
+_TYPING_PAUSE = 1.0  # s without a key after which typed numbers count: typing 0.15 must not move the target to 0
+
+# Key, description, shift of the target along the world's axes, and turn about the vertical.
+_MOVES = (
+    ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
+    ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
+    ("J", "Target to the left", (0, _STEP, 0), 0.0),
+    ("L", "Target to the right", (0, -_STEP, 0), 0.0),
+    ("Y", "Target up", (0, 0, _STEP), 0.0),
+    ("H", "Target down", (0, 0, -_STEP), 0.0),
+    ("U", "Turn the hand left", (0, 0, 0), _TURN),
+    ("O", "Turn the hand right", (0, 0, 0), -_TURN),
+)
+
+_KEYS = (
+    "Keys: **I K** away and back, **J L** left and right, **Y H** up and down, **U O** turn, "
+    "**N** point down, **G** gripper, **R** start or stop, **X** discard"
+)
+
+
+class TeleopPage(BodiesPage):
+    """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and obstacles in its path."""
+
+    def __init__(self, arm: Driven, viewpoint: Viewpoint, address: PageAddress) -> None:
+        super().__init__(arm, viewpoint, address)
+        self._arm = arm
+        self._dragged = False
+        # Most actions compute a new target from the current one, so actions run one after the other.
+        self._acting = threading.Lock()
+        self._notice = self._server.gui.add_html("")
+        self._add_recording()
+        self._add_hand()
+        self._gizmo = self._server.scene.add_transform_controls("/target", scale=0.12, line_width=3.0, depth_test=False)
+        self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_GREEN)
+        self._gizmo.on_update(self._drag)
+        self._server.on_client_disconnect(self._disconnect)
+        status = arm.status
+        magnet, other = "" if status.magnet is None else ", **M** magnet", ", **T** other arm" if status.arm else ""
+        self._server.gui.add_markdown(_KEYS + magnet + other)
+        for key, name, shift, turn in _MOVES:
+            self._add_key(name, key, lambda shift=shift, turn=turn: self._move(shift, turn))  # type: ignore[misc]
+        self.update()
+
+    def update(self) -> None:
+        """Send what has changed since the last call to all clients."""
+        super().update()
+        with self._acting:
+            if self._fields.ready:
+                self._take_typed()
+            if not self._dragged:
+                self._show_target()
+        self._show(self._arm.status)
+
+    def _add_recording(self) -> None:
+        icons = viser.Icon
+        self._start = self._add_button("Start recording", self._arm.start, icon=icons.PLAYER_RECORD, color=_GREEN)
+        self._stop = self._add_button("Stop and judge", self._arm.stop, icon=icons.PLAYER_STOP, color=_RED)
+        self._discard = self._add_button("Discard", self._arm.discard, icon=icons.TRASH)
+        self._add_key("Start or stop recording", "R", self._start_or_stop)
+        self._add_key("Discard the recording", "X", self._arm.discard)
+
+    def _add_hand(self) -> None:
+        if self._arm.status.arm:
+            name = "Drive the other arm"
+            self._add_button(name, self._arm.switch_arm, icon=viser.Icon.SWITCH_HORIZONTAL)
+            self._add_key(name, "T", self._arm.switch_arm)
+        self._gripper = self._add_button("Close gripper", self._arm.toggle_gripper)
+        self._magnet: viser.GuiButtonHandle | None = None
+        if self._arm.status.magnet is not None:
+            self._magnet = self._add_button("Magnet on", self._switch_magnet)
+            self._add_key("Magnet on or off", "M", self._switch_magnet)
+        self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
+        self._add_button(
+            "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table"
+        )
+        self._add_key("Point the hand down", "N", self._point_down)
+        self._fields = TargetFields(self._server.gui)
+
+    def _add_button(self, label: str, act: Callable[[], None], **looks: Any) -> viser.GuiButtonHandle:
+        button = self._server.gui.add_button(label, **looks)
+        button.on_click(self._queued(act))
+        return button
+
+    def _add_key(self, name: str, key: Any, act: Callable[[], None]) -> None:
+        self._server.gui.add_command(name, hotkey=key).on_trigger(self._queued(act))
+
+    def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """A callback of a button or a key that runs after the callbacks of earlier presses."""
+
+        # A coroutine runs in the server's own loop. In threads, two quick keys could overtake each other, or be lost.
+        async def act_queued(_: Any) -> None:
+            with self._acting:
+                self._take_typed()
+                act()
+
+        return act_queued
+
+    def _take_typed(self) -> None:
+        if self._fields.typed:
+            self._arm.aim(self._fields.take(self._arm.target))
+
+    def _start_or_stop(self) -> None:
+        if self._arm.status.recording:
+            self._arm.stop()
+        else:
+            self._arm.start()
+
+    # A coroutine runs in the server's own loop, where a client that comes back is counted first.
+    async def _disconnect(self, _: viser.ClientHandle) -> None:
+        if not self._server.get_clients():
+            self._arm.leave()
+
+    def _switch_magnet(self) -> None:
+        self._arm.set_magnet(not self._arm.status.magnet)
+
+    def _move(self, shift: tuple[float, float, float], turn: float) -> None:
+        target = self._arm.target
+        self._arm.aim(pose(target[:3, 3] + shift, rotation_z(turn) @ target[:3, :3]))
+
+    def _point_down(self) -> None:
+        target = self._arm.target
+        y = rotation_z(heading_of(target))[:, 0]
+        down = np.array([0.0, 0.0, -1.0])
+        self._arm.aim(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
+
+    # A coroutine runs in the server's own loop, so that a drag's steps stay in order.
+    async def _drag(self, event: viser.TransformControlsEvent) -> None:
+        with self._acting:
+            self._take_typed()
+            self._dragged = event.phase != "end"
+            self._arm.aim(pose_from_quat(event.target.position, event.target.wxyz))
+
+    def _show_target(self) -> None:
+        target = self._arm.target
+        self._gizmo.position, self._gizmo.wxyz = target[:3, 3], quat_from_rotation(target[:3, :3])
+        self._fields.show(target)
+
+    def _show(self, status: DriveStatus) -> None:
+        self._ball.color = _GREEN if status.free else _RED
+        self._notice.content = _notice(status)
+        self._start.disabled = status.recording
+        self._stop.disabled = self._discard.disabled = not status.recording
+        self._gripper.label = "Close gripper" if status.gripper_open else "Open gripper"
+        if self._magnet is not None:
+            self._magnet.label = "Magnet off" if status.magnet else "Magnet on"
+        whose = f"{status.arm} arm, " if status.arm else ""
+        state = f"**recording {status.seconds:.1f} s**" if status.recording else "not recording"
+        if self._arm.paused:
+            state += ", paused"
+        waiting = f", {status.waiting} being judged and rendered" if status.waiting else ""
+        done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
+        task = "  \n".join(filter(None, (status.prompt and f"**{status.prompt}**", status.goal)))
+        self._status.content = f"{task}\n\n" * bool(task) + f"{whose}{state}  \n{done}  \n{status.message}"
+
+
+def _notice(status: DriveStatus) -> str:
+    """HTML with the reasons why the hand cannot reach its target, in red; or that the hand follows, in green."""
+    reasons = []
+    if status.blocked:
+        reasons.append(f"{status.blocked} is in the way")
+    if status.apart:
+        reasons.append(f"the target is {status.apart * 100:.1f} cm out of reach")
+    if status.at_limit:
+        reasons.append(f"{', '.join(status.at_limit)} at its stop")
+    held = ", and holds the object" if status.holds else ""
+    text = "; ".join(reasons) or f"the hand follows{held}"
+    red, green, blue = _RED if reasons else _GREEN
+    style = f"color: rgb({red}, {green}, {blue}); padding: 0 1em 0.5em; font-size: 0.9em"
+    return f'<div style="{style}">{html.escape(text)}</div>'
+
+
+class TargetFields:
+    """Fields with the hand's target, in which a person can type another target.
+
+    The fields follow the target until a person types, and then keep the typed numbers until `take`. Not to be called
+    from several threads at once; only typing comes from the server's own thread.
+    """
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
+        self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
+        self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
+        # Time of the last key, on a steady clock; None if nothing is typed.
+        self._typed_at: float | None = None
+        # Coroutines run in the server's own loop, so that typing is noted before any later action.
+        self._place.on_update(self._type)
+        self._heading.on_update(self._type)
+
+    @property
+    def typed(self) -> bool:
+        """Whether typed numbers wait to be taken."""
+        return self._typed_at is not None
+
+    @property
+    def ready(self) -> bool:
+        """Whether typed numbers wait to be taken, and the typing has ended."""
+        typed_at = self._typed_at
+        return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
+
+    def take(self, target: Array) -> Array:
+        """`target` (4, 4) in `world` with the typed numbers in it."""
+        self._typed_at = None
+        (x, y, z), heading = self._place.value, self._heading.value
+        (shown_place, shown_heading), T = self._shown, target.copy()
+        # Numbers that were not changed keep the target's full precision.
+        for axis, (number, shown) in enumerate(zip((x, y, z), shown_place, strict=True)):
+            if number != shown:
+                T[axis, 3] = number
+        if heading != shown_heading:
+            T[:3, :3] = rotation_z(np.radians(heading) - heading_of(target)) @ target[:3, :3]
+        self._shown = ((x, y, z), heading)
+        return T
+
+    def show(self, target: Array) -> None:
+        """Show the target, unless someone is typing."""
+        x, y, z = (round(float(part), 3) for part in target[:3, 3])
+        numbers = ((x, y, z), round(float(np.degrees(heading_of(target))), 1))
+        # Compared with the last shown numbers: the fields may hold typed numbers that are not noted yet.
+        if self.typed or numbers == self._shown:
+            return
+        self._shown = numbers
+        # viser's setters take more types than their getters return, which mypy cannot express.
+        self._place.value, self._heading.value = numbers  # type: ignore[misc]
+
+    async def _type(self, event: Any) -> None:
+        # Without a client, `show` changed the fields.
+        if event.client is not None:
+            self._typed_at = time.monotonic()
+
+
+def heading_of(T: Array) -> float:
+    """The direction of the hand's y axis, along which the fingers close, in the world's xy plane, rad."""
+    return float(np.arctan2(T[1, 1], T[0, 1]))

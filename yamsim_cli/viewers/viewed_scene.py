@@ -1,0 +1,229 @@
+"""Scenes that viewers show: a rig simulated in real time, and a recorded episode that is played."""
+
+from __future__ import annotations
+
+import abc
+import threading
+from dataclasses import dataclass
+
+import mujoco
+
+from ..core.config.rig import ArmConfig, RigConfig
+from ..core.geometry.se3 import Array, quat_from_rotation
+from ..core.scene.fiducials import BOARD_BODY, MOUNT_BODY
+
+_MAX_CATCH_UP = 0.1  # s; after a stall, such as a sleep of the machine, physics skips the rest of the time it missed
+
+
+class ViewedScene(abc.ABC):
+    """A scene whose state changes while viewers show it. Its methods may be called from any thread.
+
+    Attributes:
+        title: title of the page's tab.
+        model, data: the scene and its state; a page shows another model as soon as `model` is replaced.
+        paused: whether the scene stands still.
+        lock: held while the state is changed or read. A page's controls act in threads of their own.
+    """
+
+    title: str
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.paused = False
+        self._last: float | None = None
+
+    @property
+    @abc.abstractmethod
+    def time(self) -> float:
+        """Simulated time, s."""
+
+    @abc.abstractmethod
+    def advance(self, now: float) -> None:
+        """Move on to `now`, s on a steady clock."""
+
+    @abc.abstractmethod
+    def reset(self) -> None:
+        """Go back to the beginning."""
+
+    def body_poses(self) -> tuple[Array, Array]:
+        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
+        with self.lock:
+            return self.data.xpos.copy(), self.data.xquat.copy()
+
+    def cloth_points(self) -> Array:
+        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        with self.lock:
+            points: Array = self.data.flexvert_xpos.copy()
+            return points
+
+    def _elapsed(self, now: float) -> float:
+        """Seconds since the last call, 0 at the first call."""
+        elapsed = 0.0 if self._last is None else now - self._last
+        self._last = now
+        return elapsed
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One position drive that a person can set.
+
+    Attributes:
+        arm: name of its arm.
+        name: its own name, without the arm's prefix.
+        actuator: its index in `ctrl`.
+        low, high, home: its range, and its command in keyframe `home`, in `unit`.
+        unit: `rad`, or `m` for a gripper, whose command is the opening of one finger.
+    """
+
+    arm: str
+    name: str
+    actuator: int
+    low: float
+    high: float
+    home: float
+    unit: str
+
+
+class LiveRig(ViewedScene):
+    """A rig simulated in real time, whose joints a person moves while watching.
+
+    Args:
+        model: a compiled rig, with or without a task's objects, whose first keyframe is `home`.
+        title: title of the page's tab; the rig's name unless given.
+    """
+
+    def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
+        super().__init__()
+        self.rig = rig
+        self.title = title or rig.name
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.drives = tuple(_drive(model, arm, name) for arm in rig.arms for name in arm.robot.drives)
+        self._owed = 0.0
+        self.reset()
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last reset, s."""
+        return float(self.data.time)
+
+    def reset(self) -> None:
+        """Go back to keyframe `home`, at rest, with every drive holding its place."""
+        with self.lock:
+            mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+            self._follow_bases()
+            mujoco.mj_forward(self.model, self.data)
+
+    def command(self, drive: Drive, value: float) -> None:
+        """Set a drive's command, in its unit; a value outside its range is clipped."""
+        with self.lock:
+            self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
+
+    def place(self, margin: float) -> None:
+        """Change the distance (m) between the arms; boards and mounts move with them."""
+        with self.lock:
+            self.rig = self.rig.model_copy(update={"margin": margin})
+            for k, arm in enumerate(self.rig.arms):
+                T = self.rig.T_base_in_world(k)
+                base = self.model.body(arm.prefix + arm.robot.base)
+                base.pos[:], base.quat[:] = T[:3, 3], quat_from_rotation(T[:3, :3])
+            self._follow_bases()
+            mujoco.mj_forward(self.model, self.data)
+
+    def _follow_bases(self) -> None:
+        """Move boards and mounts to their arm's base: a reset puts them where they were compiled."""
+        for arm in self.rig.arms:
+            base = self.model.body(arm.prefix + arm.robot.base)
+            for body in (BOARD_BODY, MOUNT_BODY):
+                number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, arm.prefix + body)
+                if number >= 0:
+                    mocap = self.model.body_mocapid[number]
+                    self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
+
+    def advance(self, now: float) -> None:
+        """Step physics up to `now`, s on a steady clock; while paused, no step is made."""
+        with self.lock:
+            elapsed = self._elapsed(now)
+            if self.paused:
+                return
+            timestep = self.model.opt.timestep
+            self._owed = min(self._owed + elapsed, _MAX_CATCH_UP)
+            steps = int(self._owed / timestep)
+            if steps:
+                mujoco.mj_step(self.model, self.data, nstep=steps)
+                self._owed -= steps * timestep
+
+
+def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:
+    actuator = model.actuator(arm.prefix + name).id
+    low, high = (float(end) for end in model.actuator_ctrlrange[actuator])
+    home = float(model.key_ctrl[0, actuator])
+    return Drive(arm.name, name, actuator, low, high, home, "rad" if name in arm.robot.joint_drives else "m")
+
+
+class EpisodePlayer(ViewedScene):
+    """Plays recorded states in a loop, without physics.
+
+    Args:
+        title: title of the page's tab.
+        model: the scene.
+        positions: MuJoCo's positions (frames, nq), a row for each frame.
+        frame_period: simulated time from one frame to the next, s.
+        speed: how fast time passes; 1 is real time.
+    """
+
+    def __init__(
+        self, title: str, model: mujoco.MjModel, positions: Array, frame_period: float, speed: float = 1.0
+    ) -> None:
+        super().__init__()
+        self.title = title
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.frame_period = frame_period
+        self._positions = positions
+        self._speed = speed
+        self._time = 0.0
+        self.reset()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self._positions)
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame that is shown."""
+        return min(int(self._time / self.frame_period), self.frames - 1)
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the first frame, s."""
+        return self._time
+
+    def reset(self) -> None:
+        """Go back to the first frame."""
+        self.seek(0)
+
+    def seek(self, frame: int) -> None:
+        """Show one frame, and play on from there."""
+        with self.lock:
+            # The middle of the frame, where rounding does not matter.
+            self._time = (frame + 0.5) * self.frame_period
+            self._show()
+
+    def advance(self, now: float) -> None:
+        """Play up to `now`, s on a steady clock; while paused, nothing moves."""
+        with self.lock:
+            elapsed = self._elapsed(now)
+            if not self.paused:
+                self._time = (self._time + elapsed * self._speed) % (self.frames * self.frame_period)
+            self._show()
+
+    def _show(self) -> None:
+        self.data.qpos[:] = self._positions[self.frame]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        mujoco.mj_flex(self.model, self.data)

@@ -1,0 +1,66 @@
+"""A viewer's first camera pose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.config.rig import RigConfig
+from ..core.geometry.se3 import Array
+
+FOV_DEG = 45.0  # vertical
+_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # from the front, to one side and above
+
+# A ball around an arm at rest and its board, which has to be in the picture.
+_BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
+_BALL_RADIUS = 0.34  # m
+_TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera in orbit around a point, in MuJoCo's terms.
+
+    Attributes:
+        look_at: the point (3,) in `world`, m.
+        distance: distance from the point, m.
+        azimuth_deg: heading of the line of sight about world z, from +x.
+        elevation_deg: angle of the line of sight above the horizon; a negative one looks down.
+    """
+
+    look_at: Array
+    distance: float
+    azimuth_deg: float
+    elevation_deg: float
+
+    @property
+    def position(self) -> Array:
+        """The camera's position (3,) in `world`, m."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        sight = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+        return self.look_at - self.distance * np.array(sight)
+
+
+def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
+    """A view of a table and its arms.
+
+    Args:
+        x, y, z: the point in `world` to look at, m.
+        span: distance between the outermost arms' bases, m.
+    """
+    return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
+
+
+def frame_rig(rig: RigConfig) -> Viewpoint:
+    """A view of all arms and boards of a rig."""
+    bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
+    centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
+    look_at: Array = centres.mean(axis=0)
+    return _framing(look_at, _BALL_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
+
+
+def _framing(look_at: Array, radius: float) -> Viewpoint:
+    """A view that holds a ball of this radius, m."""
+    return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

@@ -1,0 +1,92 @@
+"""MuJoCo's own window."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ..core.errors import ResourceError
+from .viewed_scene import ViewedScene
+from .viewpoint import Viewpoint
+
+_KEY_SPACE = 32  # GLFW's code
+_CLOSE_SECONDS = 5.0  # s that the window's thread may take to end; the thread renders at most one more picture
+
+
+def run_window(
+    shown: ViewedScene, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
+) -> None:
+    """Show a model until the window is closed, or `stopped` returns True.
+
+    The window's Control sliders drive a live rig's joints. Space pauses; the window's reset, or backspace, goes home.
+
+    Args:
+        period: time between two pictures, s.
+        ready: called when the window is open, unless `stopped` returns True before.
+
+    Raises:
+        ResourceError: no window can be opened here.
+    """
+    _check_display()
+    with _window(shown) as viewer:
+        with viewer.lock():
+            viewer.cam.lookat[:] = viewpoint.look_at
+            viewer.cam.distance = viewpoint.distance
+            viewer.cam.azimuth, viewer.cam.elevation = viewpoint.azimuth_deg, viewpoint.elevation_deg
+        if not stopped():
+            ready()
+        while viewer.is_running() and not stopped():
+            began = time.monotonic()
+            shown.advance(began)
+            then = shown.time
+            viewer.sync()
+            if shown.time < then:
+                # The window's own reset puts every joint at zero, where the arms intersect themselves.
+                shown.reset()
+            time.sleep(max(0.0, began + period - time.monotonic()))
+
+
+@contextlib.contextmanager
+def _window(shown: ViewedScene) -> Iterator[Any]:
+    import mujoco.viewer
+
+    def press(key: int) -> None:
+        if key == _KEY_SPACE:
+            shown.paused = not shown.paused
+
+    others = set(threading.enumerate())
+    try:
+        viewer = mujoco.viewer.launch_passive(shown.model, shown.data, key_callback=press)
+    except RuntimeError as error:
+        raise ResourceError(f"MuJoCo's window cannot be opened ({error}): use --web") from error
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+        # The window's thread must end before the interpreter does, or it reads memory that is freed.
+        for thread in set(threading.enumerate()) - others:
+            thread.join(_CLOSE_SECONDS)
+
+
+def _check_display() -> None:
+    """Open an invisible window first: where that fails, MuJoCo's viewer would wait for its own window for ever."""
+    try:
+        import glfw
+    except ImportError as error:
+        raise ResourceError(f"MuJoCo's window needs GLFW ({error}): use --web") from error
+
+    # The callback stays set. By default, GLFW's remarks on features that a desktop lacks would go to stderr.
+    reasons = ["GLFW gives no reason"]
+    glfw.set_error_callback(lambda _, text: reasons.append(os.fsdecode(text)))
+    window = None
+    if glfw.init():
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(16, 16, "", None, None)
+        glfw.default_window_hints()
+    if not window:
+        raise ResourceError(f"no window can be opened on this display ({reasons[-1]}): use --web")
+    glfw.destroy_window(window)
