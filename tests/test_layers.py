@@ -46,7 +46,7 @@ FLOORS: dict[str, int] = {
     "photos": 10,
     "policies": 10,
     "real": 10,
-    "record": 10,
+    "recording": 10,
     "viewers": 10,
     # What joins wings, and what users start or import.
     "camera_reader": 11,
@@ -103,7 +103,7 @@ CONFINED = {
     "rich": {"commands", "flags", "terminal"},
     "reportlab": {"photos.board_sheet"},
     "viser": {"viewers"},
-    "ray": {"record.ray_pool"},
+    "ray": {"recording.ray_pool"},
     "av": {"core.images.video"},
     "pyarrow": {"export", "real.recordings.lerobot_files"},
     "mcap": {"real.recordings.mcap_file"},

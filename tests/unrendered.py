@@ -23,7 +23,7 @@ from yamsim_cli.core.files.documents.document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.types import EpisodePayload
-from yamsim_cli.record.collect import episode_record
+from yamsim_cli.recording.collect import episode_record
 
 SIZE = (24, 16)
 

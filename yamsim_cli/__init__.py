@@ -12,7 +12,7 @@ __version__ = "0.2.0"
 _PUBLIC = {
     **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
     **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),
-    "RecordReport": "core.record.recorder",
+    "RecordReport": "recording.recorder",
     **dict.fromkeys(("StoredEpisode", "StoredEpisodes"), "core.dataset.reader"),
     **dict.fromkeys(("EpisodeRecord", "OutcomeRecord"), "core.dataset.records"),
     **dict.fromkeys(

@@ -16,7 +16,7 @@ from .opener import Opener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
-    from .record.recorder import RecordReport
+    from .recording.recorder import RecordReport
 
 
 def _keyword(setting: str) -> str:
@@ -76,10 +76,10 @@ def record(
 
     from .core.dataset.writing.opening import OpenMode
     from .core.workers.stop import Stop
-    from .record.collect import Notifier
-    from .record.destination import Output
-    from .record.executors import LocalProcesses, ThisProcess
-    from .record.recorder import record as run
+    from .recording.collect import Notifier
+    from .recording.destination import Output
+    from .recording.executors import LocalProcesses, ThisProcess
+    from .recording.recorder import record as run
 
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
     watch = Notifier(lambda *_: None, lambda text: None)

@@ -173,7 +173,7 @@ def test_the_pages_name_only_flags_that_exist() -> None:
     flag = r"(?<!\S)--[a-z][a-z-]*(?![\w.])"
     # What measures, and other programs, have flags of their own.
     codes = [
-        code for code in re.findall(r"`([^`]+)`", text) if not re.search(r"python -m tests\.|^inspect-robots ", code)
+        code for code in re.findall(r"`([^`]+)`", text) if not re.search(r"python -m tools\.|^inspect-robots ", code)
     ]
     named = {name for code in codes for name in re.findall(flag, code)}
     assert named - known == set()

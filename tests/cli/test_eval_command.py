@@ -14,7 +14,7 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 
-SAMPLES = Path(__file__).parents[1] / "core" / "policies" / "sample_policies.py"
+SAMPLES = Path(__file__).parents[1] / "policies" / "sample_policies.py"
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ import yamsim_cli
 from tests.known_gl import remember_backend
 
 # Modules that few commands use, and that change what others do: gymnasium's are registered, Ray's takes signals.
-_LEFT_OUT = ("yamsim_cli.gym_env", "yamsim_cli.record.ray_pool", "yamsim_cli.__main__")
+_LEFT_OUT = ("yamsim_cli.gym_env", "yamsim_cli.recording.ray_pool", "yamsim_cli.__main__")
 
 
 def import_everything() -> None:

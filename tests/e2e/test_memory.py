@@ -16,10 +16,10 @@ from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.processes import WorkerPool
 from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.executors import LocalProcesses
-from yamsim_cli.record.recorder import record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.executors import LocalProcesses
+from yamsim_cli.recording.recorder import record
 
 # What 2,000 episodes may add to any one process.
 LIMIT_MB = 50.0

@@ -16,10 +16,10 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.datasets.verify import CHECKS, EpisodeVerifier, Tolerances
 from yamsim_cli.opener import Opener
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.executors import ThisProcess
-from yamsim_cli.record.recorder import record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.recording.recorder import record
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 

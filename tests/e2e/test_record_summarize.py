@@ -19,7 +19,7 @@ import yaml
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.pictures import ImageConfig
 from yamsim_cli.gl import GlBackend
-from yamsim_cli.record.space import EpisodeSize
+from yamsim_cli.recording.space import EpisodeSize
 
 pytestmark = pytest.mark.render
 

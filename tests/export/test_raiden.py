@@ -261,7 +261,7 @@ def test_an_existing_directory_is_kept_or_moved_aside(dataset: Path, locations: 
 
 @pytest.mark.parametrize(
     ("function", "options"),
-    [("files._fsync", SOURCE), ("export.raiden_episode._write", NEAREST)],
+    [("core.files.writing._fsync", SOURCE), ("export.raiden_episode._write", NEAREST)],
     ids=["end", "pictures"],
 )
 def test_a_full_disk_is_reported_and_leaves_nothing(
@@ -275,7 +275,7 @@ def test_a_full_disk_is_reported_and_leaves_nothing(
     def full(path: Path, *data: bytes) -> None:
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(f"yamsim_cli.core.{function}", full)
+    monkeypatch.setattr(f"yamsim_cli.{function}", full)
     with pytest.raises(PartialJobError, match="nothing was exported"):
         write(dataset, tmp_path / "out", locations, options, "0")
     assert list(tmp_path.iterdir()) == []

@@ -35,10 +35,10 @@ from yamsim_cli.datasets.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.kitchen_scenes import task_of
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
 from yamsim_cli.opener import Opener
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.executors import ThisProcess
-from yamsim_cli.record.recorder import record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.recording.recorder import record
 
 SCENE = next(scene for scene in tasks.TASK_FACTORIES["stack"]().scenes if scene.id == "stack-tight-spacing")
 NAME = "kitchenbench/stack/tight-spacing"

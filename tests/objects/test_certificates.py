@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.record.fake_episodes import Recording
+from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig

@@ -25,10 +25,10 @@ from yamsim_cli.core.episode.payload import render
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.executors import LocalProcesses
-from yamsim_cli.record.recorder import record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.executors import LocalProcesses
+from yamsim_cli.recording.recorder import record
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -16,8 +16,8 @@ from yamsim_cli.terminal.console import note, note_moved, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.record.executors import Executors
-    from yamsim_cli.record.recorder import RecordReport
+    from yamsim_cli.recording.executors import Executors
+    from yamsim_cli.recording.recorder import RecordReport
 
 _STOPPING = "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 
@@ -83,9 +83,9 @@ def record(
     mode = open_mode(resume=resume, overwrite=overwrite)
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
-    from yamsim_cli.record.collect import Notifier
-    from yamsim_cli.record.destination import Output
-    from yamsim_cli.record.recorder import record as run
+    from yamsim_cli.recording.collect import Notifier
+    from yamsim_cli.recording.destination import Output
+    from yamsim_cli.recording.recorder import record as run
 
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
@@ -95,7 +95,7 @@ def record(
 
 
 def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:
-    from yamsim_cli.record.executors import LocalProcesses, RayCluster
+    from yamsim_cli.recording.executors import LocalProcesses, RayCluster
 
     if kind == "process":
         if address is not None:

@@ -80,7 +80,7 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
 
 
 def _in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
-    call = python_call("core.things.convex.in_child", str(scratch))
+    call = python_call("objects.convex.in_child", str(scratch))
     furthest = 0.0
 
     def report_progress() -> int:

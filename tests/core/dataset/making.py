@@ -9,6 +9,7 @@ import numpy as np
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 
 CAMERA = "scene_camera"
@@ -105,3 +106,12 @@ def publish(writer: DatasetWriter, episode: Made) -> None:
 
 def failed_attempt(attempt: int) -> AttemptRecord:
     return AttemptRecord(attempt=attempt, seed=7, episode=None, outcome=FAILURE, layout={})
+
+
+def write_dataset(path: Path, *episodes: Made) -> Path:
+    """Writes a dataset of these episodes, three by default."""
+    with DatasetWriter(path, CONFIG, OpenMode.NEW) as writer:
+        for episode in episodes or [made(k) for k in range(3)]:
+            publish(writer, episode)
+        writer.finish()
+    return path

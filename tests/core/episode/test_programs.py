@@ -31,10 +31,10 @@ from yamsim_cli.datasets.checks.episode import check_episode
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Tolerances
 from yamsim_cli.policies.evaluate.choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.executors import ThisProcess
-from yamsim_cli.record.recorder import record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.recording.recorder import record
 
 
 @pytest.fixture(scope="module")

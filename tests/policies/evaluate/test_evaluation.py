@@ -27,7 +27,7 @@ from yamsim_cli.policies.evaluate.choice import PolicyChoice
 from yamsim_cli.policies.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
 from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 
-SAMPLES = Path(__file__).parents[1] / "policies"
+SAMPLES = Path(__file__).parents[1]
 N = 12
 
 

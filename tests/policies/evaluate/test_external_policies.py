@@ -400,7 +400,7 @@ def test_a_server_that_trickles_is_too_slow(mapping: str, config: RecordConfig, 
 
 def test_a_chunks_fate_is_reported(config: RecordConfig, locations: Locations) -> None:
     choice = PolicyChoice(
-        "sample_policies.py:Chunked", HERE.parent / "policies", time_limit=1.28, arguments={"actions": 5},
+        "sample_policies.py:Chunked", HERE.parent, time_limit=1.28, arguments={"actions": 5},
         chunking=Chunking(execute=4, latency=0.09),
     )  # fmt: skip
     session = Session(config, locations)

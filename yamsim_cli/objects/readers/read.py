@@ -83,7 +83,7 @@ def _read_as_is(path: Path) -> ReadThing:
 def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:
     out = scratch / "out"
     out.mkdir()
-    call = python_call("core.thing_files.child.main", str(path), str(path.parent), str(out), int(np.ceil(seconds)))
+    call = python_call("objects.readers.child.main", str(path), str(path.parent), str(out), int(np.ceil(seconds)))
     # One thread, since each thread reserves memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
     limit = _BUSY * seconds

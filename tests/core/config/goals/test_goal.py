@@ -6,12 +6,13 @@ import math
 
 import pytest
 from pydantic import ValidationError
-from yamsim_cli.still_world import StillWorld, flat_sheet, folded_sheet
 
 from yamsim_cli.core.config.goals.cast import Cast
 from yamsim_cli.core.config.goals.goal import Goal, judge
 from yamsim_cli.core.config.goals.predicates import PREDICATES
 from yamsim_cli.core.geometry.se3 import Array, pose
+
+from .still_world import StillWorld, flat_sheet, folded_sheet
 
 Place = tuple[float, float, float]
 CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})

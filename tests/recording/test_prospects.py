@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.record.fake_episodes import Inline, Recording, payload
+from tests.recording.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-from yamsim_cli.record.prospects import GaveUpError, no_better_start
+from yamsim_cli.recording.prospects import GaveUpError, no_better_start
 
 Make = Callable[..., RecordConfig]
 Asked = list[tuple[Cause, int]]
@@ -34,7 +34,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
         asked.append((cause, first))
         return cause is Cause.UNREACHABLE
 
-    monkeypatch.setattr("yamsim_cli.record.recorder.no_better_start", answer)
+    monkeypatch.setattr("yamsim_cli.recording.recorder.no_better_start", answer)
     return asked
 
 
@@ -82,7 +82,7 @@ def test_where_a_start_is_better_it_goes_on(recording: Recording, monkeypatch: p
         asked.append(first)
         return False
 
-    monkeypatch.setattr("yamsim_cli.record.recorder.no_better_start", answer)
+    monkeypatch.setattr("yamsim_cli.recording.recorder.no_better_start", answer)
     recording.run(Inline(failing(Cause.UNREACHABLE, but=lambda attempt: attempt >= 25)))
     assert recording.causes() == ["unreachable"] * 25 + [None] * 5
     assert asked == [10], "once is enough"
@@ -168,5 +168,5 @@ def test_starts_tell_whether_anything_is_in_reach(
     cause: Cause,
     wanted: bool,
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.record.prospects.MORE_STARTS", 20)
+    monkeypatch.setattr("yamsim_cli.recording.prospects.MORE_STARTS", 20)
     assert no_better_start(Session(make_config(changes), locations), cause, 10) is wanted

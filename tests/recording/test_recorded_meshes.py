@@ -16,7 +16,7 @@ from tests.attempts import planned
 from tests.core.dataset.making import tree
 from tests.meshes import box
 from tests.programs import session_of
-from tests.record.fake_episodes import Inline, Recording
+from tests.recording.fake_episodes import Inline, Recording
 from tests.stand_in_meshes import stand_ins
 from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
@@ -31,7 +31,7 @@ from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.workers.executor import InlineExecutor
-from yamsim_cli.record.executors import pack, unpack, unpacked_runner
+from yamsim_cli.recording.executors import pack, unpack, unpacked_runner
 
 Make = Callable[..., RecordConfig]
 ARM, YCB, SMALL, OBJECTS = "i2rt_yam_crank", "ycb", "ycb_small", "ycb_objects"
@@ -154,7 +154,7 @@ class TestOfAnEarlierVersion:
     @pytest.fixture
     def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
         with monkeypatch.context() as patch:
-            patch.setattr("yamsim_cli.record.recorder.noting_meshes", lambda session: session)
+            patch.setattr("yamsim_cli.recording.recorder.noting_meshes", lambda session: session)
             recording.run()
         assert says_nothing(recording.path)
         return recording

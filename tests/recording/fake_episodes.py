@@ -16,9 +16,9 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Outcome
 from yamsim_cli.core.workers.executor import LostJobError
 from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output
-from yamsim_cli.record.recorder import RecordReport, record
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output
+from yamsim_cli.recording.recorder import RecordReport, record
 
 FRAMES = 1
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.core.dataset.making import tree
-from tests.record.fake_episodes import Recording
+from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG
 from yamsim_cli.core.dataset.writing.integrity import inspect_episodes

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import tree
-from tests.record.fake_episodes import Inline, Recording
+from tests.recording.fake_episodes import Inline, Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
 from yamsim_cli.core.dataset.writing import stage as stage_module

@@ -15,8 +15,8 @@ from yamsim_cli.core.errors import ResourceError, SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError, run_all
-from yamsim_cli.record.executors import RayCluster
-from yamsim_cli.record.ray_pool import RayPool
+from yamsim_cli.recording.executors import RayCluster
+from yamsim_cli.recording.ray_pool import RayPool
 
 
 def test_without_ray_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.core.dataset.making import made
+from tests.core.dataset.making import made, write_dataset
 from yamsim_cli.core.config.pictures import ImageConfig
 from yamsim_cli.core.dataset.disk_faults import explain, reason
 from yamsim_cli.core.dataset.records import Manifest, from_json
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.record.space import EpisodeSize, check_space, files_per_episode
+from yamsim_cli.recording.space import EpisodeSize, check_space, files_per_episode
 
 SIZE = EpisodeSize(least=1_000_000, likely=4_000_000, least_inodes=100, inodes=120)
 
@@ -74,9 +74,10 @@ def test_ground_truth_is_counted() -> None:
     assert 0.7 < (truth.likely - plain.likely) / 3_500_000 < 2
 
 
-def test_episodes_that_are_there_teach_what_the_next_will_take(dataset: Path, disk: SimpleNamespace) -> None:
+def test_episodes_that_are_there_teach_what_the_next_will_take(tmp_path: Path, disk: SimpleNamespace) -> None:
     guess = EpisodeSize.expected((57, 57), 1, ImageConfig(size_px=(640, 480), jpeg_quality=85), block=4096)
     assert guess.learned([], 4096) == guess
+    dataset = write_dataset(tmp_path / "dataset")
     manifest = from_json(Manifest, (dataset / "manifest.json").read_bytes(), "manifest")
     known = guess.learned(manifest.episodes, 4096)
     real = sum(len(data) for data in made(0).files.values())

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.dataset.making import tree
-from tests.record.fake_episodes import Inline, Recording, payload
+from tests.recording.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
@@ -263,7 +263,7 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(
 @pytest.mark.parametrize("wrist", [False, True])
 def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool) -> None:
     mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
-    monkeypatch.setattr("yamsim_cli.record.destination.network_mount", lambda path, mounts: mount)
+    monkeypatch.setattr("yamsim_cli.recording.destination.network_mount", lambda path, mounts: mount)
     recording.config = recording.config.model_copy(update={"wrist": wrist})
     recording.run()
     (warning,) = recording.warnings
@@ -279,7 +279,7 @@ def test_locks_that_do_not_reach_others_are_told_apart(recording: Recording, mon
     mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
     recording.path.mkdir()
     (recording.path / ".lock").write_text('{"pid": 1, "host": "elsewhere"}')
-    monkeypatch.setattr("yamsim_cli.record.destination.network_mount", lambda path, mounts: mount)
+    monkeypatch.setattr("yamsim_cli.recording.destination.network_mount", lambda path, mounts: mount)
     with pytest.raises(ResourceError, match="by process 1 on elsewhere"):
         recording.run()
     monkeypatch.undo()

@@ -13,8 +13,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_ticks
-from yamsim_cli.record.collect import Notifier
-from yamsim_cli.record.destination import Output, open_destination
+from yamsim_cli.recording.collect import Notifier
+from yamsim_cli.recording.destination import Output, open_destination
 
 # Frames of one recorded episode: `yamsim record --task TASK --n 1 --seed 0 --size 64x48 --quality fast`.
 RECORDED_FRAMES = {
