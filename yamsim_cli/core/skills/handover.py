@@ -31,13 +31,22 @@ _MEETING_X = (0.32, 0.26, 0.38, 0.44)
 _MIN_ANGLE = math.radians(50)  # rad, hands that point less far apart are in each other's way unless side by side
 # rad, from here on hands face each other, and the thing may roll about the line between them
 _FACING_ANGLE = math.radians(165)
-# Meetings in the order tried: least distance between hands that come from the same side, m; how much lower than
-# `height`, m; and angle between the line from hand to hand and the line between the bases, rad. Fingers with room
-# between them come first, then fingers that just pass each other, then lower places, which hands reach from above.
-_MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
-_MIN_APART = min(apart for apart, _, _ in _MEETINGS)
+_MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other
+_ROOMY = 0.13  # m, distance between hands from which on their fingers have room between them
+# Meetings in the order tried: least and largest distance between the hands, m, infinite unless they come from the same
+# side; how much lower than `height`, m; and angle between the line from hand to hand and the line between the bases,
+# rad. Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
+# reach from above.
+_MEETINGS = (
+    (_ROOMY, math.inf, 0.0, 0.0),
+    (_MIN_APART, _ROOMY, 0.0, 0.0),
+    *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
+)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
-_TURNED_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
+_TURNED_MEETINGS = (
+    *_MEETINGS,
+    *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
+)
 
 # count, giving grips for which `Handover.fault` searches a meeting while nothing moves. A search that finds none takes
 # half a second, and a thing in a pile has hundreds of grips.
@@ -81,7 +90,7 @@ class Handover(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = True
-    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MEETINGS
+    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _MEETINGS
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
@@ -158,9 +167,9 @@ class Handover(Skill):
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
         attitude = functools.cache(lambda grip: _attitude(T_giving, grip.T_pinch_in_thing))
-        for apart, lower, turn in self.MEETINGS:
+        for least, most, lower, turn in self.MEETINGS:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _MEETING_X]
-            poses = _Poses(rotation_z(turn) @ across, apart, np.array(places), attitude)
+            poses = _Poses(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
             for number, grip, T_things in _within_reach(giver, taker, T_giving, grips.open(), poses):
                 if check_first and not grips.suits(number, grip):
                     continue
@@ -178,7 +187,7 @@ class Handover(Skill):
 class _TurnedHandover(Handover):
     """A handover in which the line from hand to hand may be turned."""
 
-    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _TURNED_MEETINGS
+    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_MEETINGS
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
         """See `Skill`."""
@@ -267,12 +276,12 @@ class _Attitude:
     Attributes:
         R_thing: rotation (3, 3) from the thing's frame to a frame whose first axis leads from the giving hand to the
             taking hand, and whose second axis points along both hands.
-        apart: distance between hands that point in similar directions, m; None for other hands.
+        apart: distance between hands that point in similar directions, m; infinite for other hands.
         facing: whether the hands face each other, so that the thing may roll about the line between them.
     """
 
     R_thing: Array
-    apart: float | None
+    apart: float
     facing: bool
 
 
@@ -282,20 +291,20 @@ class _Poses:
 
     Attributes:
         across: direction (3,) from the giving to the taking hand, in `world`.
-        side_by_side: least distance between hands that point in similar directions, m.
+        apart: least and largest `apart` of an attitude, m.
         places: of the thing's origin (n, 3), in `world`, m.
         attitude: returns the thing's attitude for a taking grip.
     """
 
     across: Array
-    side_by_side: float
+    apart: tuple[float, float]
     places: Array
     attitude: Callable[[Grip], _Attitude | None]
 
     def of(self, grip: Grip) -> Array:
         """Return the poses (n, 4, 4) in `world` for a taking grip."""
         attitude = self.attitude(grip)
-        if attitude is None or (attitude.apart is not None and attitude.apart < self.side_by_side):
+        if attitude is None or not self.apart[0] <= attitude.apart <= self.apart[1]:
             return np.empty((0, 4, 4))
         R = (self._rolled if attitude.facing else self._rolled[:1]) @ attitude.R_thing
         T = np.tile(np.eye(4), (len(R), len(self.places), 1, 1))
@@ -330,4 +339,4 @@ def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
         return None
     second = second / np.linalg.norm(second)
     R_thing = np.array([first, second, np.cross(first, second)])
-    return _Attitude(R_thing, distance if same_way else None, angle > _FACING_ANGLE)
+    return _Attitude(R_thing, distance if same_way else math.inf, angle > _FACING_ANGLE)
