@@ -55,6 +55,9 @@ class ClosedFormIk:
         self._model, self._data = model, mujoco.MjData(model)
         self._flange = int(model.site("tool").bodyid[0])
         self._ranges = model.jnt_range.tolist()
+        # Views of MuJoCo's arrays, which follow its state.
+        self._qpos, self._position = self._data.qpos, self._data.xpos[self._flange]
+        self._rotation = self._data.xmat[self._flange].reshape(3, 3)
         T_flange = self.pose_of(np.zeros(model.nq))
         axes, anchors = self._data.xaxis.copy(), self._data.xanchor.copy()
         h = axes[1]
@@ -71,6 +74,7 @@ class ClosedFormIk:
         share = np.cross(basis @ (anchors[5] - anchors[4]), h6) @ along / (along @ along)
         centre = basis @ anchors[4] + share * h5
         self._h1, self._h5, self._h6 = _vector(h1), _vector(h5), _vector(h6)
+        self._h5_h6, self._along_5 = _cross(self._h5, self._h6), self._h5[2] * _dot(self._h5, self._h6)
         self._a1, self._centre, self._height = _vector(basis @ anchors[0]), centre, float(centre[2])
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
@@ -80,9 +84,9 @@ class ClosedFormIk:
 
     def pose_of(self, joints: Array) -> Array:
         """Pose (4, 4) of the flange in the base at joints (6,)."""
-        self._data.qpos[:] = joints
+        self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
-        return pose(self._data.xpos[self._flange], self._data.xmat[self._flange].reshape(3, 3))
+        return pose(self._position, self._rotation)
 
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
@@ -114,13 +118,13 @@ class ClosedFormIk:
         R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
         h1, h5, h6 = (np.array(v) for v in (self._h1, self._h5, self._h6))
         z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
-        along_5, along_1 = self._h5[2] * (h5 @ h6), self._h1[2] * (wrist @ h1)
+        along_1 = self._h1[2] * (wrist @ h1)
         bent = self._upper.conjugate() * self._fore
         # Only poses for which the joints so far keep the margin go on: `k` has their numbers in the step before.
         a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
         q1, number = self._all_solved(0, a1, b1, c1, margin)
         before_6 = np.einsum("nji,nj->ni", R[number], _all_turned(z, h1, q1))
-        a5, b5, c5 = self._h6[2] - along_5, _cross(self._h5, self._h6)[2], before_6 @ h6 - along_5
+        a5, b5, c5 = self._h6[2] - self._along_5, self._h5_h6[2], before_6 @ h6 - self._along_5
         q5, k = self._all_solved(4, a5, b5, c5, margin)
         q1, number, v, u = q1[k], number[k], before_6[k] @ across_6, _all_turned(z, h5, -q5) @ across_6
         q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
@@ -186,11 +190,9 @@ class ClosedFormIk:
 
     def _candidates(self, T: Array) -> Iterator[Joints]:
         """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
-        rows = [_vector(row) for row in T[:3, :3]]
-        columns = [_vector(column) for column in T[:3, :3].T]
+        rows = T[:3, :3].tolist()
+        columns = tuple(zip(*rows, strict=True))
         wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
-        h5_h6 = _cross(self._h5, self._h6)
-        along_5 = self._h5[2] * _dot(self._h5, self._h6)
         along_1 = self._h1[2] * _dot(self._h1, wrist)
         for q1 in _solved(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
             if not (all_q1 := self._turns(0, q1)):
@@ -198,7 +200,8 @@ class ClosedFormIk:
             before_6 = _product(columns, _turned((0.0, 0.0, 1.0), self._h1, q1))
             x, y, _ = _turned(wrist, self._h1, -q1)
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
-            for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
+            c5 = _dot(before_6, self._h6) - self._along_5
+            for q5 in _solved(self._h6[2] - self._along_5, self._h5_h6[2], c5):
                 if not (all_q5 := self._turns(4, q5)):
                     continue
                 after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
@@ -209,8 +212,9 @@ class ClosedFormIk:
                     ahead = _turned(ahead, self._h1, -q1)
                     q234 = math.atan2(ahead[1], ahead[0])
                     for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
-                        middle = (self._turns(1, q2), self._turns(2, q3), self._turns(3, q234 - q2 - q3))
-                        yield from itertools.product(all_q1, *middle, all_q5, all_q6)
+                        if (all_q3 := self._turns(2, q3)) and (all_q2 := self._turns(1, q2)):
+                            all_q4 = self._turns(3, q234 - q2 - q3)
+                            yield from itertools.product(all_q1, all_q2, all_q3, all_q4, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
         """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, seen from joint 2's anchor."""
@@ -228,11 +232,10 @@ class ClosedFormIk:
         return [min(max(joint + math.tau * turn, low), high) for turn in range(first, last + 1)]
 
     def _reaches(self, joints: Joints, T: Array) -> bool:
-        self._data.qpos[:] = joints
+        self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
-        off = self._data.xpos[self._flange] - T[:3, 3]
+        off, turn = self._position - T[:3, 3], self._rotation - T[:3, :3]
         # The Frobenius norm of a small turn is its angle times the square root of 2.
-        turn = self._data.xmat[self._flange].reshape(3, 3) - T[:3, :3]
         return bool(off @ off <= _EXACT**2 and np.vdot(turn, turn) <= 2 * _EXACT**2)
 
 
@@ -327,6 +330,10 @@ def _minus(a: Vector, b: Vector) -> Vector:
 def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
     """A vector turned about a unit axis: Rodrigues' formula."""
     c, s = math.cos(angle), math.sin(angle)
-    x, y, z = _cross(axis, v)
-    along = (1.0 - c) * _dot(axis, v)
-    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]
+    (i, j, k), (x, y, z) = axis, v
+    along = (1.0 - c) * (i * x + j * y + k * z)
+    return (
+        c * x + s * (j * z - k * y) + along * i,
+        c * y + s * (k * x - i * z) + along * j,
+        c * z + s * (i * y - j * x) + along * k,
+    )

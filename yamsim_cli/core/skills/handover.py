@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..documents.units import Distance
 from ..geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z
@@ -52,8 +53,8 @@ _TURNED_MEETINGS = (
 # half a second, and a thing in a pile has hundreds of grips.
 _MAX_SEARCHES = 24
 
-# count, grips whose poses are tested in one call; a call costs as much as 20 separate poses
-_BATCH_SIZE = 64
+# count, grips whose poses are tested in one call; a call costs as much as 200 poses in it
+_BATCH_SIZE = 256
 
 # rad, of the thing about the line between hands that face each other
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
@@ -232,15 +233,13 @@ def _within_reach(
 ) -> Iterator[tuple[int, Grip, Array]]:
     """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
-        T_things = [poses.of(grip) for _, grip in batch]
-        T = np.concatenate(T_things)
-        T_taking = np.concatenate([T @ grip.T_pinch_in_thing for T, (_, grip) in zip(T_things, batch, strict=True)])
-        reached = taker.may_reach(T_taking)
+        T, k = poses.of([grip for _, grip in batch])
+        T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
+        reached = taker.may_reach(T @ T_grips[k])
         reached[reached] = giver.may_reach(T[reached] @ T_giving, PASSING)
-        ends = np.cumsum([len(T_thing) for T_thing in T_things])[:-1]
-        for (number, grip), T_thing, mask in zip(batch, T_things, np.split(reached, ends), strict=True):
-            if mask.any():
-                yield number, grip, T_thing[mask]
+        T, k = T[reached], k[reached]
+        for number in np.unique(k):
+            yield *batch[number], T[k == number]
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
@@ -301,15 +300,16 @@ class _Poses:
     places: Array
     attitude: Callable[[Grip], _Attitude | None]
 
-    def of(self, grip: Grip) -> Array:
-        """Return the poses (n, 4, 4) in `world` for a taking grip."""
-        attitude = self.attitude(grip)
-        if attitude is None or not self.apart[0] <= attitude.apart <= self.apart[1]:
-            return np.empty((0, 4, 4))
-        R = (self._rolled if attitude.facing else self._rolled[:1]) @ attitude.R_thing
-        T = np.tile(np.eye(4), (len(R), len(self.places), 1, 1))
-        T[..., :3, :3], T[..., :3, 3] = R[:, None], self.places
-        return T.reshape(-1, 4, 4)
+    def of(self, grips: Sequence[Grip]) -> tuple[Array, NDArray[np.intp]]:
+        """Return the poses (n, 4, 4) in `world` for taking grips, in their order, and the number of each one's grip."""
+        attitudes, (least, most) = [self.attitude(grip) for grip in grips], self.apart
+        fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
+        numbers = np.array([k for k, _ in fitting], np.intp)
+        R = self._rolled @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
+        rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (np.arange(len(_ROLLS)) == 0)
+        T = np.zeros((np.count_nonzero(rolls), len(self.places), 4, 4))
+        T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R[rolls][:, None], self.places, 1.0
+        return T.reshape(-1, 4, 4), numbers[np.nonzero(rolls)[0]].repeat(len(self.places))
 
     @functools.cached_property
     def _rolled(self) -> Array:
