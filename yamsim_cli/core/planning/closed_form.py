@@ -227,9 +227,13 @@ class ClosedFormIk:
         """The positions of a joint within its range for an angle about its axis, with any number of whole turns."""
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
-        first = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
+        turn = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
         last = math.floor((high + _STOP_ROUNDING - joint) / math.tau)
-        return [min(max(joint + math.tau * turn, low), high) for turn in range(first, last + 1)]
+        turns = []
+        while turn <= last:
+            turns.append(min(max(joint + math.tau * turn, low), high))
+            turn += 1
+        return turns
 
     def _reaches(self, joints: Joints, T: Array) -> bool:
         self._qpos[:] = joints
