@@ -127,7 +127,7 @@ class Obstacles:
         Args:
             lowest: limit of the search, m.
         """
-        data, address = self._data, int(self._model.joint(thing).qposadr[0])
+        data, address, number = self._data, int(self._model.joint(thing).qposadr[0]), self._things.index(thing)
         data.qpos[:] = qpos
         data.qpos[address : address + 2] = T_in_world[:2, 3]
         data.qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
@@ -137,9 +137,8 @@ class Obstacles:
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
             geoms = data.contact.geom
-            of_thing = self._thing_of[geoms] == self._things.index(thing)
-            of_arm = self._arm_of[geoms] >= 0
-            touching = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
+            of_thing = self._thing_of[geoms] == number
+            touching = (of_thing[:, 0] != of_thing[:, 1]) & (self._arm_of[geoms] < 0).all(axis=1)
             return bool((touching & (data.contact.dist < 0)).any())
 
         high = float(T_in_world[2, 3])
@@ -170,8 +169,8 @@ class Obstacles:
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
             geoms, normals = data.contact.geom, data.contact.frame[:, :3]
-            of_thing, of_arm = self._thing_of[geoms] == number, self._arm_of[geoms] >= 0
-            meets = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
+            of_thing = self._thing_of[geoms] == number
+            meets = (of_thing[:, 0] != of_thing[:, 1]) & (self._arm_of[geoms] < 0).all(axis=1)
             if (meets & (data.contact.dist < 0) & (np.abs(normals[:, 2]) < _SUPPORT)).any():
                 return count * _LATERAL_STEP
         return most
@@ -214,11 +213,13 @@ class Obstacles:
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
         # Contacts between two moving parts do not count: load and hand are fixed to each other.
-        counts = (of_arm | of_load).any(axis=1) & ~(of_arm | of_load).all(axis=1)
+        moving = of_arm | of_load
+        counts = moving[:, 0] != moving[:, 1]
         for name in load.may_touch if load else ():
             other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
             counts &= ~(of_load.any(axis=1) & other.any(axis=1))
-        fingers = (of_arm & self._finger[geoms]).any(axis=1)
+        if between is not None or beside is not None:
+            fingers = (of_arm & self._finger[geoms]).any(axis=1)
         if between is not None:
             around = fingers & (of_thing == self._things.index(between)).any(axis=1)
             counts &= ~(around & (distances > -_FINGER_DEPTH))

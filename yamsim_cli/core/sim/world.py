@@ -251,12 +251,13 @@ class SimWorld:
         body = self._data.body(f"{self._known(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
-    def watch(self) -> None:
-        """Update `passed_to` and `handovers` from the present holders.
+    def watch(self) -> dict[str, frozenset[str]]:
+        """Update `passed_to` and `handovers` from the present holders, and return these like `holding`.
 
         `passed_to` of a thing is cleared when no hand holds the thing and it touches another thing or the table.
         """
-        for thing, holders in self.holding().items():
+        holding = self.holding()
+        for thing, holders in holding.items():
             hands = self._hands[thing]
             if not holders:
                 if hands and self._supported(thing):
@@ -267,6 +268,7 @@ class SimWorld:
                     if hands:
                         self._handovers[thing].append((hands[-1], side))
                     hands.append(side)
+        return holding
 
     def _supported(self, thing: str) -> bool:
         return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)
