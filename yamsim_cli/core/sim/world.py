@@ -170,15 +170,14 @@ class SimWorld:
         # Which fingers, two for each arm, each thing touches: one side of a contact is the thing, the other the finger.
         pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
         pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
+        gripped = (pressed[:, :-1:2] & pressed[:, 1::2]).tolist()
         found = {}
         for k, name in enumerate(self.things):
             if cloth := self._cloths.get(name):
                 found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
             else:
                 found[name] = frozenset(
-                    side
-                    for arm, side in enumerate(self.sides)
-                    if pressed[k, 2 * arm : 2 * arm + 2].all() or self._welded(name, arm)
+                    side for arm, side in enumerate(self.sides) if gripped[k][arm] or self._welded(name, arm)
                 )
         return found
 
