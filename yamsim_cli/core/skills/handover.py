@@ -321,13 +321,13 @@ class _Poses:
 def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
     """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
-    apart = T_taking[:3, 3] - T_giving[:3, 3]
-    distance = float(np.linalg.norm(apart))
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
-    same_way = angle < _MIN_ANGLE
-    if same_way and distance < _MIN_APART:
-        return None
-    first = apart if same_way else giving - taking
+    first, apart = giving - taking, math.inf
+    if angle < _MIN_ANGLE:
+        first = T_taking[:3, 3] - T_giving[:3, 3]
+        apart = float(np.linalg.norm(first))
+        if apart < _MIN_APART:
+            return None
     first = first / np.linalg.norm(first)
     second = giving + taking
     if angle > _FACING_ANGLE:
@@ -335,8 +335,10 @@ def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
         # first.
         second = np.array((0.0, 0.0, -1.0)) if abs(first[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
     second = second - (second @ first) * first
-    if np.linalg.norm(second) < 0.1:
+    length = np.linalg.norm(second)
+    if length < 0.1:
         return None
-    second = second / np.linalg.norm(second)
-    R_thing = np.array([first, second, np.cross(first, second)])
-    return _Attitude(R_thing, distance if same_way else math.inf, angle > _FACING_ANGLE)
+    second = second / length
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()
+    R_thing = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
+    return _Attitude(R_thing, apart, angle > _FACING_ANGLE)
