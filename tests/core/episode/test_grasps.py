@@ -185,7 +185,7 @@ class InHand:
         mujoco.mj_kinematics(self.scene.model, self.data)
         mujoco.mj_collision(self.scene.model, self.data)
         for _ in range(ticks):
-            self.things.watch()
+            self.things.watch(self.world.holding())
         return self.things.slip, self.things.tilt
 
 

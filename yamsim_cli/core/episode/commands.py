@@ -11,15 +11,15 @@ from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
 from ..types import Actions, JointPath
 
 
-def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
-    """Return the commands (dof,) of an arm's joint drives on one control tick of a path, rad.
+def drive_commands(arm: SceneArm, path: JointPath) -> Array:
+    """Return the commands (n, dof) of an arm's joint drives on each control tick of a path, rad.
 
     A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
     the reference in the middle of the tick, plus a lead that compensates for the damping (`kv / kp` times the velocity)
     and for the inertia (the torque over `kp`). So the arm neither lags behind its reference nor overshoots it.
     """
-    reference = (path.joints[tick] + path.joints[tick + 1]) / 2
-    command = reference + (arm.kv * path.velocities[tick] + path.torques[tick]) / arm.kp
+    references = (path.joints[:-1] + path.joints[1:]) / 2
+    command = references + (arm.kv * path.velocities + path.torques) / arm.kp
     clipped: Array = np.clip(command, arm.ctrl_range[:, 0], arm.ctrl_range[:, 1])
     return clipped
 
@@ -34,7 +34,7 @@ def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> Actions:
     """Return the actions that make each of the scene's arms follow its path; all paths have the same length."""
     ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
     for arm, path in zip(scene.arms, paths, strict=True):
-        ctrl[:, arm.arm_ctrl] = [drive_command(arm, path, tick) for tick in range(len(ctrl))]
+        ctrl[:, arm.arm_ctrl] = drive_commands(arm, path)
         if arm.fingers is not None:
             ctrl[:, arm.fingers.ctrl] = grip_command(arm.fingers, path)
     magnet = np.column_stack([path.magnet for path in paths])

@@ -264,8 +264,7 @@ class Episode:
         self._refresh()
         self._monitor.end_tick(data)
         self.ticks += 1
-        self.world.watch()
-        self._held_things.watch()
+        self._held_things.watch(self.world.watch())
         self._judge()
         self._check_end()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, tilt
@@ -19,7 +21,7 @@ class HeldThings:
         tilt: largest angle between a held thing's vertical axis at its grasp and later, rad.
 
     Args:
-        world: its `watch` has to be called before this one.
+        world: the state that is measured.
     """
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
@@ -29,9 +31,13 @@ class HeldThings:
         self._T_when_grasped: dict[str, Array] = {}
         self.slip = self.tilt = 0.0
 
-    def watch(self) -> None:
-        """Measure the state after a control tick."""
-        for name, holders in self._world.holding().items():
+    def watch(self, holding: Mapping[str, frozenset[str]]) -> None:
+        """Measure the state after a control tick.
+
+        Args:
+            holding: thing -> the sides of the hands that hold it.
+        """
+        for name, holders in holding.items():
             if name in self._scene.cloths:
                 continue
             for k, side in enumerate(self._world.sides):

@@ -55,13 +55,13 @@ class Monitor:
 
     def end_tick(self, data: mujoco.MjData) -> None:
         """Observe the state after a control tick's last physics step."""
-        velocities = np.abs(self._velocities[: self._step, self._dof]).max(axis=0)
-        forces = np.abs(self._forces[: self._step, self._ctrl]).max(axis=0)
-        positions = self._positions[: self._step, self._qpos]
-        distances = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
-        self._velocity = max(self._velocity, float((velocities / self._motor_speed).max()))
-        self._torque = max(self._torque, float((forces / self._most_torque).max()))
-        self._stop_distance = min(self._stop_distance, float(distances.min()))
+        steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
+        velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
+        forces = np.abs(self._forces[:steps, self._ctrl]) / self._most_torque
+        positions = self._positions[:steps, self._qpos]
+        self._velocity = max(self._velocity, float(velocities.max()))
+        self._torque = max(self._torque, float(forces.max()))
+        self._stop_distance = min(self._stop_distance, float(np.minimum(positions - low, high - positions).min()))
         self._step = 0
         if self.breakdown is None and (text := breakdown(data)):
             # MuJoCo has reset its own clock, so the time is counted in steps.

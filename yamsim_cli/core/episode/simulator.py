@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections import OrderedDict
+from collections.abc import Callable
 
 from ..closing import Closing
 from ..config.goals.cast import Cast
 from ..config.session import Session
 from ..errors import SimulationError
-from ..expert.planning.arm_tools import arm_tools
+from ..expert.planning.arm_tools import ArmTools, arm_tools
 from ..rendering.labels import SceneLabels, scene_labels
 from ..rendering.renderer import SceneRenderer
 from ..scene.build import build_scene
@@ -32,6 +33,7 @@ class Simulator(Closing):
     Args:
         session: its task has only the things of the cast.
         cast: which thing plays which role; by default the task's typical cast, whose things the session then gets.
+        tools: gives the tools of the rig's arms, when the expert first needs them; by default they are made then.
 
     Attributes:
         session: the session.
@@ -43,13 +45,16 @@ class Simulator(Closing):
         SimulationError: the scene cannot be compiled.
     """
 
-    def __init__(self, session: Session, cast: Cast | None = None) -> None:
+    def __init__(
+        self, session: Session, cast: Cast | None = None, tools: Callable[[], tuple[ArmTools, ...]] | None = None
+    ) -> None:
         if cast is None:
             cast = session.config.task.typical_cast
             session = played_session(session, cast)
         self.session = session
         self.config = config = session.config
         self.cast = cast
+        self._tools = tools or functools.partial(arm_tools, config.rig)
         self.scene = build_scene(session)
         # These are made from the scene before its first variation.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
@@ -69,7 +74,7 @@ class Simulator(Closing):
     @functools.cached_property
     def expert_tools(self) -> ExpertTools:
         """The expert's planning tools; making them reads files."""
-        return ExpertTools(self.config, self.scene, arm_tools(self.config, self.scene))
+        return ExpertTools(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
         """Make now what reads files, in case the files are gone at the first attempt."""
@@ -143,6 +148,7 @@ class Simulators(Closing):
     def __init__(self, session: Session) -> None:
         self.session = session
         self._simulators: OrderedDict[_Key, Simulator] = OrderedDict()
+        self._tools = functools.cache(functools.partial(arm_tools, session.config.rig))
 
     def of(self, job: EpisodeJob) -> Simulator:
         """Return the simulator of an attempt; valid until the next call.
@@ -157,7 +163,7 @@ class Simulators(Closing):
             return self._simulators[key]
         while len(self._simulators) >= _MAX_SIMULATORS:
             self._simulators.popitem(last=False)[1].close()
-        made = self._simulators[key] = Simulator(played_session(self.session, cast), cast)
+        made = self._simulators[key] = Simulator(played_session(self.session, cast), cast, self._tools)
         return made
 
     def close(self) -> None:

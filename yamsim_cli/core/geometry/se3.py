@@ -17,10 +17,12 @@ Array = NDArray[np.float64]
 # An upright pose: x, y and z, m, and the heading about +z, rad.
 UprightPose = tuple[float, float, float, float]
 
+_IDENTITY = np.eye(4)
+
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
     """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), by default the identity."""
-    T = np.eye(4)
+    T = _IDENTITY.copy()
     T[:3, 3] = position
     if rotation is not None:
         T[:3, :3] = rotation
@@ -59,25 +61,16 @@ def quat_from_rotation(rotation: ArrayLike) -> Array:
 
     Shepperd's method: the quaternion follows from its largest component, and is also exact near 180 degrees.
     """
-    R = np.asarray(rotation, dtype=np.float64)
-    squares = np.array(
-        [
-            1 + R[0, 0] + R[1, 1] + R[2, 2],
-            1 + R[0, 0] - R[1, 1] - R[2, 2],
-            1 - R[0, 0] + R[1, 1] - R[2, 2],
-            1 - R[0, 0] - R[1, 1] + R[2, 2],
-        ]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=np.float64).tolist()
+    squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
+    products = (
+        (squares[0], zy - yz, xz - zx, yx - xy),
+        (zy - yz, squares[1], yx + xy, xz + zx),
+        (xz - zx, yx + xy, squares[2], zy + yz),
+        (yx - xy, xz + zx, zy + yz, squares[3]),
     )
-    largest = int(np.argmax(squares))
-    products = np.array(
-        [
-            [squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], squares[1], R[1, 0] + R[0, 1], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[1, 0] + R[0, 1], squares[2], R[2, 1] + R[1, 2]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], squares[3]],
-        ]
-    )
-    q: Array = products[largest] / np.linalg.norm(products[largest])
+    q = np.array(products[squares.index(max(squares))])
+    q /= np.linalg.norm(q)
     return -q if q[0] < 0 else q
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -145,10 +146,12 @@ def _attitude(attitude: Attitude, roll: float) -> Array:
     return np.eye(3)
 
 
+_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # of a box, by the number of its corner for each axis
+
+
 def outline(box: Array, T: Array) -> Array:
     """A box's corners (8, 2) at a pose (4, 4), seen from above, m."""
-    x, y, z = np.meshgrid(*box.T, indexing="ij")
-    corners: Array = (np.column_stack([x.ravel(), y.ravel(), z.ravel()]) @ T[:3, :3].T + T[:3, 3])[:, :2]
+    corners: Array = (box[_CORNERS, (0, 1, 2)] @ T[:3, :3].T + T[:3, 3])[:, :2]
     return corners
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -212,7 +213,7 @@ class CompiledScene:
         """Names of all objects, cloths last."""
         return (*self.object_qpos, *self.cloths)
 
-    @property
+    @functools.cached_property
     def drives(self) -> Ids:
         """Addresses of the recorded drives of each arm in `ctrl` (arms, drives)."""
         return np.array([arm.drives for arm in self.arms])
@@ -224,11 +225,15 @@ class CompiledScene:
 
     def forbidden(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Whether each pair of geoms (n, 2) must not touch (n,): an arm and the table, or two arms."""
-        kinds, arms = self.geom_kind[geoms], self.geom_arm[geoms]
-        two_arms = (arms[:, 0] != arms[:, 1]) & (arms >= 0).all(axis=1)
-        found: NDArray[np.bool_] = FORBIDDEN[kinds[:, 0], kinds[:, 1]] | two_arms
-        # Cloth has no geoms, and is -1: everything may touch cloth.
-        return found & (geoms >= 0).all(axis=1) if self.cloths else found
+        found: NDArray[np.bool_] = self._forbidden[geoms[:, 0], geoms[:, 1]]
+        return found
+
+    @functools.cached_property
+    def _forbidden(self) -> NDArray[np.bool_]:
+        """Whether each geom must not touch each other geom; the last row and column are cloth, which has geom -1."""
+        kinds, arms = self.geom_kind, self.geom_arm
+        two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
+        return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))
 
     def start_qpos(self, layout: Layout, stands: Sequence[Stand]) -> Array:
         """The initial `qpos` (nq,) of the arms with their fingers, and of the objects."""
@@ -276,14 +281,17 @@ class CompiledScene:
         The error of an arm's gravity compensation is applied before each step: MuJoCo only has factors of bodies, and
         several bodies load a joint.
         """
-        errors = [(arm.joint_dof, arm.gravity) for arm in self.arms if arm.gravity is not None]
-        if not errors:
+        if not self._gravity_errors:
             mujoco.mj_step(self.model, data, steps)
             return
         for _ in range(steps):
-            for dof, gravity in errors:
+            for dof, gravity in self._gravity_errors:
                 data.qfrc_applied[dof] = gravity * data.qfrc_gravcomp[dof]
             mujoco.mj_step(self.model, data)
+
+    @functools.cached_property
+    def _gravity_errors(self) -> list[tuple[Ids, Array]]:
+        return [(arm.joint_dof, arm.gravity) for arm in self.arms if arm.gravity is not None]
 
 
 def _fill_commands(model: mujoco.MjModel, data: mujoco.MjData, drive: int, command: float) -> None:

@@ -91,7 +91,7 @@ def _surface_distance(
     for geom in np.asarray(geoms)[
         np.einsum("gi,gi->g", off, off) <= model.geom_rbound[geoms] ** 2 * _SQUARED_RADIUS_FACTOR
     ]:
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        if mujoco.mjtGeom(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_MESH:
             distance = mujoco.mj_rayMesh(model, data, geom, start, ray)
         else:
             distance = mujoco.mju_rayGeom(

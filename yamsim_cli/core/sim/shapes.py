@@ -21,7 +21,7 @@ _SIDES = 24  # sides of a circle's polygon, whose error is less than 1 % of the 
 def geom_bounds(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
     """The lowest and highest corner (2, 3) in `world` of the block along its axes that encloses a geom."""
     R, at, size = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom], model.geom_size[geom]
-    match model.geom_type[geom]:
+    match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
             half = np.full(3, size[0])
         case _GEOM.mjGEOM_CAPSULE:
@@ -114,7 +114,7 @@ def _geom_block(model: mujoco.MjModel, geom: int, R: Array, at: Array) -> Array:
 def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
     """Whether points (n, 3) in a geom's own frame lie in it."""
     size, x, y, z = model.geom_size[geom], *points.T
-    match model.geom_type[geom]:
+    match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
             found = (points**2).sum(axis=1) <= size[0] ** 2
         case _GEOM.mjGEOM_CAPSULE:
@@ -145,7 +145,7 @@ def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
 
 def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     """Return loops of points (k, 3) on a primitive in its own frame, from its bottom to its top."""
-    size, kind = model.geom_size[geom], model.geom_type[geom]
+    size, kind = model.geom_size[geom], _GEOM(model.geom_type[geom])
     if kind == _GEOM.mjGEOM_BOX:
         square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2]
         return [np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])]

@@ -170,15 +170,14 @@ class SimWorld:
         # Which fingers, two for each arm, each thing touches: one side of a contact is the thing, the other the finger.
         pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
         pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
+        gripped = (pressed[:, :-1:2] & pressed[:, 1::2]).tolist()
         found = {}
         for k, name in enumerate(self.things):
             if cloth := self._cloths.get(name):
                 found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
             else:
                 found[name] = frozenset(
-                    side
-                    for arm, side in enumerate(self.sides)
-                    if pressed[k, 2 * arm : 2 * arm + 2].all() or self._welded(name, arm)
+                    side for arm, side in enumerate(self.sides) if gripped[k][arm] or self._welded(name, arm)
                 )
         return found
 
@@ -251,12 +250,13 @@ class SimWorld:
         body = self._data.body(f"{self._known(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
-    def watch(self) -> None:
-        """Update `passed_to` and `handovers` from the present holders.
+    def watch(self) -> dict[str, frozenset[str]]:
+        """Update `passed_to` and `handovers` from the present holders, and return these like `holding`.
 
         `passed_to` of a thing is cleared when no hand holds the thing and it touches another thing or the table.
         """
-        for thing, holders in self.holding().items():
+        holding = self.holding()
+        for thing, holders in holding.items():
             hands = self._hands[thing]
             if not holders:
                 if hands and self._supported(thing):
@@ -267,6 +267,7 @@ class SimWorld:
                     if hands:
                         self._handovers[thing].append((hands[-1], side))
                     hands.append(side)
+        return holding
 
     def _supported(self, thing: str) -> bool:
         return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)

@@ -128,7 +128,7 @@ class DrivenArm:
         """
         before = self._pursuit.joints
         velocity = self._step_reference(qpos)
-        # As `episode.commands.drive_command`, without the compensation of inertia: the next target is not known.
+        # As `episode.commands.drive_commands`, without the compensation of inertia: the next target is not known.
         command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
         return self._with_opening(command)
 

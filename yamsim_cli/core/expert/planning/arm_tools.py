@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...config.recording import RecordConfig
-from ...geometry.se3 import Array
-from ...scene.compiled import CompiledScene
+from ...config.rig import RigConfig
 from ...scene.robot import arm_spec, bare_arm
 from ...types import Stand
 from .dynamics import ArmDynamics
@@ -23,15 +22,15 @@ class ArmTools:
     dynamics: ArmDynamics
 
 
-def arm_tools(config: RecordConfig, scene: CompiledScene) -> tuple[ArmTools, ...]:
-    """The tools of each of the scene's arms."""
+def arm_tools(rig: RigConfig) -> tuple[ArmTools, ...]:
+    """The tools of each arm in a rig's scene; making them reads files."""
 
-    def tools(number: int, T_base_in_world: Array) -> ArmTools:
-        arm = config.rig.arms[number]
-        ik = IkSolver(bare_arm(arm), T_base_in_world)
+    def tools(number: int) -> ArmTools:
+        arm = rig.arms[number]
+        ik = IkSolver(bare_arm(arm), rig.T_base_in_world(number))
         return ArmTools(ik, ArmDynamics(arm_spec(arm, None).compile(), arm.robot))
 
-    return tuple(tools(arm.number, arm.T_base_in_world) for arm in scene.arms)
+    return tuple(tools(number) for number in rig.recorded)
 
 
 def start_stands(config: RecordConfig) -> tuple[Stand, ...]:

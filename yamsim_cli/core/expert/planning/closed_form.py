@@ -17,18 +17,20 @@ component along `h` as it is. Therefore:
 from __future__ import annotations
 
 import cmath
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...geometry.se3 import Array, inverse, pose
 
 Vector = tuple[float, float, float]
 Joints = tuple[float, ...]
+Ids = NDArray[np.intp]
 
 _EXACT = 1e-6  # m and rad, largest error of a solution's forward kinematics
 _ALIGNED = 1e-9  # rad and m, largest error of axes that count as parallel, or as intersecting
@@ -38,6 +40,7 @@ _SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that are t
 _STOP_ROUNDING = 1e-7  # rad, excess of a joint over its stop that counts as rounding
 _LOOSE = 1e-5  # rad and 1, by which `may_reach` is more tolerant than `solutions`: far above rounding
 _TRIALS = 20  # random poses that must be solved before an arm counts as having a closed solution
+_MAX_KEPT = 4096  # count, poses whose solutions are kept: a search asks for the same poses again, up to five times
 _HAND_LENGTH = 0.13  # m, beyond the flange, for weights of joints by how far they move a held thing
 
 
@@ -52,6 +55,9 @@ class ClosedFormIk:
         self._model, self._data = model, mujoco.MjData(model)
         self._flange = int(model.site("tool").bodyid[0])
         self._ranges = model.jnt_range.tolist()
+        # Views of MuJoCo's arrays, which follow its state.
+        self._qpos, self._position = self._data.qpos, self._data.xpos[self._flange]
+        self._rotation = self._data.xmat[self._flange].reshape(3, 3)
         T_flange = self.pose_of(np.zeros(model.nq))
         axes, anchors = self._data.xaxis.copy(), self._data.xanchor.copy()
         h = axes[1]
@@ -68,17 +74,19 @@ class ClosedFormIk:
         share = np.cross(basis @ (anchors[5] - anchors[4]), h6) @ along / (along @ along)
         centre = basis @ anchors[4] + share * h5
         self._h1, self._h5, self._h6 = _vector(h1), _vector(h5), _vector(h6)
+        self._h5_h6, self._along_5 = _cross(self._h5, self._h6), self._h5[2] * _dot(self._h5, self._h6)
         self._a1, self._centre, self._height = _vector(basis @ anchors[0]), centre, float(centre[2])
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
         steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
         self._levers = np.cumsum(steps[::-1])[::-1] + _HAND_LENGTH
+        self._kept = functools.lru_cache(_MAX_KEPT)(self._solutions)
 
     def pose_of(self, joints: Array) -> Array:
         """Pose (4, 4) of the flange in the base at joints (6,)."""
-        self._data.qpos[:] = joints
+        self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
-        return pose(self._data.xpos[self._flange], self._data.xmat[self._flange].reshape(3, 3))
+        return pose(self._position, self._rotation)
 
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
@@ -87,9 +95,15 @@ class ClosedFormIk:
         undetermined: the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three.
         For these, only 16 angles of that joint are tried.
         """
-        candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
-        found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]
-        return np.array(found).reshape(-1, self._model.nq)
+        return self._kept(T_flange_in_base.tobytes())
+
+    def _solutions(self, T_flange_in_base: bytes) -> Array:
+        """`solutions` of a pose's bytes; the array is read-only."""
+        T = np.frombuffer(T_flange_in_base).reshape(4, 4)
+        candidates = self._candidates(self._T_basis @ T @ self._T_zero)
+        found = np.array([joints for joints in candidates if self._reaches(joints, T)]).reshape(-1, self._model.nq)
+        found.flags.writeable = False
+        return found
 
     def may_reach(self, T_flange_in_base: Array, margin: float) -> Array:
         """Which of many poses (n, 4, 4) `solutions` may solve, (n,) bool: False means out of reach.
@@ -101,41 +115,58 @@ class ClosedFormIk:
             margin: least distance of every joint from its stops, rad.
         """
         T = self._T_basis @ T_flange_in_base @ self._T_zero
-        R, z, x = T[:, :3, :3], np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0))
-        h1, h5, h6, a1 = (np.array(v) for v in (self._h1, self._h5, self._h6, self._a1))
-        wrist = R @ self._centre + T[:, :3, 3] - a1
-        along_5, along_1 = self._h5[2] * (h5 @ h6), self._h1[2] * (wrist @ h1)
-        across_6, none = _skew(h6).T, np.zeros(len(T))
+        R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
+        h1, h5, h6 = (np.array(v) for v in (self._h1, self._h5, self._h6))
+        z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
+        along_1 = self._h1[2] * (wrist @ h1)
+        bent = self._upper.conjugate() * self._fore
+        # Only poses for which the joints so far keep the margin go on: `k` has their numbers in the step before.
+        a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
+        q1, number = self._all_solved(0, a1, b1, c1, margin)
+        before_6 = np.einsum("nji,nj->ni", R[number], _all_turned(z, h1, q1))
+        a5, b5, c5 = self._h6[2] - self._along_5, self._h5_h6[2], before_6 @ h6 - self._along_5
+        q5, k = self._all_solved(4, a5, b5, c5, margin)
+        q1, number, v, u = q1[k], number[k], before_6[k] @ across_6, _all_turned(z, h5, -q5) @ across_6
+        q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
+        is_free = np.maximum(np.abs(v), np.abs(u)).max(axis=1) <= _LOOSE
+        k = np.flatnonzero(is_free | self._all_within(5, q6, margin))
+        q1, q5, q6, number = q1[k], q5[k], q6[k], number[k]
+        ahead = np.einsum("nij,nj->ni", R[number], _all_turned(_all_turned(x, h5, -q5), h6, -q6))
+        q234 = np.angle(_complex(_all_turned(ahead, h1, -q1)))
+        place = _complex(_all_turned(wrist[number], h1, -q1) + self._a1) - self._a2
+        far = place - np.exp(1j * q234) * self._wrist
+        c3 = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
+        q3, k = self._all_solved(2, bent.real, -bent.imag, c3, margin)
+        q2 = np.angle(far[k]) - np.angle(self._upper + self._fore * np.exp(1j * q3))
+        q4 = q234[k] - q2 - q3
         reached = np.zeros(len(T), bool)
-        b1, c1 = -(wrist @ _skew(h1).T)[:, 2], self._height - a1[2] - along_1
-        for q1, sure_1 in _all_solved(wrist[:, 2] - along_1, b1, c1):
-            before_6 = np.einsum("nji,nj->ni", R, _all_turned(z, h1, q1))
-            place = _complex(_all_turned(wrist, h1, -q1) + a1) - self._a2
-            b5, c5 = np.cross(h5, h6)[2], before_6 @ h6 - along_5
-            for q5, sure_5 in _all_solved(none + (h6[2] - along_5), none + b5, c5):
-                v, u = before_6 @ across_6, _all_turned(z, h5, -q5) @ across_6
-                sure_6 = np.maximum(np.abs(v), np.abs(u)).max(axis=1) > _LOOSE
-                q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
-                ahead = np.einsum("nij,nj->ni", R, _all_turned(_all_turned(x, h5, -q5), h6, -q6))
-                q234 = np.angle(_complex(_all_turned(ahead, h1, -q1)))
-                far = place - np.exp(1j * q234) * self._wrist
-                bent = self._upper.conjugate() * self._fore
-                rest = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
-                for q3, sure_3 in _all_solved(none + bent.real, none - bent.imag, rest):
-                    q2 = np.angle(far) - np.angle(self._upper + self._fore * np.exp(1j * q3))
-                    joints = np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=1)
-                    within = self._all_within(joints, margin) | ~np.stack(
-                        [sure_1, sure_3, sure_3, sure_3, sure_5, sure_6], axis=1
-                    )
-                    reached |= within.all(axis=1)
+        reached[number[k[self._all_within(1, q2, margin) & self._all_within(3, q4, margin)]]] = True
         return reached
 
-    def _all_within(self, joints: Array, margin: float) -> Array:
-        """Which angles (n, 6), with any number of whole turns, keep a margin to the stops, (n, 6) bool."""
-        low, high = np.array(self._ranges).T
+    def _all_solved(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
+        """Both angles q about a joint's axis with `a cos q + b sin q = c` that keep a margin to the stops.
+
+        Args:
+            a, b: (n,) or numbers.
+            c: (n,).
+
+        Returns:
+            The angles (m,) and their numbers in `c` (m,); 0 where every angle is a solution.
+        """
+        length = np.hypot(a, b)
+        is_free = length <= _LOOSE
+        cosine = c / np.where(is_free, 1.0, length)
+        half = np.arccos(np.where(np.abs(cosine) > 1.0 + _LOOSE, np.nan, np.clip(cosine, -1.0, 1.0)))
+        angles = np.where(is_free, 0.0, np.arctan2(b, a) + np.array((half, -half)))
+        kept = np.flatnonzero(is_free | self._all_within(joint, angles, margin))
+        return angles.ravel()[kept], kept % len(c)
+
+    def _all_within(self, joint: int, angles: Array, margin: float) -> NDArray[np.bool_]:
+        """Which angles about a joint's axis, with any number of whole turns, keep a margin to the stops."""
+        low, high = self._ranges[joint]
         low, high = low + margin - _LOOSE, high - margin + _LOOSE
-        joints = joints * self._signs
-        within: Array = joints + math.tau * np.ceil((low - joints) / math.tau) <= high
+        angles = angles * self._signs[joint]
+        within: NDArray[np.bool_] = angles + math.tau * np.ceil((low - angles) / math.tau) <= high
         return within
 
     def nearest(self, solutions: Array, start: Array) -> Array:
@@ -159,11 +190,9 @@ class ClosedFormIk:
 
     def _candidates(self, T: Array) -> Iterator[Joints]:
         """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
-        rows = [_vector(row) for row in T[:3, :3]]
-        columns = [_vector(column) for column in T[:3, :3].T]
+        rows = T[:3, :3].tolist()
+        columns = tuple(zip(*rows, strict=True))
         wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
-        h5_h6 = _cross(self._h5, self._h6)
-        along_5 = self._h5[2] * _dot(self._h5, self._h6)
         along_1 = self._h1[2] * _dot(self._h1, wrist)
         for q1 in _solved(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
             if not (all_q1 := self._turns(0, q1)):
@@ -171,7 +200,8 @@ class ClosedFormIk:
             before_6 = _product(columns, _turned((0.0, 0.0, 1.0), self._h1, q1))
             x, y, _ = _turned(wrist, self._h1, -q1)
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
-            for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
+            c5 = _dot(before_6, self._h6) - self._along_5
+            for q5 in _solved(self._h6[2] - self._along_5, self._h5_h6[2], c5):
                 if not (all_q5 := self._turns(4, q5)):
                     continue
                 after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
@@ -182,8 +212,9 @@ class ClosedFormIk:
                     ahead = _turned(ahead, self._h1, -q1)
                     q234 = math.atan2(ahead[1], ahead[0])
                     for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
-                        middle = (self._turns(1, q2), self._turns(2, q3), self._turns(3, q234 - q2 - q3))
-                        yield from itertools.product(all_q1, *middle, all_q5, all_q6)
+                        if (all_q3 := self._turns(2, q3)) and (all_q2 := self._turns(1, q2)):
+                            all_q4 = self._turns(3, q234 - q2 - q3)
+                            yield from itertools.product(all_q1, all_q2, all_q3, all_q4, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
         """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, seen from joint 2's anchor."""
@@ -196,16 +227,19 @@ class ClosedFormIk:
         """The positions of a joint within its range for an angle about its axis, with any number of whole turns."""
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
-        first = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
+        turn = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
         last = math.floor((high + _STOP_ROUNDING - joint) / math.tau)
-        return [min(max(joint + math.tau * turn, low), high) for turn in range(first, last + 1)]
+        turns = []
+        while turn <= last:
+            turns.append(min(max(joint + math.tau * turn, low), high))
+            turn += 1
+        return turns
 
     def _reaches(self, joints: Joints, T: Array) -> bool:
-        self._data.qpos[:] = joints
+        self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
-        off = self._data.xpos[self._flange] - T[:3, 3]
+        off, turn = self._position - T[:3, 3], self._rotation - T[:3, :3]
         # The Frobenius norm of a small turn is its angle times the square root of 2.
-        turn = self._data.xmat[self._flange].reshape(3, 3) - T[:3, :3]
         return bool(off @ off <= _EXACT**2 and np.vdot(turn, turn) <= 2 * _EXACT**2)
 
 
@@ -246,17 +280,6 @@ def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
         return ()
     middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, cosine)))
     return (middle + half, middle - half) if half else (middle,)
-
-
-def _all_solved(a: Array, b: Array, c: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Yield both angles (n,) with `a cos q + b sin q = c`, and whether q is determined; NaN without a solution."""
-    length = np.hypot(a, b)
-    sure = length > _LOOSE
-    cosine = c / np.where(sure, length, 1.0)
-    half = np.arccos(np.where(np.abs(cosine) > 1.0 + _LOOSE, np.nan, np.clip(cosine, -1.0, 1.0)))
-    middle = np.arctan2(b, a)
-    yield np.where(sure, middle + half, 0.0), sure
-    yield np.where(sure, middle - half, 0.0), sure
 
 
 def _all_turned(v: Array, axis: Array, angles: Array) -> Array:
@@ -311,6 +334,10 @@ def _minus(a: Vector, b: Vector) -> Vector:
 def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
     """A vector turned about a unit axis: Rodrigues' formula."""
     c, s = math.cos(angle), math.sin(angle)
-    x, y, z = _cross(axis, v)
-    along = (1.0 - c) * _dot(axis, v)
-    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]
+    (i, j, k), (x, y, z) = axis, v
+    along = (1.0 - c) * (i * x + j * y + k * z)
+    return (
+        c * x + s * (j * z - k * y) + along * i,
+        c * y + s * (k * x - i * z) + along * j,
+        c * z + s * (i * y - j * x) + along * k,
+    )

@@ -40,8 +40,8 @@ class ArmDynamics:
         accelerations = np.gradient(velocities, tick, axis=0)
         torques = np.empty_like(positions)
         data = self._data
+        mujoco.mj_resetData(self._model, data)
         for k, opening in enumerate(gripper):
-            mujoco.mj_resetData(self._model, data)
             data.qpos[self._qpos], data.qvel[self._dof], data.qacc[self._dof] = (
                 positions[k],
                 velocities[k],

@@ -194,11 +194,11 @@ class IkSolver:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
         found = self._closed_form.solutions(T_flange_in_base)
-        if margin > 0.0:
+        if margin > 0.0 and len(found):
             found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
         if not len(found):
             return None
-        return self.at(self._closed_form.nearest(found, start))
+        return self.at(found[0] if len(found) == 1 else self._closed_form.nearest(found, start))
 
     def _leaning(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
         """An exact solution for a pose (4, 4) turned by about the largest rotation error; None without one."""

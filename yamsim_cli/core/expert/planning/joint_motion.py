@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ...geometry.se3 import Array, interpolate_rotation, pose, rotation_vector
+from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from .ik import IkSolver
 
 _MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed, limit of a joint's speed
@@ -75,13 +75,14 @@ def straight(
     """
     T_start = ik.pose_of(start)
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
-    turn = float(np.linalg.norm(rotation_vector(T_start[:3, :3].T @ T_tool_in_world[:3, :3])))
+    turn = rotation_vector(T_start[:3, :3].T @ T_tool_in_world[:3, :3])
 
     def on_line(share: float) -> Array:
         position = T_start[:3, 3] + share * (T_tool_in_world[:3, 3] - T_start[:3, 3])
-        return pose(position, interpolate_rotation(T_start[:3, :3], T_tool_in_world[:3, :3], share))
+        return pose(position, T_start[:3, :3] @ rotation_from_vector(share * turn))
 
-    return traced(ik, start, on_line, max(distance / speed, turn / _LINE_TURN_SPEED), tick)
+    seconds = max(distance / speed, float(np.linalg.norm(turn)) / _LINE_TURN_SPEED)
+    return traced(ik, start, on_line, seconds, tick)
 
 
 def traced(ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float) -> Array | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ...config.goals.world import TABLE
 from ...geometry.se3 import Array, pose, quat_from_rotation
@@ -23,6 +24,10 @@ _HALVINGS = 6  # bisections of the last step of a search downwards
 
 _LATERAL_STEP = 0.002  # m, of a search sideways
 _SUPPORT = 0.7  # vertical component of a contact's normal, above which the contact is with what the thing lies on
+
+# MuJoCo's masks: two geoms collide if one's type and the other's affinity have a common bit. Bodies have those of all
+# their geoms.
+_MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,12 @@ class Obstacles:
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
         self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
+        self._solid = self._model.geom_contype != 0
+        # The arm and the thing that move in the model now, and the model's masks for all that moved so far.
+        self._moving: tuple[int | None, str | None] = (None, None)
+        self._masks: dict[tuple[int | None, str | None], list[NDArray[np.int_]]] = {
+            (None, None): [getattr(self._model, name).copy() for name in _MASKS]
+        }
 
     def touched(
         self,
@@ -99,7 +110,7 @@ class Obstacles:
             beside: least distance of the fingers from everything else, m; by default that of the arm.
         """
         data = self._pose(qpos, arm, joints, opening, load)
-        mujoco.mj_collision(self._model, data)
+        self._collide(arm, None if load is None else load.thing)
         if not data.ncon:
             return None
         geoms = data.contact.geom
@@ -112,7 +123,7 @@ class Obstacles:
     def meets_itself(self, arm: int, joints: Array) -> bool:
         """Whether links of an arm collide with each other at given joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
-        mujoco.mj_collision(self._model, data)
+        self._collide(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
         return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
 
@@ -135,12 +146,8 @@ class Obstacles:
         def meets(height: float) -> bool:
             data.qpos[address + 2] = height
             mujoco.mj_kinematics(self._model, data)
-            mujoco.mj_collision(self._model, data)
-            geoms = data.contact.geom
-            of_thing = self._thing_of[geoms] == self._things.index(thing)
-            of_arm = self._arm_of[geoms] >= 0
-            touching = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
-            return bool((touching & (data.contact.dist < 0)).any())
+            self._collide(None, thing)
+            return bool((data.contact.dist < 0).any())
 
         high = float(T_in_world[2, 3])
         data.qpos[address + 2] = high
@@ -163,27 +170,59 @@ class Obstacles:
             most: limit of the search, m.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
-        number, step = self._things.index(thing), direction / np.linalg.norm(direction) * _LATERAL_STEP
+        step = direction / np.linalg.norm(direction) * _LATERAL_STEP
         data.qpos[:] = qpos
         for count in range(math.ceil(most / _LATERAL_STEP)):
             data.qpos[address : address + 2] += step
             mujoco.mj_kinematics(self._model, data)
-            mujoco.mj_collision(self._model, data)
-            geoms, normals = data.contact.geom, data.contact.frame[:, :3]
-            of_thing, of_arm = self._thing_of[geoms] == number, self._arm_of[geoms] >= 0
-            meets = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
-            if (meets & (data.contact.dist < 0) & (np.abs(normals[:, 2]) < _SUPPORT)).any():
+            self._collide(None, thing)
+            if ((data.contact.dist < 0) & (np.abs(data.contact.frame[:, 2]) < _SUPPORT)).any():
                 return count * _LATERAL_STEP
         return most
 
     def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
         """A lower bound of the distance by which a thing can be lowered, from the geoms' bounding boxes, m."""
         low, high = _bounding_boxes(self._model, data)
-        solid, of_thing = self._model.geom_contype != 0, self._thing_of == self._things.index(thing)
-        mine, others = np.flatnonzero(solid & of_thing), np.flatnonzero(solid & ~of_thing & (self._arm_of < 0))
+        of_thing = self._thing_of == self._things.index(thing)
+        mine = np.flatnonzero(self._solid & of_thing)
+        others = np.flatnonzero(self._solid & ~of_thing & (self._arm_of < 0))
         under = ((low[mine, None, :2] < high[None, others, :2]) & (high[mine, None, :2] > low[None, others, :2])).all(2)
         gaps = low[mine, None, 2] - high[None, others, 2]
         return float(gaps[under].min(initial=np.inf))
+
+    def _collide(self, arm: int | None, thing: str | None) -> None:
+        """Update the contacts between what moves and what stays. Contacts within either are left out.
+
+        Args:
+            arm: number of the arm that moves. None leaves out all arms, and without a thing it leaves out nothing.
+            thing: name of the thing that moves; None without one.
+        """
+        if self._moving != (arm, thing):
+            self._moving = arm, thing
+            if self._moving not in self._masks:
+                self._masks[self._moving] = self._masks_of(arm, thing)
+            for name, mask in zip(_MASKS, self._masks[self._moving], strict=True):
+                getattr(self._model, name)[:] = mask
+        mujoco.mj_collision(self._model, self._data)
+
+    def _masks_of(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
+        """The values of `_MASKS` for `_collide`: what moves has types alone, and what stays has affinities alone."""
+        moves = np.zeros(self._model.ngeom, bool)
+        if arm is not None:
+            moves |= self._arm_of == arm
+        if thing is not None:
+            moves |= self._thing_of == self._things.index(thing)
+        stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
+        # Geoms with the same masks in the scene are of one kind, which has a bit of its own.
+        masks = np.column_stack(self._masks[None, None][:2])
+        kinds, kind = np.unique(masks, axis=0, return_inverse=True)
+        bits = 1 << np.arange(len(kinds))
+        collide = ((kinds[:, :1] & kinds[:, 1]) | (kinds[:, 1:] & kinds[:, 0])) != 0
+        geoms = [np.where(moves, bits[kind.ravel()], 0), np.where(stays, (collide @ bits)[kind.ravel()], 0)]
+        bodies = [np.zeros(self._model.nbody, int) for _ in geoms]
+        for of_body, of_geom in zip(bodies, geoms, strict=True):
+            np.bitwise_or.at(of_body, self._model.geom_bodyid, of_geom)
+        return geoms + bodies
 
     def _pose(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None) -> mujoco.MjData:
         data, moving = self._data, self._arms[arm]
@@ -210,15 +249,15 @@ class Obstacles:
         between: str | None,
         beside: float | None,
     ) -> Array:
-        """Which contacts (n,) are forbidden: between the moving arm or its load and something else."""
+        """Which contacts (n,) of the moving arm or its load with something else are forbidden."""
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
-        # Contacts between two moving parts do not count: load and hand are fixed to each other.
-        counts = (of_arm | of_load).any(axis=1) & ~(of_arm | of_load).all(axis=1)
+        counts = np.ones(len(geoms), bool)
         for name in load.may_touch if load else ():
             other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
             counts &= ~(of_load.any(axis=1) & other.any(axis=1))
-        fingers = (of_arm & self._finger[geoms]).any(axis=1)
+        if between is not None or beside is not None:
+            fingers = (of_arm & self._finger[geoms]).any(axis=1)
         if between is not None:
             around = fingers & (of_thing == self._things.index(between)).any(axis=1)
             counts &= ~(around & (distances > -_FINGER_DEPTH))

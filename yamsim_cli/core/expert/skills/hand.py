@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -103,5 +103,5 @@ class Hand:
         return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
 
     def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
-        margin = max(tolerance.margin, self.reserve)
-        return replace(tolerance, margin=margin, leans=tolerance.leans and self.leans)
+        margin, leans = max(tolerance.margin, self.reserve), tolerance.leans and self.leans
+        return Tolerance(tolerance.position, tolerance.rotation, margin, leans)

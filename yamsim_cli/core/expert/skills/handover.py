@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...config.goals.cast import Cast
 from ...config.goals.world import TABLE
@@ -31,20 +32,29 @@ _MEETING_X = (0.32, 0.26, 0.38, 0.44)
 _MIN_ANGLE = math.radians(50)  # rad, hands that point less far apart are in each other's way unless side by side
 # rad, from here on hands face each other, and the thing may roll about the line between them
 _FACING_ANGLE = math.radians(165)
-# Meetings in the order tried: least distance between hands that come from the same side, m; how much lower than
-# `height`, m; and angle between the line from hand to hand and the line between the bases, rad. Fingers with room
-# between them come first, then fingers that just pass each other, then lower places, which hands reach from above.
-_MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
-_MIN_APART = min(apart for apart, _, _ in _MEETINGS)
+_MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other
+_ROOMY = 0.13  # m, distance between hands from which on their fingers have room between them
+# Meetings in the order tried: least and largest distance between the hands, m, infinite unless they come from the same
+# side; how much lower than `height`, m; and angle between the line from hand to hand and the line between the bases,
+# rad. Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
+# reach from above.
+_MEETINGS = (
+    (_ROOMY, math.inf, 0.0, 0.0),
+    (_MIN_APART, _ROOMY, 0.0, 0.0),
+    *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
+)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
-_TURNED_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
+_TURNED_MEETINGS = (
+    *_MEETINGS,
+    *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
+)
 
 # count, giving grips for which `Handover.fault` searches a meeting while nothing moves. A search that finds none takes
 # half a second, and a thing in a pile has hundreds of grips.
 _MAX_SEARCHES = 24
 
-# count, grips whose poses are tested in one call; a call costs as much as 20 separate poses
-_BATCH_SIZE = 64
+# count, grips whose poses are tested in one call; a call costs as much as 200 poses in it
+_BATCH_SIZE = 256
 
 # rad, of the thing about the line between hands that face each other
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
@@ -81,7 +91,7 @@ class Handover(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = True
-    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MEETINGS
+    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _MEETINGS
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
@@ -158,9 +168,9 @@ class Handover(Skill):
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
         attitude = functools.cache(lambda grip: _attitude(T_giving, grip.T_pinch_in_thing))
-        for apart, lower, turn in self.MEETINGS:
+        for least, most, lower, turn in self.MEETINGS:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _MEETING_X]
-            poses = _Poses(rotation_z(turn) @ across, apart, np.array(places), attitude)
+            poses = _Poses(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
             for number, grip, T_things in _within_reach(giver, taker, T_giving, grips.open(), poses):
                 if check_first and not grips.suits(number, grip):
                     continue
@@ -178,7 +188,7 @@ class Handover(Skill):
 class _TurnedHandover(Handover):
     """A handover in which the line from hand to hand may be turned."""
 
-    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _TURNED_MEETINGS
+    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_MEETINGS
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
         """See `Skill`."""
@@ -223,15 +233,13 @@ def _within_reach(
 ) -> Iterator[tuple[int, Grip, Array]]:
     """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
-        T_things = [poses.of(grip) for _, grip in batch]
-        T = np.concatenate(T_things)
-        T_taking = np.concatenate([T @ grip.T_pinch_in_thing for T, (_, grip) in zip(T_things, batch, strict=True)])
-        reached = taker.may_reach(T_taking)
+        T, k = poses.of([grip for _, grip in batch])
+        T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
+        reached = taker.may_reach(T @ T_grips[k])
         reached[reached] = giver.may_reach(T[reached] @ T_giving, PASSING)
-        ends = np.cumsum([len(T_thing) for T_thing in T_things])[:-1]
-        for (number, grip), T_thing, mask in zip(batch, T_things, np.split(reached, ends), strict=True):
-            if mask.any():
-                yield number, grip, T_thing[mask]
+        T, k = T[reached], k[reached]
+        for number in np.unique(k):
+            yield *batch[number], T[k == number]
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
@@ -267,12 +275,12 @@ class _Attitude:
     Attributes:
         R_thing: rotation (3, 3) from the thing's frame to a frame whose first axis leads from the giving hand to the
             taking hand, and whose second axis points along both hands.
-        apart: distance between hands that point in similar directions, m; None for other hands.
+        apart: distance between hands that point in similar directions, m; infinite for other hands.
         facing: whether the hands face each other, so that the thing may roll about the line between them.
     """
 
     R_thing: Array
-    apart: float | None
+    apart: float
     facing: bool
 
 
@@ -282,25 +290,26 @@ class _Poses:
 
     Attributes:
         across: direction (3,) from the giving to the taking hand, in `world`.
-        side_by_side: least distance between hands that point in similar directions, m.
+        apart: least and largest `apart` of an attitude, m.
         places: of the thing's origin (n, 3), in `world`, m.
         attitude: returns the thing's attitude for a taking grip.
     """
 
     across: Array
-    side_by_side: float
+    apart: tuple[float, float]
     places: Array
     attitude: Callable[[Grip], _Attitude | None]
 
-    def of(self, grip: Grip) -> Array:
-        """Return the poses (n, 4, 4) in `world` for a taking grip."""
-        attitude = self.attitude(grip)
-        if attitude is None or (attitude.apart is not None and attitude.apart < self.side_by_side):
-            return np.empty((0, 4, 4))
-        R = (self._rolled if attitude.facing else self._rolled[:1]) @ attitude.R_thing
-        T = np.tile(np.eye(4), (len(R), len(self.places), 1, 1))
-        T[..., :3, :3], T[..., :3, 3] = R[:, None], self.places
-        return T.reshape(-1, 4, 4)
+    def of(self, grips: Sequence[Grip]) -> tuple[Array, NDArray[np.intp]]:
+        """Return the poses (n, 4, 4) in `world` for taking grips, in their order, and the number of each one's grip."""
+        attitudes, (least, most) = [self.attitude(grip) for grip in grips], self.apart
+        fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
+        numbers = np.array([k for k, _ in fitting], np.intp)
+        R = self._rolled @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
+        rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (np.arange(len(_ROLLS)) == 0)
+        T = np.zeros((np.count_nonzero(rolls), len(self.places), 4, 4))
+        T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R[rolls][:, None], self.places, 1.0
+        return T.reshape(-1, 4, 4), numbers[np.nonzero(rolls)[0]].repeat(len(self.places))
 
     @functools.cached_property
     def _rolled(self) -> Array:
@@ -312,13 +321,13 @@ class _Poses:
 def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
     """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
-    apart = T_taking[:3, 3] - T_giving[:3, 3]
-    distance = float(np.linalg.norm(apart))
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
-    same_way = angle < _MIN_ANGLE
-    if same_way and distance < _MIN_APART:
-        return None
-    first = apart if same_way else giving - taking
+    first, apart = giving - taking, math.inf
+    if angle < _MIN_ANGLE:
+        first = T_taking[:3, 3] - T_giving[:3, 3]
+        apart = float(np.linalg.norm(first))
+        if apart < _MIN_APART:
+            return None
     first = first / np.linalg.norm(first)
     second = giving + taking
     if angle > _FACING_ANGLE:
@@ -326,8 +335,10 @@ def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
         # first.
         second = np.array((0.0, 0.0, -1.0)) if abs(first[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
     second = second - (second @ first) * first
-    if np.linalg.norm(second) < 0.1:
+    length = np.linalg.norm(second)
+    if length < 0.1:
         return None
-    second = second / np.linalg.norm(second)
-    R_thing = np.array([first, second, np.cross(first, second)])
-    return _Attitude(R_thing, distance if same_way else None, angle > _FACING_ANGLE)
+    second = second / length
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()
+    R_thing = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
+    return _Attitude(R_thing, apart, angle > _FACING_ANGLE)
