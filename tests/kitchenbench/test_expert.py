@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,13 +32,15 @@ from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.expert.skills.bench import Bench, Fingers
+from yamsim_cli.core.expert.skills.bench import Bench, Fingers, Segment, SkillFailedError
 from yamsim_cli.core.expert.skills.grips import Grip
 from yamsim_cli.core.expert.skills.handover import Handover
-from yamsim_cli.core.expert.skills.insert import Insert
-from yamsim_cli.core.expert.skills.pick import Pick
+from yamsim_cli.core.expert.skills.pick import Pick, Reach
 from yamsim_cli.core.expert.skills.place import Place
-from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
+from yamsim_cli.core.scene.casting import gap, outline
+from yamsim_cli.core.sim.world import SimWorld
+from yamsim_cli.core.types import Cause
 from yamsim_cli.kitchenbench.catalog import thing_of
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.judges import KitchenWorld
@@ -45,7 +48,7 @@ from yamsim_cli.kitchenbench.motion import Motion, commanded_opening, commanded_
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import open_base, realize
-from yamsim_cli.kitchenbench.sorting import PutBesideTray, Slide, Sort
+from yamsim_cli.kitchenbench.sorting import Grab, PlaceInCompartment, PutBesideTray, Slide, Sort
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
@@ -105,7 +108,8 @@ def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
     try:
         bench, roles = planning.bench, planning._simulator.cast
         assert roles is not None
-        inside = Insert(thing="knife_1", into="compartment_knife").goals(bench, roles, "knife_1")
+        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
+        inside = put.goals(bench, roles, "knife_1")
         assert inside and bench.world.inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
         aside = PutBesideTray(thing="knife_1").goals(bench, roles, "knife_1")
         assert aside and not any(bench.world.inside("tray", T[None, :3, 3]).any() for T in aside)
@@ -124,16 +128,83 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
         world = KitchenWorld(realized, Motion(realized, 10)).scene
         (sort,) = program_of(realized.blueprint, {}, BASES)
         assert isinstance(sort, Sort)
-        left = sort.left(world, cast, hasty=False)
+        left = sort.left(world, cast, {})
         assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
+        # After a failure, what lies below still waits.
+        after_failure = sort.left(world, cast, {"knife_1": 1})
+        below = {name for name in after_failure if _overlap(world, name, "knife_1") and name != "knife_1"}
+        assert below and all(after_failure.index(name) > after_failure.index("knife_1") for name in below)
         address = realized.simulator.scene.object_qpos["knife_1"]
         tray = world.pose("tray")
         world.data.qpos[address : address + 3] = (tray @ (0.10, 0.0, 0.012, 1.0))[:3]
         world.data.qpos[address + 3 : address + 7] = quat_from_rotation(tray[:3, :3])
         mujoco.mj_kinematics(realized.simulator.scene.model, world.data)
-        assert "knife_1" not in sort.left(world, cast, hasty=False)
+        assert "knife_1" not in sort.left(world, cast, {})
     finally:
         realized.simulator.close()
+
+
+def _overlap(world: SimWorld, one: str, other: str) -> bool:
+    """Return whether two things overlap, seen from above."""
+    return gap(*(outline(world.block(name), world.pose(name)) for name in (one, other))) < 0
+
+
+def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
+    """At the height of an upright piece, its lower end would be pressed into the floor."""
+    planning = _planning_scene("sort-cutlery-balanced-pile")
+    try:
+        bench, roles = planning.bench, planning._simulator.cast
+        assert roles is not None
+        address = planning._scene.object_qpos["knife_1"]
+        leaning = rotation_from_vector([0.0, math.radians(15.0), 0.0])
+        bench.world.data.qpos[address + 3 : address + 7] = quat_from_rotation(leaning)
+        mujoco.mj_kinematics(planning._scene.model, bench.world.data)
+        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
+        for skill, onto in ((put, "compartment_knife"), (PutBesideTray(thing="knife_1"), "table")):
+            goals = skill.goals(bench, roles, "knife_1")
+            upright = next(T for T in goals if T[2, 2] > 0.999)
+            other = next(T for T in goals if T[2, 2] < 0.99)
+            for T in (upright, other):
+                assert T[2, 3] == pytest.approx(bench.height_of("knife_1", T, onto), abs=5e-4)
+            assert other[2, 3] > upright[2, 3] + 0.001
+    finally:
+        planning.close()
+
+
+def test_a_grip_that_slipped_is_not_tried_again(expert_bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    hand, thing = expert_bench.hands[0], "cup_1"
+    grip = next(expert_bench.grips(thing, hand.max_opening))
+
+    def slips(*_: object) -> Iterator[Segment]:
+        raise SkillFailedError(Cause.SLIPPED, "between the fingers is nothing")
+        yield
+
+    monkeypatch.setattr(Pick, "_take", slips)
+    grab = Grab(thing=thing)
+    with pytest.raises(SkillFailedError):
+        list(grab._take(expert_bench, hand, thing, Reach(grip, hand.ready, hand.ready, grip.opening)))
+    assert hand.failed_with(thing, grip.T_pinch_in_thing)
+    assert grab.reach(expert_bench, hand, thing, grip) is None
+
+
+def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
+    """A hand takes it there by the most reliable grip."""
+    planning = _planning_scene("sort-cutlery-balanced-pile")
+    try:
+        bench, roles = planning.bench, planning._simulator.cast
+        assert roles is not None
+
+        class Onwards(PutBesideTray):
+            def fault(self, *_: object) -> str | None:  # type: ignore[override]
+                return None
+
+        nearest = PutBesideTray(thing="spoon_1").goals(bench, roles, "spoon_1")
+        taken_on = PutBesideTray(thing="spoon_1", then=Onwards(thing="spoon_1")).goals(bench, roles, "spoon_1")
+        assert len(nearest) == len(taken_on)
+        grips = [(hand, next(bench.grips("spoon_1", hand.max_opening)).T_pinch_in_thing) for hand in bench.acting]
+        assert any(hand.reach(taken_on[0] @ T_pinch, (hand.ready,)) is not None for hand, T_pinch in grips)
+    finally:
+        planning.close()
 
 
 @pytest.fixture

@@ -16,13 +16,13 @@ from ..core.config.goals.cast import Cast
 from ..core.config.goals.world import TABLE
 from ..core.expert.skills.base import Side, Skill, holder_of
 from ..core.expert.skills.bench import Bench, Fingers, Segment, SkillFailedError
-from ..core.expert.skills.hand import PASSING, Hand
+from ..core.expert.skills.grips import can_point
+from ..core.expert.skills.hand import PASSING, Hand, Held
 from ..core.expert.skills.handover import Handover
-from ..core.expert.skills.insert import Insert
 from ..core.expert.skills.moves import let_go, park_free, recover, rest
-from ..core.expert.skills.pick import Pick
+from ..core.expert.skills.pick import Pick, Reach
 from ..core.expert.skills.place import HOVER_HEIGHT, Placing, raised
-from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z, yaw
+from ..core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..core.scene.casting import gap, outline
 from ..core.sim.world import SimWorld
 from ..core.types import Cause
@@ -39,12 +39,15 @@ _MEETING = 0.25  # m over the table, where hands meet
 _GRID = 0.02  # m, between the places that are tried in a compartment
 _LOWER = 0.001  # m; a place that is lower by this is better
 _FREE = 0.003  # m; a place with this room to all other things is preferred
-_MAX_PLACES = 12  # that are offered, free and occupied ones each
+_MAX_PLACES = 12  # count, of free places in each attitude, and of occupied ones, that are tried
+_LET_FALL = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
 _TABLE_GRID = 0.04  # m, between the places on the table that are tried
 _MAX_ASIDE = 0.30  # m, of such a place from where the thing is
 _ASIDE_GAP = 0.015  # m, between a thing on such a place and other things
+_ASIDE_TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of a thing on such a place that are tried
+_MAX_GRIPS = 8  # count for each hand, grips for which such a place is searched: each costs an IK search per place
 
-_UPRIGHT = 0.95  # z of the z axis; a thing above stays upright
+_UPRIGHT = math.cos(math.radians(3.0))  # z of the z axis; a thing above stays upright
 _HANGING = 0.6  # z of the z axis; a thing below stays on its side or on its head
 
 _ROOM = 0.040  # m, that is searched on both sides of a thing, and the longest slide
@@ -81,29 +84,37 @@ class PlaceInCompartment(Placing):
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
-        world, into = bench.world, cast.one(self.into)
-        T, (low, high), block = world.pose(into), world.block(into), world.block(thing)
+        world, into, block = bench.world, cast.one(self.into), bench.world.block(thing)
         others = [outline(world.block(name), world.pose(name)) for name in cast.of(self.beside) if name != thing]
-        free, occupied = list[tuple[float, Array]](), list[tuple[float, Array]]()
-        for R in _along(world, thing, T):
+        free, occupied = list[Array](), list[tuple[float, Array]]()
+        for attitude in _attitudes(world, thing):
+            room = list[Array]()
+            for off, T_goal in sorted(self._places(bench, thing, into, attitude), key=lambda each: each[0]):
+                there = outline(block, T_goal)
+                if any(gap(there, other) < _FREE for other in others):
+                    occupied.append((off, T_goal))
+                else:
+                    room.append(T_goal)
+            free += room[:: math.ceil(len(room) / _MAX_PLACES)] if room else []
+        _lay(bench, thing, into, free)
+        for _, T_goal in occupied:
+            T_goal[2, 3] = bench.height_of(thing, T_goal, into)
+        occupied.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
+        goals = [*free, *(T_goal for _, T_goal in occupied[:_MAX_PLACES])]
+        return [*goals, *(raised(T_goal, _LET_FALL) for T_goal in goals)]
+
+    @staticmethod
+    def _places(bench: Bench, thing: str, into: str, attitude: Array) -> Iterator[tuple[float, Array]]:
+        """Yield poses (4, 4) of a thing along a compartment, without height, and their distance from its middle, m."""
+        T, (low, high), block = bench.world.pose(into), bench.world.block(into), bench.world.block(thing)
+        for R in _along(block, attitude, T):
             corners = outline(block, pose(rotation=T[:3, :3].T @ R))
             first, last = low[:2] - corners.min(axis=0), high[:2] - corners.max(axis=0)
             if (first > last).any():
                 continue
-            for x in _places_between(first[0], last[0]):
-                for y in _places_between(first[1], last[1]):
-                    T_goal = pose((T @ (x, y, 0.0, 1.0))[:3], R)
-                    off = math.hypot(*((x, y) - (first + last) / 2))
-                    there = outline(block, T_goal)
-                    (occupied if any(gap(there, other) < _FREE for other in others) else free).append((off, T_goal))
-        free = sorted(free, key=lambda each: each[0])
-        free = free[:: math.ceil(len(free) / _MAX_PLACES)] if free else []
-        for _, T_goal in free[:1] + occupied:
-            T_goal[2, 3] = bench.height_of(thing, T_goal, into)
-        for _, T_goal in free[1:]:
-            T_goal[2, 3] = free[0][1][2, 3]
-        occupied.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
-        return [T_goal for _, T_goal in free + occupied[:_MAX_PLACES]]
+            for place in itertools.product(*(_places_between(first[k], last[k]) for k in (0, 1))):
+                off = math.hypot(*(np.array(place) - (first + last) / 2))
+                yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
         """See `Placing`; where that fails, from joints that reach the place itself."""
@@ -113,58 +124,96 @@ class PlaceInCompartment(Placing):
         return joints
 
 
-def _along(world: SimWorld, thing: str, T: Array) -> list[Array]:
-    """Rotations (3, 3) in `world` of a long thing along a compartment at pose (4, 4), in both directions.
+def _along(block: Array, attitude: Array, T: Array) -> list[Array]:
+    """Return rotations (3, 3) of a long thing along a compartment at a pose (4, 4), in both directions.
 
-    A thing on its side or on its head stays so.
+    Args:
+        block: the thing's lowest and highest corner (2, 3) in its frame, m.
+        attitude: the thing's rotation (3, 3), with any heading.
     """
-    low, high = world.block(thing)
-    longest = int(np.argmax(high - low))
-    wanted = math.atan2(T[1, 1], T[0, 1])
-    return [
-        rotation_z(wanted + turn - math.atan2(R[1, longest], R[0, longest])) @ R
-        for R in _attitudes(world, thing)
-        for turn in (0.0, math.pi)
-    ]
+    longest = int(np.argmax(block[1] - block[0]))
+    heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(attitude[1, longest], attitude[0, longest])
+    return [rotation_z(heading + turn) @ attitude for turn in (0.0, math.pi)]
 
 
 def _attitudes(world: SimWorld, thing: str) -> list[Array]:
-    """Rotations (3, 3), up to the heading, in which a thing may be put down; on its side or head it stays so."""
+    """Return rotations (3, 3), up to the heading, in which a thing may be put down: upright, and as it lies now.
+
+    A thing on its side or on its head stays so.
+    """
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
     return [upright] if now[2, 2] > _UPRIGHT else [upright, now] if now[2, 2] > _HANGING else [now]
 
 
+def _lay(bench: Bench, thing: str, onto: str, goals: Sequence[Array]) -> None:
+    """Set the heights of a thing's poses (4, 4) at free places of a flat floor, which depend on the attitude alone."""
+    heights = dict[tuple[float, ...], float]()
+    for T in goals:
+        attitude = tuple(T[2, :3].round(6))
+        if attitude not in heights:
+            heights[attitude] = bench.height_of(thing, T, onto)
+        T[2, 3] = heights[attitude]
+
+
 class PutBesideTray(Placing):
-    """Put a long thing down on a free place of the table, the nearest first.
+    """Put a long thing down on a free place of the table: one from where it can be taken on, else the nearest.
 
     Attributes:
         thing: a role; it is in a hand.
+        then: the skill for which the thing is grasped again; None for any.
     """
+
+    then: Placing | None = None
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
         world, (low, high) = bench.world, bench.world.bounds(TABLE)
         others = [outline(world.block(name), world.pose(name)) for name in world.things if name != thing]
         block, now = world.block(thing), world.pose(thing)[:2, 3]
-        turns = (0.0, math.pi / 2, math.pi, -math.pi / 2)
-        rotations = [rotation_z(turn) @ R for R in _attitudes(world, thing) for turn in turns]
-        found = list[tuple[float, Array]]()
+        goals = list[Array]()
         for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID) for k in (0, 1))):
-            off = math.hypot(x - now[0], y - now[1])
-            if off > _MAX_ASIDE:
+            if math.hypot(x - now[0], y - now[1]) > _MAX_ASIDE:
                 continue
-            for R in rotations:
-                T = pose((x, y, 0.0), R)
+            for R, turn in itertools.product(_attitudes(world, thing), _ASIDE_TURNS):
+                T = pose((x, y, 0.0), rotation_z(turn) @ R)
                 there = outline(block, T)
                 on_table = (there >= low[:2]).all() and (there <= high[:2]).all()
                 if on_table and all(gap(there, other) >= _ASIDE_GAP for other in others):
-                    found.append((off, T))
-        goals = [T for _, T in sorted(found, key=lambda each: each[0])]
-        height = bench.height_of(thing, goals[0], TABLE) if goals else 0.0
-        for T in goals:
-            T[2, 3] = height
-        return goals
+                    goals.append(T)
+        _lay(bench, thing, TABLE, goals)
+        goals.sort(key=lambda T: float(np.linalg.norm(T[:2, 3] - now)))
+        grips = [] if self.then is None else _grips_for(bench, cast, thing, self.then)
+        return sorted(
+            goals,
+            key=lambda T: next((rank for rank, hand, T_pinch in grips if _takes(hand, T @ T_pinch)), math.inf),
+        )
+
+
+def _grips_for(bench: Bench, cast: Cast, thing: str, put: Placing) -> list[tuple[int, Hand, Array]]:
+    """Return with which grips a thing could be put to its goal, the most reliable first.
+
+    Returns:
+        The rank of each grip, its hand, and its pinch frame (4, 4) in the thing's frame.
+    """
+    found = list[tuple[int, Hand, Array]]()
+    for hand in bench.acting:
+        suiting = (
+            (rank, hand, grip.T_pinch_in_thing)
+            for rank, grip in enumerate(bench.grips(thing, hand.max_opening))
+            if not hand.failed_with(thing, grip.T_pinch_in_thing)
+            and put.fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), hand.ready) is None
+        )
+        found += itertools.islice(suiting, _MAX_GRIPS)
+    return sorted(found, key=lambda each: each[0])
+
+
+def _takes(hand: Hand, T_pinch: Array) -> bool:
+    """Return whether a hand reaches a pose (4, 4) of its pinch frame in `world`, and over it."""
+    if not can_point(T_pinch, hand.arm.T_base_in_world):
+        return False
+    at = hand.reach(T_pinch, (hand.ready,))
+    return at is not None and hand.reach(raised(T_pinch, _LIFT), (at,)) is not None
 
 
 def _places_between(first: float, last: float) -> Array:
@@ -291,22 +340,15 @@ class Sort(Skill):
         """See `Skill`."""
         tries: dict[str, int] = {}
         failures: dict[str, str] = {}
-        # Things that have to leave one compartment for another take more tries, and the time is short.
-        hasty = any(self._in_tray(bench.world, name) for name in self.left(bench.world, cast, False))
-        bring = self._hastily if hasty else self._calmly
 
-        def waits(name: str) -> float:
-            """A thing's place in the queue: after its failures, other things are tried first."""
-            return tries.get(name, 0) + (_OUTSIDE if hasty and not self._in_tray(bench.world, name) else 0.0)
-
-        while left := self.left(bench.world, cast, hasty):
-            name = min(left, key=waits)
+        while left := self.left(bench.world, cast, tries):
+            name = left[0]
             if tries.get(name, 0) == _TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, failures[name])
                 return
             parked = all(np.abs(hand.joints - hand.ready).max() < _PARKED for hand in bench.hands)
             try:
-                yield from bring(bench, cast, name, tries.get(name, 0) + 1)
+                yield from self._bring(bench, cast, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
                 failures[name] = str(error)
                 yield from _put_back(bench, cast, name)
@@ -317,65 +359,62 @@ class Sort(Skill):
     def _in_tray(self, world: SimWorld, name: str) -> bool:
         return any(world.share_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
-    def left(self, world: SimWorld, cast: Cast, hasty: bool) -> list[str]:
-        """The things that are not in their compartment: the uppermost first; in haste, those in the tray first."""
+    def left(self, world: SimWorld, cast: Cast, tries: Mapping[str, int]) -> list[str]:
+        """Return the things that are not in their compartment, in the order in which they are brought: those on which
+        nothing lies first, then those with fewer tries, and those in the tray before those outside.
+        """
         names = [
             name for name in cast.of(self.things) if world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE
         ]
-        if not hasty:
-            return sorted(names, key=lambda name: -float(world.bounds(name)[1][2]))
         seen = {name: outline(world.block(name), world.pose(name)) for name in names}
 
-        def order(name: str) -> tuple[int, bool, float]:
-            above = sum(
+        def order(name: str) -> tuple[bool, float, float]:
+            covered = any(
                 gap(seen[name], seen[other]) < 0 and world.pose(other)[2, 3] > world.pose(name)[2, 3]
                 for other in names
                 if other != name
             )
-            return above, not self._in_tray(world, name), -float(world.pose(name)[1, 3])
+            waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE)
+            return covered, waits, -float(world.pose(name)[1, 3])
 
         return sorted(names, key=order)
 
-    def _calmly(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
-        """By the arm that reaches both; on the second try displaced first; on later tries by a handover."""
-        pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=self.into[cast.kinds[name]])
-        if number == 2:
-            yield from _displaced(bench, cast, name, pick)
-        yield from _brought(bench, cast, name, pick, put, handed=number > 2)
-
-    def _hastily(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
-        """By the arm that reaches both; on the second try slid free first, on the third displaced; then handed over."""
+    def _bring(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
+        """Bring a thing to its compartment, in another way on each try: first by the arm that reaches both; then slid
+        free before; then displaced before; then by a handover.
+        """
         pick = Grab(thing=name, lift=_LIFT)
         put = PlaceInCompartment(thing=name, into=self.into[cast.kinds[name]], beside=self.things)
         if number == 2:
             with suppress(SkillFailedError):
                 yield from Slide(thing=name).run(bench, cast, (pick,))
         if number == 3:
-            yield from _displaced(bench, cast, name, pick)
-        yield from _brought(bench, cast, name, pick, put, handed=number > 3)
-
-
-def _displaced(bench: Bench, cast: Cast, name: str, pick: Pick) -> Iterator[Segment]:
-    """Put a thing down elsewhere, where other grips are free."""
-    put_aside = PutBesideTray(thing=name)
-    yield from pick.run(bench, cast, (put_aside,))
-    yield from put_aside.run(bench, cast, ())
-
-
-def _brought(bench: Bench, cast: Cast, name: str, pick: Pick, put: Skill, handed: bool) -> Iterator[Segment]:
-    """Pick a thing up and put it down, with or without a handover between."""
-    give = Handover(thing=name, height=_MEETING)
-    between = (give,) if handed else ()
-    yield from pick.run(bench, cast, (*between, put))
-    if handed:
-        yield from give.run(bench, cast, (put,))
-    yield from put.run(bench, cast, ())
+            put_aside = PutBesideTray(thing=name, then=put)
+            yield from pick.run(bench, cast, (put_aside,))
+            yield from put_aside.run(bench, cast, ())
+        give = Handover(thing=name, height=_MEETING)
+        between = (give,) if number > 3 else ()
+        yield from pick.run(bench, cast, (*between, put))
+        if between:
+            yield from give.run(bench, cast, (put,))
+        yield from put.run(bench, cast, ())
 
 
 class Grab(Pick):
-    """Grasp a narrow thing: the arm need not be at rest before the fingers close."""
+    """Grasp a narrow thing: the arm need not be at rest before the fingers close.
+
+    A grip that slips is not tried again with that thing.
+    """
 
     WAITS: ClassVar[bool] = False
+
+    def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
+        try:
+            yield from super()._take(bench, hand, thing, found)
+        except SkillFailedError as error:
+            if error.cause in (Cause.SLIPPED, Cause.DROPPED):
+                hand.failed_grasps.append(Held(thing, inverse(found.grip.T_pinch_in_thing)))
+            raise
 
 
 def _put_back(bench: Bench, cast: Cast, name: str) -> Iterator[Segment]:
