@@ -6,26 +6,28 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from yamsim_cli.core.episode.engine import Simulated, demonstrate
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.attempt_data import ActionSequence, AttemptJob, StepState
+from yamsim_cli.core.episode.execution import SimulatedAttempt, demonstrate
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.types import Actions, EpisodeJob, StepState
 
 
-def planned(simulator: Simulator, seed: int, attempt: int = 0) -> Simulated:
+def planned(simulator: Simulator, seed: int, attempt: int = 0) -> SimulatedAttempt:
     """What the task's expert makes of an attempt."""
-    return demonstrate(simulator, sample(simulator, EpisodeJob(seed, attempt)))
+    return demonstrate(simulator, sample_attempt(simulator, AttemptJob(seed, attempt)))
 
 
 def start_of(simulator: Simulator, seed: int = 0) -> Array:
     """MuJoCo's positions (nq,) at the start of a seed's first attempt."""
-    start = sample(simulator, EpisodeJob(seed, 0)).start
+    start = sample_attempt(simulator, AttemptJob(seed, 0)).start
     assert start is not None
     return start
 
 
-def all_actions(states: Sequence[StepState]) -> Actions:
+def all_actions(states: Sequence[StepState]) -> ActionSequence:
     """What acted throughout, put together from every frame's part."""
     parts = [state.actions for state in states]
-    return Actions(*(np.concatenate([getattr(part, key) for part in parts]) for key in ("ctrl", "magnet", "joints")))
+    return ActionSequence(
+        *(np.concatenate([getattr(part, key) for part in parts]) for key in ("ctrl", "magnet", "joints"))
+    )

@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.images.board_image import board_image, marker_cells
-from yamsim_cli.photos.lens import project_points, ray_field
+from yamsim_cli.photos.lens_distortion import project_points, viewing_ray_grid
 
 Photo = NDArray[np.uint8]
 
@@ -65,7 +65,7 @@ def picture(camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: fl
         for first, last in zip(low, high, strict=True)
     )
     if len(x) and len(y):
-        field = ray_field(camera, x, y)
+        field = viewing_ray_grid(camera, x, y)
         fine = np.full(field.shape[:2], _TABLE, np.float32)
         for board, T in boards:
             _lay(fine, field, board, T)

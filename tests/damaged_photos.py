@@ -11,7 +11,7 @@ import numpy as np
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.photos.lens import project_points, rays
+from yamsim_cli.photos.lens_distortion import project_points, viewing_rays
 
 Grey = np.ndarray
 # From a random generator, a grey picture (height, width), its camera, a board and its pose (4, 4) in the camera frame.
@@ -96,7 +96,7 @@ def twisted(rng: np.random.Generator, image: Grey, camera: CameraModel, board: B
 def _rays_of(camera: CameraModel) -> np.ndarray:
     """Viewing rays (n, 3) of all pixels, row by row."""
     y, x = np.mgrid[: camera.height, : camera.width]
-    return np.column_stack([rays(camera, np.column_stack([x.ravel(), y.ravel()])), np.ones(x.size)])
+    return np.column_stack([viewing_rays(camera, np.column_stack([x.ravel(), y.ravel()])), np.ones(x.size)])
 
 
 def _met(camera: CameraModel, T: Array, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

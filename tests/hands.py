@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.finray.chain import add_fingers
 from yamsim_cli.core.robots.finray.finger import FinRay
+from yamsim_cli.core.robots.finray.segment_chain import add_fingers
 
 GRIPPERS = Path(__file__).resolve().parents[1] / "robot_models" / "grippers"
 
@@ -62,7 +62,7 @@ def _said(name: str) -> dict:
 
 
 @dataclass(frozen=True)
-class Grip:
+class GripResult:
     """What came of closing on a thing.
 
     Attributes:
@@ -80,7 +80,7 @@ class Grip:
 
 def grip(
     name: str, fill: Fill, command: float, *, start: float, height: float | None = None, seconds: float = 1.0
-) -> Grip:
+) -> GripResult:
     """Close a gripper on a thing that is free to move along the closing axis.
 
     Args:
@@ -104,7 +104,7 @@ def grip(
     for _ in range(round(seconds / TIME_STEP)):
         mujoco.mj_step(model, data)
         forces.append(sum(_presses(model, data)))
-    return Grip(data, np.array(forces), max(_presses(model, data), default=0.0), _touching(model, data))
+    return GripResult(data, np.array(forces), max(_presses(model, data), default=0.0), _touching(model, data))
 
 
 def _presses(model: mujoco.MjModel, data: mujoco.MjData) -> list[float]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from yamsim_cli.core.config.rig import ArmConfig
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.core.scene.robot import arm_spec
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.scene.arm_model import arm_spec
 
 # A motor's CAN message has 16 bits for +-12.5 rad. Source: POSITION_MAX of DM4310 and DM4340 in the maker's SDK 1.3.6.
 ENCODER_STEP = 25 / 65535
@@ -19,7 +19,7 @@ _STEP = 0.0005
 
 
 @dataclass(frozen=True)
-class Planted:
+class TrueParameters:
     """How an arm moves. All but the delay are there for each joint (dof,); units as in `identify.plant.Values`.
 
     Attributes:
@@ -37,7 +37,7 @@ class Planted:
     integrator: str
 
 
-def random_plant(arm: ArmConfig, rng: np.random.Generator) -> Planted:
+def random_plant(arm: ArmConfig, rng: np.random.Generator) -> TrueParameters:
     """An arm that is unlike its model in everything that is fitted."""
     spec = arm_spec(arm, None).compile()
     joints = [spec.joint(name) for name in arm.robot.joint_names]
@@ -45,7 +45,7 @@ def random_plant(arm: ArmConfig, rng: np.random.Generator) -> Planted:
     drives = np.array([spec.actuator(name).id for name in arm.robot.joint_drives])
     kv, friction, armature = -spec.actuator_biasprm[drives, 2], spec.dof_frictionloss[dof], spec.dof_armature[dof]
     n = len(dof)
-    return Planted(
+    return TrueParameters(
         delay=float(rng.uniform(0.008, 0.045)),
         friction=friction * rng.uniform(0.6, 2.0, n),
         damping=kv * rng.uniform(0.1, 0.6, n),
@@ -61,7 +61,7 @@ def random_plant(arm: ArmConfig, rng: np.random.Generator) -> Planted:
 _SETS_IN = {"tanh": 0.02, "stribeck": 0.02, "coulomb": 0.005}
 
 
-def _friction(planted: Planted, invweight: Array) -> Callable[[Array], Array]:
+def _friction(planted: TrueParameters, invweight: Array) -> Callable[[Array], Array]:
     """What friction takes (dof,), N m, of speeds (dof,), rad/s, as it is in the middle of a step.
 
     Args:
@@ -85,14 +85,14 @@ def _friction(planted: Planted, invweight: Array) -> Callable[[Array], Array]:
 
 def drive(
     arm: ArmConfig,
-    planted: Planted,
+    planted: TrueParameters,
     times: Array,
     commands: Array,
     rng: np.random.Generator,
     jitter: float = 0.001,
     step: float = ENCODER_STEP,
     opening: float = 0.0,
-) -> Motion:
+) -> RecordedMotion:
     """What is logged of an arm that is told commands (n, dof) at times (n,).
 
     Args:
@@ -141,4 +141,4 @@ def drive(
         read[next_sample] = read[next_sample - 1]
         next_sample += 1
     openings = None if arm.robot.fingers is None else np.full(len(times), opening)
-    return Motion("planted", times, (ArmMotion("", read, commands, openings, openings),))
+    return RecordedMotion("planted", times, (ArmMotion("", read, commands, openings, openings),))

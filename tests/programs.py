@@ -9,16 +9,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.expert import sides
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.expert import arm_sides
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
-from yamsim_cli.core.expert.planning.arm_tools import start_stands
-from yamsim_cli.core.expert.skills.bench import Bench
-from yamsim_cli.core.files.documents.document import dump_yaml
-from yamsim_cli.core.sim.world import world_of
-from yamsim_cli.core.types import Attempt, EpisodeJob
-from yamsim_cli.opener import Opener
+from yamsim_cli.core.expert.planning.arm_solvers import start_postures
+from yamsim_cli.core.expert.skills.planning_context import PlanningContext
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
+from yamsim_cli.core.sim.sim_world import make_sim_world
+from yamsim_cli.session_opener import SessionOpener
 
 STATION = "yam_station_linear_4310_d405"
 
@@ -81,7 +81,7 @@ def written(folder: Path, task: dict[str, Any], name: str = "small") -> Path:
 
 def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
     """A session of a task, with primitives in place of meshes."""
-    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
     where = opener.locations()
     given = {"size": "64x48", "quality": "fast", "n": 1, "workers": 1} | given
     session = Session(opener.config("default", where, task=str(written(folder, task)), **given), where)
@@ -90,9 +90,9 @@ def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
 
 def first_attempt(simulators: Simulators, number: int = 0) -> tuple[Simulator, Attempt]:
     """An attempt of seed 0, and the simulator in which it takes place."""
-    job = EpisodeJob(0, number)
-    simulator = simulators.of(job)
-    return simulator, sample(simulator, job)
+    job = AttemptJob(0, number)
+    simulator = simulators.get(job)
+    return simulator, sample_attempt(simulator, job)
 
 
 def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
@@ -104,9 +104,9 @@ def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
     return simulator, attempt, data
 
 
-def bench_at_start(simulators: Simulators) -> Bench:
+def bench_at_start(simulators: Simulators) -> PlanningContext:
     """What skills find where the first attempt begins."""
     simulator, _, data = started(simulators)
-    world = world_of(simulator.scene, data, sides(simulator.config))
-    stands = list(start_stands(simulator.config))
-    return simulator.expert_tools.bench(world, stands, np.random.default_rng(0))
+    world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
+    stands = list(start_postures(simulator.config))
+    return simulator.expert_tools.planning_context(world, stands, np.random.default_rng(0))

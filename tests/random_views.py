@@ -14,7 +14,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
-from yamsim_cli.photos.lens import project_points
+from yamsim_cli.photos.lens_distortion import project_points
 
 # Webcams at VGA to phones of 12 megapixels.
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (4032, 3024))
@@ -33,7 +33,7 @@ _LEAST_MARKER = (13.0, 0.0085)
 
 
 @dataclass(frozen=True)
-class Lens:
+class LensSpread:
     """How far real lenses are from a centred pinhole: standard deviations of the principal point, widths, and of k1."""
 
     centre: float = 0.0
@@ -41,7 +41,7 @@ class Lens:
 
 
 @dataclass(frozen=True)
-class View:
+class RandomView:
     """What is photographed: the camera, where it stands, and the boards that lie there; `growth` is of the print.
 
     Attributes:
@@ -69,7 +69,7 @@ class View:
         return cv2.convertScaleAbs(np.maximum(clean, 0, out=clean))
 
 
-def random_camera(rng: np.random.Generator, lens: Lens) -> CameraModel:
+def random_camera(rng: np.random.Generator, lens: LensSpread) -> CameraModel:
     """A camera of some size and focal length; `focal_sigma` is left as it is."""
     while True:
         width, height = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
@@ -87,10 +87,10 @@ def random_view(
     rng: np.random.Generator,
     rig: RigConfig,
     arms: tuple[int, ...] | None = None,
-    lens: Lens | None = None,
+    lens: LensSpread | None = None,
     camera: CameraModel | None = None,
     tilts: tuple[float, float] = TILTS,
-) -> View:
+) -> RandomView:
     """A view of one board or of both.
 
     Args:
@@ -99,7 +99,7 @@ def random_view(
         tilts: between which its tilt is drawn, rad.
     """
     while True:
-        taken = camera or random_camera(rng, lens or Lens())
+        taken = camera or random_camera(rng, lens or LensSpread())
         shown = arms or ((0, 1), (int(rng.integers(2)),))[rng.integers(2)]
         placed = {}
         for k in shown:
@@ -116,7 +116,7 @@ def random_view(
             if all(_seen(taken, board, T) for board, T in boards.values()):
                 blur = float(rng.uniform(*BLURS))
                 noise = float(rng.uniform(*NOISES))
-                return View(taken, T_cam, tilt, boards, float(rng.normal() * PRINT_SIGMA), blur, noise)
+                return RandomView(taken, T_cam, tilt, boards, float(rng.normal() * PRINT_SIGMA), blur, noise)
 
 
 def _seen(camera: CameraModel, board: Board, T: Array) -> bool:

@@ -6,12 +6,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tests.unrendered import SIZE, change_record, write_dataset
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.layout import depth_name, episode_name, image_name
-from yamsim_cli.core.episode.runner import EpisodeRunner
+from yamsim_cli.core.dataset.dataset_paths import depth_name, episode_name, image_name
+from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
 
 # What a recording has to be of for its pictures to be as large as the dataset says.
 SMALL = {("image", "size_px"): list(SIZE), ("truth",): True}
@@ -21,9 +21,9 @@ def write_rendered_dataset(path: Path, config: RecordConfig, locations: Location
     """The episodes that `yamsim record` would make, of a configuration with `SMALL` in it, rendered with primitives."""
     files: list[dict[str, bytes]] = []
     randomized = []
-    with EpisodeRunner(Session(config, locations), render=True) as runner:
+    with AttemptRunner(Session(config, locations), render=True) as runner:
         for number in range(episodes):
-            made = runner.run(EpisodeJob(config.seed, number))
+            made = runner.run(AttemptJob(config.seed, number))
             files.append(dict(made.files))
             randomized.append(asdict(made.attempt.variation))
 

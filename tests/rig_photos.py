@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from tests.truth_photos import Photographer
+from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.types import Stand
 
 # Off-centre and distorted as a webcam's picture is.
 CAMERA = CameraModel(
@@ -30,13 +30,13 @@ def looking(position: tuple[float, float, float], target: tuple[float, float, fl
     return pose(position, np.column_stack([x, np.cross(z, x), z]))
 
 
-def standing(joints: Array) -> tuple[Stand, ...]:
+def standing(joints: Array) -> tuple[ArmPosture, ...]:
     """How arms stand whose joints and openings are (arms, 7)."""
-    return tuple(Stand(row[:6], float(row[6])) for row in joints)
+    return tuple(ArmPosture(row[:6], float(row[6])) for row in joints)
 
 
 @dataclass(frozen=True)
-class Shot:
+class RigPhoto:
     """A photo (height, width, 3) as RGB, and the truth about it; `mask` (height, width) is where the arms are."""
 
     image: np.ndarray
@@ -47,17 +47,17 @@ class Shot:
     mask: np.ndarray
 
     @property
-    def stands(self) -> tuple[Stand, ...]:
+    def stands(self) -> tuple[ArmPosture, ...]:
         return standing(self.joints)
 
     def T_base_in_cam(self, arm: int) -> Array:
         return inverse(self.T_cam_in_world) @ self.rig.T_base_in_world(arm)
 
 
-class Studio(Photographer):
+class RigPhotographer(Photographer):
     """Takes pictures of a rig in any posture, on primitives."""
 
-    def shoot(self, T_cam_in_world: Array, joints: Array, noise: float = 2.0, seed: int = 0) -> Shot:
+    def shoot(self, T_cam_in_world: Array, joints: Array, noise: float = 2.0, seed: int = 0) -> RigPhoto:
         model, data = self._model, self._data
         for k, arm in enumerate(self.rig.arms):
             for j in range(6):
@@ -69,7 +69,7 @@ class Studio(Photographer):
         clean = cv2.GaussianBlur(self.take(), (0, 0), 0.6).astype(np.float64)
         noisy = clean + np.random.default_rng(seed).normal(0, noise, clean.shape)
         image = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
-        return Shot(image, self.rig, self.camera, joints, T_cam_in_world, self._mask())
+        return RigPhoto(image, self.rig, self.camera, joints, T_cam_in_world, self._mask())
 
     def _mask(self) -> np.ndarray:
         ids = self._renderer.segment(self._data, "photo")

@@ -14,7 +14,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 
@@ -45,7 +45,7 @@ def swings(times: Array, still: float = 0.5, amplitude: float = 0.3, seed: int =
 
 def plant(
     scene: CompiledScene, times: Array, commands: list[Array], openings: float = 0.02, gravity: float = 1.0
-) -> Motion:
+) -> RecordedMotion:
     """What MuJoCo's own loop does with commands of each arm (n, dof) at times that are whole numbers of steps.
 
     Args:
@@ -75,10 +75,10 @@ def plant(
         ArmMotion(side, seen, rows, openings=fingers, commanded_openings=told)
         for side, seen, rows, fingers in zip(sides, joints, commands, opened, strict=True)
     ]
-    return Motion("plant", times, tuple(arms))
+    return RecordedMotion("plant", times, tuple(arms))
 
 
-def later(motion: Motion, samples: int) -> Motion:
+def later(motion: RecordedMotion, samples: int) -> RecordedMotion:
     """The same motion measured so many samples later; its commands stay."""
     arms = tuple(
         replace(

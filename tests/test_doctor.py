@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli import doctor
-from yamsim_cli.core.files.mounts import Mount
+from yamsim_cli.core.files.filesystem_mounts import Mount
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.doctor import Health, HealthCheck, examine, faults
+from yamsim_cli.doctor import Health, HealthCheck, failed_checks, run_health_checks
 from yamsim_cli.gl import GlBackend
 
 SOFTWARE = GlBackend("egl", "llvmpipe (LLVM 19)")
@@ -34,7 +34,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setattr(doctor, "probe_backend", lambda name, environ: found[name])
         monkeypatch.setattr(doctor, "_GPUS", (str(tmp_path),) if gpu else ())
         where = replace(locations, assets=tmp_path / "assets")
-        return {check.name: check for check in examine(environ or {}, where, out or tmp_path / "dataset")}
+        return {check.name: check for check in run_health_checks(environ or {}, where, out or tmp_path / "dataset")}
 
     return examine_it
 
@@ -42,7 +42,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_every_check_is_told_as_it_ends(locations: Locations, tmp_path: Path, look: Look) -> None:
     names = list(look())
     told: list[HealthCheck] = []
-    checks = examine({}, locations, tmp_path, told.append)
+    checks = run_health_checks({}, locations, tmp_path, told.append)
     assert told == checks
     assert [check.name for check in checks] == names
     for part in ("packages", "extra.video", "gl.egl", "gl.osmesa", "gl", "meshes.ycb", "disk", "workers"):
@@ -145,4 +145,4 @@ def test_a_package_that_is_missing_is_a_fault(look: Look, monkeypatch: pytest.Mo
     checks = look()
     assert (checks["packages"].health, checks["extra.video"].health) == (Health.FAULT, Health.OK)
     assert checks["extra.video"].fix == "pip install 'yamsim[video]'"
-    assert [check.name for check in faults(list(checks.values()))] == ["packages"]
+    assert [check.name for check in failed_checks(list(checks.values()))] == ["packages"]

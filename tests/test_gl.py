@@ -10,7 +10,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.gl import GlBackend, find_backend
 
 
-class Probes:
+class FakeSubprocess:
     """Stands in for `subprocess.run`: backend -> exit code and stderr, or an exception; notes what was asked."""
 
     def __init__(self, answers):
@@ -34,8 +34,8 @@ class Probes:
 
 @pytest.fixture
 def probing(monkeypatch):
-    def prepare(**answers) -> Probes:
-        probes = Probes(answers)
+    def prepare(**answers) -> FakeSubprocess:
+        probes = FakeSubprocess(answers)
         monkeypatch.setattr(gl.subprocess, "run", probes)
         return probes
 

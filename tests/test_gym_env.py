@@ -15,8 +15,8 @@ import pytest
 from tests.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import demonstrate
-from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.execution import demonstrate
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.errors import SimulationError
 
@@ -60,7 +60,7 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
     """A trial of the batch, replayed through the environment: the same states, success once, and a reward of 1."""
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 5, 2)
-        recorded = frames(simulator, done.attempt, done.states)
+        recorded = frame_records(simulator, done.attempt, done.states)
     assert recorded
     observation, info = env.reset(seed=5, options={"trial": 2})
     assert (info["seed"], info["trial"], info["success"]) == (5, 2, False)
@@ -132,7 +132,7 @@ def test_joints_of_things_are_told(tmp_path: Path) -> None:
 
 
 def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("yamsim_cli.policies.evaluate.stepped.MAX_STARTS", 1)
+    monkeypatch.setattr("yamsim_cli.policies.evaluate.stepped_task.MAX_STARTS", 1)
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     env = gymnasium.make(ENV_ID, task=str(written(tmp_path, tight)))
     with pytest.raises(SimulationError, match="none of 1 trials from 0 of seed 3 on has a start"):
@@ -142,7 +142,7 @@ def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_doing_nothing_is_truncated(config: RecordConfig) -> None:
     """The environment truncates the episode at the task's time limit, or after `max_ticks`."""
-    assert gymnasium.make(ENV_ID).unwrapped._task.rules.max_ticks == config.task.most_ticks == 625
+    assert gymnasium.make(ENV_ID).unwrapped._task.rules.max_ticks == config.task.max_ticks == 625
     env = gymnasium.make(ENV_ID, max_ticks=228)
     observation, _ = env.reset(seed=1)
     action = np.append(observation["joints"], 0.0).astype(np.float32)

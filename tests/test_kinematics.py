@@ -16,7 +16,7 @@ from tests.attempts import planned
 from tests.pages import snippet
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
@@ -72,7 +72,7 @@ def test_poses_are_those_of_observations_and_of_physics(
     config = make_config({("rig",): "russet"})
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame, scene = frames(simulator, done.attempt, done.states[:1])[0], simulator.scene
+        frame, scene = frame_records(simulator, done.attempt, done.states[:1])[0], simulator.scene
     number = ("left", "right").index(arm)
     grasp, pinch = (Kinematics("russet", arm, site=site) for site in ("grasp_site", "pinch_site"))
     np.testing.assert_allclose(grasp.T_base_in_world, scene.arms[number].T_base_in_world)

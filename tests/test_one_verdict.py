@@ -17,22 +17,22 @@ import numpy as np
 import pytest
 
 from tests.attempts import all_actions
-from tests.viewers.teleop.tray import Tray
+from tests.viewers.teleop.tray import CollectingReceiver
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import demonstrate, repeat
-from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
+from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
-from yamsim_cli.core.expert.skills.checked import check_config
-from yamsim_cli.core.files.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.expert.skills.program_checks import check_task_config
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Actions, Attempt, EpisodeJob
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
 from yamsim_cli.station import Station, StationSettings
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
 End = Literal["success", "actor"]
 
@@ -44,7 +44,7 @@ ABSENT = {
 }
 
 STATION = "yam_station_linear_4310_d405"
-JOB = EpisodeJob(seed=0, attempt=0)
+JOB = AttemptJob(seed=0, attempt=0)
 TICK_HZ = 30  # Hz, rate of control ticks in every test here: Inspect Robots' embodiment has no other rate
 
 SPARE_TICKS = 40  # control ticks; the time limit of a trial is twice the expert's duration and this
@@ -104,7 +104,7 @@ class Verdict:
 
 
 @dataclass
-class Case:
+class TrialCase:
     """A task, the start of one trial, and what its expert does there.
 
     Attributes:
@@ -129,10 +129,10 @@ class Case:
         assert len(played) <= self.limit
         return played + played.still(self.limit - len(played))
 
-    def actions(self, played: Played) -> Actions:
+    def actions(self, played: Played) -> ActionSequence:
         ctrl = np.zeros((len(played), self.simulator.scene.model.nu))
         ctrl[:, self.simulator.scene.drives] = played.ctrl
-        return Actions(ctrl, played.magnet, played.ctrl)
+        return ActionSequence(ctrl, played.magnet, played.ctrl)
 
     def held_ticks(self, played: Played) -> list[int]:
         """For how many ticks the goal has held, after each tick."""
@@ -143,14 +143,14 @@ class Case:
         return held
 
 
-def by_repeat(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_repeat(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     rules = EpisodeRules(EndRule(end), max_ticks=case.limit)
-    done = repeat(case.simulator, case.attempt, case.actions(played), rules)
+    done = run_actions(case.simulator, case.attempt, case.actions(played), rules)
     assert done.played is not None and done.outcome.success == done.played.success
     return Verdict(done.outcome.success, done.played.end.tick)
 
 
-def by_eval(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_eval(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     np.savez(folder / "played.npz", ctrl=played.ctrl.reshape(len(played), -1), magnet=played.magnet)
     (folder / "player.py").write_text(PLAYER.format(file=str(folder / "played.npz")))
     with TrialRunner(case.session, PolicyChoice("player.py:Player", folder, end=EndRule(end))) as runner:
@@ -159,7 +159,7 @@ def by_eval(case: Case, played: Played, end: End, folder: Path) -> Verdict:
     return Verdict(result.outcome.success, result.ticks)
 
 
-def by_gymnasium(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_gymnasium(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     import gymnasium
 
     import yamsim_cli.gym_env
@@ -176,7 +176,7 @@ def by_gymnasium(case: Case, played: Played, end: End, folder: Path) -> Verdict:
     return Verdict(bool(info["success"]), ticks)
 
 
-def by_station(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_station(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     """As programs of real stations let it act, a tick at a time."""
     with Station(StationSettings(config=str(case.file)), pictures=False, end=end) as station:
         assert station.begin(JOB.seed, JOB.attempt) == JOB.attempt
@@ -186,16 +186,16 @@ def by_station(case: Case, played: Played, end: End, folder: Path) -> Verdict:
         return Verdict(station.judge() == "", round(station.time * TICK_HZ))
 
 
-def by_inspect(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_inspect(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     """The judge of Inspect Robots' embodiment, who knows no other rule than the first success."""
     assert end == "success"
-    from yamsim_cli.kitchenbench.judges import OwnJudge
-    from yamsim_cli.kitchenbench.motion import Motion
-    from yamsim_cli.kitchenbench.own import realize_own
+    from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+    from yamsim_cli.kitchenbench.success_judges import GoalJudge
+    from yamsim_cli.kitchenbench.yamsim_scene import build_task_scene
 
-    own = realize_own(case.session, JOB.seed)
-    motion = Motion(own, 1)
-    judge = OwnJudge(own, motion)
+    own = build_task_scene(case.session, JOB.seed)
+    motion = SceneStepper(own, 1)
+    judge = GoalJudge(own, motion)
     reached = False
     with own.simulator:
         for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
@@ -235,10 +235,10 @@ class PlayedArm:
     def halt(self) -> None: ...
 
 
-def by_teleop(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+def by_teleop(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     """As a person's recording, which the task's time limit does not end."""
-    tray = Tray()
-    driven = DrivenScene(case.session, tray, end=EndRule(end))
+    tray = CollectingReceiver()
+    driven = TeleopScene(case.session, tray, end=EndRule(end))
     driven.start()
     driven._stage.arms = tuple(PlayedArm(played, k) for k in range(played.ctrl.shape[1]))  # type: ignore[assignment]
     for _ in range(len(played)):
@@ -253,7 +253,7 @@ def by_teleop(case: Case, played: Played, end: End, folder: Path) -> Verdict:
     return Verdict(handed_in.outcome.success, handed_in.played.end.tick)
 
 
-Way = Callable[[Case, Played, End, Path], Verdict]
+Way = Callable[[TrialCase, Played, End, Path], Verdict]
 
 WAYS: dict[str, Way] = {
     "eval": by_eval,
@@ -283,11 +283,11 @@ def opened(name: str, rig: str, folder: Path, locations: Locations, limit: int |
     config |= {"task": str(task_file(name, folder, locations, limit)), "rig": rig, "wrist": True}
     file = folder / "record.yaml"
     file.write_text(dump_yaml(config))
-    made = load_config(RecordConfig, "record", str(file), locations, check=check_config)
+    made = load_config(RecordConfig, "record", str(file), locations, check=check_task_config)
     return file, Session(made, locations).without_meshes()
 
 
-def rounded(actions: Actions, drives: np.ndarray) -> Played:
+def rounded(actions: ActionSequence, drives: np.ndarray) -> Played:
     return Played(actions.ctrl[:, drives].astype(np.float32).astype(float), np.asarray(actions.magnet, bool))
 
 
@@ -306,24 +306,24 @@ BY_FRICTION = [
 @pytest.fixture(scope="module")
 def case(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, locations: Locations
-) -> Iterator[Case]:
+) -> Iterator[TrialCase]:
     name, rig = request.param
     folder = tmp_path_factory.mktemp(name)
     _, session = opened(name, rig, folder, locations)
     with Simulators(session) as simulators:
-        simulator = simulators.of(JOB)
-        done = demonstrate(simulator, sample(simulator, JOB))
+        simulator = simulators.get(JOB)
+        done = demonstrate(simulator, sample_attempt(simulator, JOB))
         assert done.outcome.success, done.outcome
         base = rounded(all_actions(done.states), simulator.scene.drives)
     limit = 2 * len(base) + SPARE_TICKS
     file, session = opened(name, rig, folder, locations, limit)
-    assert session.config.task.most_ticks == limit
+    assert session.config.task.max_ticks == limit
     with Simulators(session) as simulators:
-        simulator = simulators.of(JOB)
-        yield Case(file, session, simulator, sample(simulator, JOB), base, limit)
+        simulator = simulators.get(JOB)
+        yield TrialCase(file, session, simulator, sample_attempt(simulator, JOB), base, limit)
 
 
-def same_everywhere(case: Case, played: Played, end: End, folder: Path, *, but: tuple[str, ...] = ()) -> Verdict:
+def same_everywhere(case: TrialCase, played: Played, end: End, folder: Path, *, but: tuple[str, ...] = ()) -> Verdict:
     """The verdict that every way in gives.
 
     Args:
@@ -337,14 +337,14 @@ def same_everywhere(case: Case, played: Played, end: End, folder: Path, *, but: 
 
 
 @pytest.mark.parametrize("case", [*WELDED, *BY_FRICTION], indirect=True)
-def test_the_experts_actions(case: Case, tmp_path: Path) -> None:
+def test_the_experts_actions(case: TrialCase, tmp_path: Path) -> None:
     verdict = same_everywhere(case, case.base, "success", tmp_path)
     held = case.held_ticks(case.base)
     assert verdict == Verdict(True, 1 + next(k for k, ticks in enumerate(held) if ticks == case.hold))
 
 
 @pytest.mark.parametrize("case", WELDED, indirect=True)
-def test_what_was_done_and_is_undone_again(case: Case, tmp_path: Path) -> None:
+def test_what_was_done_and_is_undone_again(case: TrialCase, tmp_path: Path) -> None:
     """It was a success when the goal had held, and is none where whoever acts says when it is over."""
     undone = case.base + case.base.back
     first = same_everywhere(case, undone, "success", tmp_path)
@@ -354,7 +354,7 @@ def test_what_was_done_and_is_undone_again(case: Case, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", WELDED, indirect=True)
-def test_a_goal_that_holds_too_short_a_time(case: Case, tmp_path: Path) -> None:
+def test_a_goal_that_holds_too_short_a_time(case: TrialCase, tmp_path: Path) -> None:
     begins = case.held_ticks(case.base).index(1)
     short = case.base[: begins + 1]
     undone = short + short.back
@@ -365,7 +365,7 @@ def test_a_goal_that_holds_too_short_a_time(case: Case, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", WELDED, indirect=True)
-def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: Case, tmp_path: Path) -> None:
+def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: TrialCase, tmp_path: Path) -> None:
     """Only the task's time limit tells the two apart, which ends what a person records no more than a person does."""
 
     half = len(case.base) // 2
@@ -377,7 +377,7 @@ def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: Case, tmp_pa
 
     @functools.cache
     def reached(waits: tuple[int, int]) -> int | None:
-        done = repeat(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
+        done = run_actions(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
         return done.played.end.tick if done.played and done.outcome.success else None
 
     # The goal may be reached a little sooner or later after a wait, in which things go on settling.

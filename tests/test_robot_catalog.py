@@ -10,11 +10,11 @@ import pytest
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.robot_catalog import check_robot, new_robot, require_checked, robot_there, robots_there
+from yamsim_cli.robot_catalog import check_robot, require_checked, robot_entries, robot_entry, write_robot_template
 
 
 def test_arms_grippers_and_stations_are_listed_with_what_goes_together(locations: Locations) -> None:
-    items = {item["name"]: item for item in robots_there(locations)}
+    items = {item["name"]: item for item in robot_entries(locations)}
     assert {item["kind"] for item in items.values()} == {"arm", "gripper", "station"}
     assert "flexible_4310" in items["yam_v1"]["goes_with"]
     assert "flexible_4310" not in items["i2rt_yam"]["goes_with"]
@@ -27,9 +27,9 @@ def test_arms_grippers_and_stations_are_listed_with_what_goes_together(locations
 
 
 def test_a_familys_name_shows_its_newest_revision(locations: Locations) -> None:
-    assert robot_there("yam_ultra", locations)["name"] == "yam_ultra_v2"
+    assert robot_entry("yam_ultra", locations)["name"] == "yam_ultra_v2"
     with pytest.raises(UsageError, match="unknown robot 'yamu'; did you mean"):
-        robot_there("yamu", locations)
+        robot_entry("yamu", locations)
 
 
 @pytest.mark.slow
@@ -39,19 +39,19 @@ def test_a_users_arm_with_a_shipped_ones_revision_is_at_fault_and_the_rest_is_li
     mine = replace(locations, data=(tmp_path, *locations.data))
     # Its name comes before and after the shipped one's.
     for name in ("a_copy", "z_copy"):
-        path, _ = new_robot(name, tmp_path, mine)
+        path, _ = write_robot_template(name, tmp_path, mine)
         path.write_text(path.read_text() + "family: yam_ultra\nrevision: v2\n")
-    items = {item["name"]: item for item in robots_there(mine)}
+    items = {item["name"]: item for item in robot_entries(mine)}
     shipped = locations.config_file("robots", "yam_ultra_v2")
     for name in ("a_copy", "z_copy"):
         ours = tmp_path / "robot_models" / name / "model.yaml"
         fault = items[name]["fault"]
         assert fault.startswith(f"{ours}:") and f"{shipped} is revision 'v2' of 'yam_ultra' too" in fault
         with pytest.raises(ConfigError, match="is revision 'v2' of 'yam_ultra' too"):
-            robot_there(name, mine)
+            robot_entry(name, mine)
     assert [name for name, item in items.items() if "fault" in item] == ["a_copy", "z_copy"]
-    assert items.keys() - {"a_copy", "z_copy"} == {item["name"] for item in robots_there(locations)}
-    assert robot_there("yam_ultra", mine)["name"] == "yam_ultra_v2"
+    assert items.keys() - {"a_copy", "z_copy"} == {item["name"] for item in robot_entries(locations)}
+    assert robot_entry("yam_ultra", mine)["name"] == "yam_ultra_v2"
     done = yamsim("robots", "list", env={"YAMSIM_DATA_DIR": str(tmp_path)})
     assert done.code == 0
     assert "big_yam" in done.out and "NOT VALID" in done.out
@@ -63,20 +63,20 @@ def test_an_arm_that_cannot_be_read_does_not_hide_the_others(tmp_path: Path, loc
     path = tmp_path / "robot_models" / "mine" / "model.yaml"
     path.parent.mkdir(parents=True)
     path.write_text("base: [\n")
-    items = {item["name"]: item for item in robots_there(mine)}
+    items = {item["name"]: item for item in robot_entries(mine)}
     assert str(path) in items["mine"]["fault"]
-    assert len(items) == len(robots_there(locations)) + 1
+    assert len(items) == len(robot_entries(locations)) + 1
 
 
 def test_a_new_arm_passes_its_check_and_overwrites_nothing(tmp_path: Path, locations: Locations) -> None:
     mine = replace(locations, data=(tmp_path, *locations.data))
-    model, mjcf = new_robot("my_arm", tmp_path, mine)
+    model, mjcf = write_robot_template("my_arm", tmp_path, mine)
     (found,) = check_robot("my_arm", mine)
     assert found["ok"] and found["gripper"] == "linear_4310" and found["sag_rad"] < 0.02
     require_checked("my_arm", [found])
     for taken in ("my_arm", "yam_v1", "../my_arm"):
         with pytest.raises(UsageError, match=r"is not overwritten|is no name"):
-            new_robot(taken, tmp_path, mine)
+            write_robot_template(taken, tmp_path, mine)
     assert {path.name for path in model.parent.iterdir()} == {"model.yaml", "arm.xml"}
     mjcf.write_text(mjcf.read_text().replace('kp="80"', 'kp="1"').replace('gravcomp="1"', ""))
     with pytest.raises(SimulationError, match=r"arm 'my_arm' with linear_4310: joint. is .* rad off home"):

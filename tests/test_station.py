@@ -11,7 +11,7 @@ import pytest
 from tests.attempts import planned
 from yamsim_cli.api import PROGRAM
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.payload import frames
+from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.station import Station, StationForm, StationSettings
@@ -28,19 +28,19 @@ def station() -> Iterator[Station]:
 
 
 def test_its_form_is_known_before_it_is_built() -> None:
-    form = StationForm.of(JOINTS)
+    form = StationForm.from_settings(JOINTS)
     assert form.state == form.action == (*SIX, "gripper")
     assert dict(form.cameras) == {"scene_camera": (48, 64, 3), "right_wrist_camera": (48, 64, 3)}
     assert (form.fps, form.most_frames) == (30, 600)
     assert [name for name in form.environment if "axis" not in name] == [
         f"{thing}_{axis}" for thing in ("banana", "plate") for axis in "xyz"
     ]
-    drives = StationForm.of(DRIVES)
+    drives = StationForm.from_settings(DRIVES)
     assert (drives.action, drives.fps) == ((*SIX, "gripper", "magnet"), 15.625)
 
 
 def test_two_arms_have_the_left_one_first() -> None:
-    form = StationForm.of(StationSettings(task="handover", rig="russet", cameras=("scene_camera",)))
+    form = StationForm.from_settings(StationSettings(task="handover", rig="russet", cameras=("scene_camera",)))
     assert form.state == (*(f"left_{name}" for name in (*SIX, "gripper")), *form.state[7:])
     assert form.action[14:] == ("left_magnet", "right_magnet") and list(form.cameras) == ["scene_camera"]
 
@@ -59,7 +59,7 @@ def made_again(station: Station, end: Literal["actor", "success"]) -> None:
     rows = station.begin_demonstrated(seed=3, trial=1)
     with Simulator(Session(PROGRAM.config("default", PROGRAM.locations(), **JOINTS.given), PROGRAM.locations())) as one:
         done = planned(one, 3, station.trial)
-        recorded = frames(one, done.attempt, done.states)
+        recorded = frame_records(one, done.attempt, done.states)
     assert len(rows) == len(recorded)
     reached = False
     for row, frame in zip(rows, recorded, strict=True):
@@ -116,7 +116,7 @@ def test_a_command_that_is_none_is_told_and_changes_nothing(station: Station, ro
 )
 def test_settings_that_are_not_valid_are_told_as_they_were_given(settings: StationSettings, told: str) -> None:
     with pytest.raises((ConfigError, UsageError), match=told):
-        StationForm.of(settings)
+        StationForm.from_settings(settings)
 
 
 @pytest.mark.render

@@ -18,9 +18,9 @@ from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.scene.compiling import compile_spec
-from yamsim_cli.photos.lens import LensWarp, project_points
-from yamsim_cli.viewers.show.compose import at_home
+from yamsim_cli.core.scene.compilation import compile_spec
+from yamsim_cli.photos.lens_distortion import LensWarp, project_points
+from yamsim_cli.viewers.show.compose import compose_at_home
 
 # What the checks are made with.
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -33,7 +33,7 @@ _EDGE_PX = 3
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedBoard:
     """A board of the rig: where it is in `world`, (4, 4), and the geom that shows it."""
 
     board: Board
@@ -49,7 +49,7 @@ class Photographer:
         self.camera = camera
         self._warp = LensWarp(camera, _FINER)
         scene = load_config(SceneConfig, "scenes", "studio", locations)
-        spec, _ = at_home(Blueprint(self.rig, scene), locations)
+        spec, _ = compose_at_home(Blueprint(self.rig, scene), locations)
         body = spec.worldbody.add_body(name="photographer", mocap=True)
         body.add_camera(name="photo", fovy=math.degrees(self._warp.fovy))
         size = self._warp.ideal.width, self._warp.ideal.height
@@ -64,7 +64,7 @@ class Photographer:
         mujoco.mj_forward(self._model, self._data)
         self._renderer = SceneRenderer(self._model, size)
         self.boards = [
-            Placed(
+            PlacedBoard(
                 arm.board.board,
                 self.rig.T_base_in_world(k) @ arm.T_board_in_base,
                 self._model.geom(f"{arm.prefix}base_board").id,

@@ -12,17 +12,17 @@ import cv2
 import numpy as np
 
 from tests.attempts import planned
+from yamsim_cli.core.attempt_data import AttemptPayload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.layout import CONFIG, EPISODE, episode_name, image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import CONFIG, EPISODE, episode_name, image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
 from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.episode.payload import frames, versions
+from yamsim_cli.core.episode.attempt_payload import frame_records, library_versions
 from yamsim_cli.core.episode.simulator import Simulator
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import sha256_bytes
-from yamsim_cli.core.types import EpisodePayload
 from yamsim_cli.recording.collect import episode_record
 
 SIZE = (24, 16)
@@ -51,13 +51,13 @@ def write_dataset(
         for number in range(episodes):
             done = planned(simulator, config.seed, number)
             assert done.outcome.success
-            made = frames(simulator, done.attempt, done.states)
+            made = frame_records(simulator, done.attempt, done.states)
             files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(made)}
             cameras = simulator.scene.cameras
             for camera, k in itertools.product(cameras, range(len(made))):
                 files |= {image_name(camera, k): image(camera, number, k)} | others(camera, number, k)
-            payload = EpisodePayload(
-                done.attempt, done.outcome, files, len(made), content_hash(made), versions(), "none"
+            payload = AttemptPayload(
+                done.attempt, done.outcome, files, len(made), content_hash(made), library_versions(), "none"
             )
             record = episode_record(config, payload, number).model_copy(
                 update={"cameras": dict.fromkeys(cameras, SIZE)}

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.images.png import encode_png
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 _TILE, _FINE, _COLUMNS = (200, 150), (800, 600), 6
 _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
@@ -23,24 +23,29 @@ _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
 
 def main() -> None:
     """Draw, write and print."""
-    opener = Opener(os.environ, sys.stderr.write, str)
+    opener = SessionOpener(os.environ, sys.stderr.write, str)
     where = opener.use_gl(opener.locations())
     # MuJoCo is imported only once it is settled what draws.
     import mujoco
 
     from yamsim_cli.core.rendering.renderer import SceneRenderer
-    from yamsim_cli.objects.certify.subject import compiled, grounded_spec, read_subject, with_camera
+    from yamsim_cli.objects.certify.tested_object import (
+        compile_or_raise,
+        object_on_ground_spec,
+        read_tested_object,
+        with_camera,
+    )
 
     tiles = []
     for name in (name for name in where.config_names("objects") if name.startswith("kitchen_")):
         item = load_config(ObjectConfig, "objects", name, where)
-        looked = read_subject(item, {}, where)
+        looked = read_tested_object(item, {}, where)
         points = looked.surface[0]
         low, high = points.min(axis=0), points.max(axis=0)
         size = float(np.linalg.norm(high - low))
-        spec = with_camera(grounded_spec(looked), (low + high) / 2, 0.92 * size)
+        spec = with_camera(object_on_ground_spec(looked), (low + high) / 2, 0.92 * size)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = _FINE
-        model = compiled(spec)
+        model = compile_or_raise(spec)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         with SceneRenderer(model, _TILE, _FINE) as renderer:

@@ -18,30 +18,30 @@ from PIL import Image as Pillow
 from tools.task_pictures import few_colours, first_success, pictures
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
 _WHITE = 255
 _JPEG_QUALITY = 75  # 1..100; keeps `fold_napkin.jpg` near 100 kB
 
 
-def _russet(opener: Opener, where: Locations) -> np.ndarray:
+def _russet(opener: SessionOpener, where: Locations) -> np.ndarray:
     """The rig `russet` from the front."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.scene.blueprint import Blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.viewers.show.views import render_views, set_up_views
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.viewers.show.rig_views import render_views, set_up_views
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "high", where)
     blueprint = Blueprint(opener.rig("russet", where, None, None), scene)
-    where = opener.find_meshes(where, mesh_sets(blueprint), quality)
+    where = opener.find_meshes(where, visual_mesh_sets(blueprint), quality)
     return render_views(set_up_views(blueprint, where, quality, (720, 480)))["front.png"]
 
 
-def _episode(opener: Opener, where: Locations) -> np.ndarray:
+def _episode(opener: SessionOpener, where: Locations) -> np.ndarray:
     """The banana over the plate, from the scene camera and from the wrist."""
     from yamsim_cli.core.config.recording import SCENE_CAMERA
 
@@ -52,7 +52,7 @@ def _episode(opener: Opener, where: Locations) -> np.ndarray:
     return _grid([[seen[SCENE_CAMERA], wrist]], 8)
 
 
-def _finray(opener: Opener, where: Locations) -> np.ndarray:
+def _finray(opener: SessionOpener, where: Locations) -> np.ndarray:
     """Two fin-ray fingers around a tennis ball that they lift, from close by."""
     from yamsim_cli.core.config.recording import SCENE_CAMERA
     from yamsim_cli.core.config.scene import FixedCamera
@@ -71,7 +71,7 @@ def _finray(opener: Opener, where: Locations) -> np.ndarray:
     return seen[SCENE_CAMERA]
 
 
-def _fold_napkin(opener: Opener, where: Locations) -> np.ndarray:
+def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
     """A napkin that is folded: what the camera above sees of the table, and what the right wrist's sees."""
     session = _session(opener, where, task="fold_napkin", size="600x450")
     with first_success(session) as success:
@@ -80,7 +80,7 @@ def _fold_napkin(opener: Opener, where: Locations) -> np.ndarray:
     return _grid([table, [np.asarray(Pillow.fromarray(of["right"]).reduce(2)) for of in seen]], 3)
 
 
-def _session(opener: Opener, where: Locations, **given: Any) -> Session:
+def _session(opener: SessionOpener, where: Locations, **given: Any) -> Session:
     return opener.with_meshes(Session(opener.config("default", where, quality="high", **given), where))
 
 
@@ -93,7 +93,7 @@ def _grid(rows: Sequence[Sequence[np.ndarray]], gap: int) -> np.ndarray:
     return np.vstack(padded)[:-gap, :-gap]
 
 
-_DRAWN: dict[str, Callable[[Opener, Locations], np.ndarray]] = {
+_DRAWN: dict[str, Callable[[SessionOpener, Locations], np.ndarray]] = {
     "russet.png": _russet,
     "episode.png": _episode,
     "finray.png": _finray,
@@ -103,7 +103,7 @@ _DRAWN: dict[str, Callable[[Opener, Locations], np.ndarray]] = {
 
 def main(names: list[str]) -> None:
     """Draw and write."""
-    opener = Opener(os.environ, sys.stderr.write, str)
+    opener = SessionOpener(os.environ, sys.stderr.write, str)
     # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg

@@ -17,10 +17,10 @@ import numpy as np
 from PIL import Image as Pillow
 
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.episode.engine import Simulated
+    from yamsim_cli.core.episode.execution import SimulatedAttempt
     from yamsim_cli.core.episode.simulator import Simulator
 
 # Of the scene camera's picture, px, and what is shown of it: the table between the arms, rows and columns.
@@ -34,7 +34,7 @@ _TRIES = 10
 
 def main(names: list[str]) -> None:
     """Draw and write."""
-    opener = Opener(os.environ, sys.stderr.write, str)
+    opener = SessionOpener(os.environ, sys.stderr.write, str)
     # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.config.recording import SCENE_CAMERA
@@ -49,17 +49,17 @@ def main(names: list[str]) -> None:
 
 
 @contextmanager
-def first_success(session: Session) -> Iterator[tuple[Simulator, Simulated]]:
+def first_success(session: Session) -> Iterator[tuple[Simulator, SimulatedAttempt]]:
     """Give the first success of seed 0, with the simulator that it was made in."""
-    from yamsim_cli.core.episode.engine import demonstrate
-    from yamsim_cli.core.episode.sampling import sample
+    from yamsim_cli.core.attempt_data import AttemptJob
+    from yamsim_cli.core.episode.execution import demonstrate
+    from yamsim_cli.core.episode.sampling import sample_attempt
     from yamsim_cli.core.episode.simulator import Simulators
-    from yamsim_cli.core.types import EpisodeJob
 
     with Simulators(session) as simulators:
-        for job in (EpisodeJob(0, number) for number in range(_TRIES)):
-            simulator = simulators.of(job)
-            done = demonstrate(simulator, sample(simulator, job))
+        for job in (AttemptJob(0, number) for number in range(_TRIES)):
+            simulator = simulators.get(job)
+            done = demonstrate(simulator, sample_attempt(simulator, job))
             if done.outcome.success:
                 yield simulator, done
                 return
@@ -67,17 +67,17 @@ def first_success(session: Session) -> Iterator[tuple[Simulator, Simulated]]:
 
 
 def pictures(
-    simulator: Simulator, done: Simulated, moments: Sequence[float], cameras: Sequence[str]
+    simulator: Simulator, done: SimulatedAttempt, moments: Sequence[float], cameras: Sequence[str]
 ) -> list[dict[str, np.ndarray]]:
     """Return, for each moment, camera -> image (height, width, 3).
 
     Args:
         moments: shares of the attempt's frames, 0 for the first and 1 for the last one.
     """
-    from yamsim_cli.core.episode.payload import render
+    from yamsim_cli.core.episode.attempt_payload import render_cameras
 
     shown = [done.states[round(moment * (len(done.states) - 1))].qpos for moment in moments]
-    return [render(simulator, done.attempt, qpos, cameras) for qpos in shown]
+    return [render_cameras(simulator, done.attempt, qpos, cameras) for qpos in shown]
 
 
 def few_colours(image: np.ndarray) -> Pillow.Image:

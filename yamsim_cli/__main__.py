@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .terminal.signals import noted_signals
+from .terminal.signals import defer_signals
 
 
 def main() -> None:
     """Run the command line; never returns."""
-    with noted_signals() as interrupted:
+    with defer_signals() as interrupted:
         from .main import main as run
 
         run(interrupted)

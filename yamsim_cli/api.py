@@ -10,9 +10,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .kitchen_scenes import task_of
-from .objects.importing.named import config_of
-from .opener import Opener
+from .kitchen_scenes import resolve_scene_task
+from .objects.importing.name_resolution import import_if_file
+from .session_opener import SessionOpener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
@@ -24,7 +24,7 @@ def _keyword(setting: str) -> str:
 
 
 # Opens sessions for Python programs: messages name keywords, and warnings go to the log.
-PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword, config_of, task_of)
+PROGRAM = SessionOpener(os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task)
 
 
 def record(
@@ -74,17 +74,17 @@ def record(
         grasp=grasp,
     )
 
-    from .core.dataset.writing.opening import OpenMode
-    from .core.workers.stop import Stop
-    from .recording.collect import Notifier
-    from .recording.destination import Output
-    from .recording.executors import LocalProcesses, ThisProcess
+    from .core.dataset.writing.directory_claim import OpenMode
+    from .core.workers.stop_request import StopRequest
+    from .recording.collect import RecordCallbacks
+    from .recording.executor_factories import InlineExecutorFactory, ProcessExecutorFactory
     from .recording.recorder import record as run
+    from .recording.recording_output import RecordingOutput
 
-    output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
-    watch = Notifier(lambda *_: None, lambda text: None)
-    executors = ThisProcess() if workers is None else LocalProcesses()
-    return run(session, output, executors, watch, Stop())
+    output = RecordingOutput(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
+    watch = RecordCallbacks(lambda *_: None, lambda text: None)
+    executors = InlineExecutorFactory() if workers is None else ProcessExecutorFactory()
+    return run(session, output, executors, watch, StopRequest())
 
 
 def open_dataset(path: str | Path) -> StoredEpisodes:
@@ -120,17 +120,17 @@ def evaluate(
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .policies.loading import sees_images
+    from .policies.policy_loading import sees_images
 
     session = PROGRAM.open(
         config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
     )
 
     from .core.statistics import THRESHOLDS
-    from .policies.evaluate.choice import PolicyChoice
     from .policies.evaluate.evaluation import evaluate as run
-    from .policies.evaluate.evaluation import summary
+    from .policies.evaluate.evaluation import evaluation_report
+    from .policies.evaluate.policy_choice import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
     found = run(session, choice, lambda done, total: None)
-    return summary(found, session.config, THRESHOLDS)
+    return evaluation_report(found, session.config, THRESHOLDS)

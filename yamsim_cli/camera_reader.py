@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .core.closing import Closing
+from .core.closable import Closable
 from .core.errors import ResourceError, UsageError, suggest
-from .real.serve.sockets import CAMERA_SOCKET, default_folder
+from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
@@ -60,7 +60,7 @@ class Picture:
     T_cam_in_base: NDArray[np.float64]
 
 
-class CameraReader(Closing):
+class CameraReader(Closable):
     """Reads one camera; close it, or use it in a `with`. Only one thread may use it at a time.
 
     Attributes:
@@ -79,7 +79,7 @@ class CameraReader(Closing):
 
     def __init__(self, camera: str, folder: str | Path | None = None, timeout: float = 5.0) -> None:
         self._folder, self._timeout = folder, timeout
-        self._connection: _Connection | None = None
+        self._connection: _CameraConnection | None = None
         forms = served_cameras(folder, timeout)
         if camera not in forms:
             raise UsageError(f"there is no camera {camera!r}; {suggest(camera, forms)}")
@@ -97,7 +97,7 @@ class CameraReader(Closing):
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
         if self._connection is None:
-            self._connection = _Connection(self._folder)
+            self._connection = _CameraConnection(self._folder)
         try:
             request = {"ask": "picture", "camera": self.camera, "after": after}
             header, data = self._connection.request(request, deadline)
@@ -137,7 +137,7 @@ def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> di
     Raises:
         ResourceError: nothing is served there, or the server is no `serve-robot`.
     """
-    connection = _Connection(folder)
+    connection = _CameraConnection(folder)
     try:
         answer, _ = connection.request({"ask": "cameras"}, time.monotonic() + timeout)
         return {
@@ -162,7 +162,7 @@ def _invalid_answer(folder: str | Path | None) -> ResourceError:
     return ResourceError(f"{_path(folder)}: what answers there is no serve-robot of this version")
 
 
-class _Connection:
+class _CameraConnection:
     """A connection to the server; see `real.serve.cameras` for the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:

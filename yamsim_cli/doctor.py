@@ -14,13 +14,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from . import __version__
+from .core.cpu_limits import usable_cores, usable_memory
 from .core.errors import ResourceError, YamsimError
-from .core.files.mounts import network_mount, read_mounts
+from .core.files.filesystem_mounts import network_mount, read_mounts
 from .core.files.resources import Locations
-from .core.files.writing import nearest_directory, obstacle, publish_directory
-from .core.machine import usable_cores, usable_memory
+from .core.files.writing import nearest_directory, publish_directory, why_not_directory
 from .core.scene.assets import AssetSet, AssetStore, find_reduced, load_lock
-from .core.scene.assets.store import FileStatus
+from .core.scene.assets.asset_store import FileStatus
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
 # Packages that every command needs.
@@ -83,7 +83,7 @@ class HealthCheck:
     figures: Mapping[str, float] = field(default_factory=dict)
 
 
-def examine(
+def run_health_checks(
     environ: Mapping[str, str],
     locations: Locations,
     out: Path,
@@ -211,7 +211,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
         yield HealthCheck("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
-    if (fault := obstacle(out)) is not None:
+    if (fault := why_not_directory(out)) is not None:
         yield HealthCheck("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
         return
     place = nearest_directory(out)
@@ -273,6 +273,6 @@ def _workers() -> Iterator[HealthCheck]:
         yield HealthCheck("workers", Health.OK, detail, figures=figures)
 
 
-def faults(checks: Sequence[HealthCheck]) -> list[HealthCheck]:
+def failed_checks(checks: Sequence[HealthCheck]) -> list[HealthCheck]:
     """The checks that ended in a fault."""
     return [check for check in checks if check.health is Health.FAULT]

@@ -82,10 +82,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
-        from .core.episode.rules import EndRule
-        from .policies.base import SCENE, WRIST
+        from .core.episode.episode_rules import EndRule
         from .policies.evaluate.observation import policy_cameras
-        from .policies.evaluate.stepped import SteppedTask
+        from .policies.evaluate.stepped_task import SteppedTask
+        from .policies.policy_protocol import SCENE, WRIST
 
         self._task = SteppedTask(session, EndRule(end), max_ticks)
         self._config = session.config
@@ -118,9 +118,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     def _parts(self) -> dict[str, tuple[str, int]]:
         """Key of an observation -> thing whose joints it has, and their largest number."""
         task = self._config.task
-        cast = task.typical_cast
+        cast = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
-        of_role = {thing: role for role in most for thing in cast.of(role)}
+        of_role = {thing: role for role in most for thing in cast.objects_of(role)}
         return {
             f"{name}_joints": (thing, most[of_role[thing]])
             for name, thing in self._roles().items()
@@ -129,23 +129,23 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     def _roles(self) -> dict[str, str]:
         """Name of a thing in observations -> thing: its role, if no other thing has the same role."""
-        things = self._config.task.typical_cast.things
+        things = self._config.task.typical_roles.objects_by_role
         return {role if len(names) == 1 else name: name for role, names in things.items() for name in names}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Start the next trial, or one of a seed."""
-        from .core.types import EpisodeJob
+        from .core.attempt_data import AttemptJob
 
         super().reset(seed=seed)
         trial = (options or {}).get("trial")
         if seed is not None or not self._begun:
             fresh = seed if seed is not None else int(self.np_random.integers(2**31))
-            job = EpisodeJob(fresh, int(trial or 0))
+            job = AttemptJob(fresh, int(trial or 0))
         else:
             before = self._task.attempt.job
-            job = EpisodeJob(before.seed, before.attempt + 1 if trial is None else int(trial))
+            job = AttemptJob(before.seed, before.attempt + 1 if trial is None else int(trial))
         self._task.begin(job)
         self._begun = True
         return self._observe(), self._info()
@@ -174,12 +174,12 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._task.close()
 
     def _observe(self) -> dict[str, NDArray[Any]]:
-        from .policies.base import of_arms
+        from .policies.policy_protocol import squeeze_single_arm
 
         simulator, episode = self._task.simulator, self._task.episode
         replica, T_base = simulator.replica, simulator.scene.T_base_in_world
         replica.show(episode.data.qpos)
-        hands = of_arms(T_base @ replica.T_grasp_in_base())
+        hands = squeeze_single_arm(T_base @ replica.T_grasp_in_base())
         seen: dict[str, Any] = {"joints": episode.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}

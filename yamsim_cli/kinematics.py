@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
 from .core.errors import UsageError, suggest
-from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, reach
+from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, solve_or_raise
 from .core.expert.planning.ik import IkSolver
 from .core.files.resources import Locations
 from .core.geometry.se3 import Array, inverse, pose
-from .core.robots.stops import beyond_stops
-from .core.scene.robot import bare_arm
+from .core.robots.joint_limits import describe_limit_violation
+from .core.scene.arm_model import kinematic_model
 
 __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
@@ -74,7 +74,7 @@ class Kinematics:
             raise UsageError(f"there is no site {site!r}; {suggest(str(site), get_args(Site))}")
         number = sides.index(arm) if arm in sides else 0
         self._arm = config.arms[number]
-        model = bare_arm(self._arm)
+        model = kinematic_model(self._arm)
         if site not in [model.site(k).name for k in range(model.nsite)]:
             raise UsageError(
                 f"{self._arm.name} of rig {config.name!r} has no {site}: its gripper has no fingers to meet"
@@ -89,7 +89,7 @@ class Kinematics:
             self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
         )
         for solver in self._solvers:
-            solver.hold(inverse(T_pinch_in_base) @ T_site_in_base)
+            solver.set_held_frame(inverse(T_pinch_in_base) @ T_site_in_base)
 
     @property
     def T_base_in_world(self) -> Array:
@@ -121,7 +121,7 @@ class Kinematics:
 
         The same arguments give the same result. Every YAM has a closed solution: of all joints that reach the pose, the
         result is the nearest to `start`, exact to 1e-6 m and rad. If no joints reach the pose, searches find joints
-        within the tolerances. An arm without a closed solution (see `core.expert.planning.closed_form`) is only
+        within the tolerances. An arm without a closed solution (see `core.expert.planning.find_analytic_ik`) is only
             searched, first from `start`.
 
         Args:
@@ -141,11 +141,11 @@ class Kinematics:
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")
-        return reach(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
+        return solve_or_raise(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
 
     def _joints(self, values: ArrayLike, name: str) -> Array:
         joints = _numbers(values, self._home.shape, name)
-        if fault := beyond_stops(self._arm.name, self._arm.robot, joints, _SLACK):
+        if fault := describe_limit_violation(self._arm.name, self._arm.robot, joints, _SLACK):
             raise UsageError(f"{name}: {fault}")
         return joints
 
@@ -154,7 +154,7 @@ class Kinematics:
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)
-        for _ in range(_RESTARTS_EXACT if self._solvers[0].is_exact else _RESTARTS):
+        for _ in range(_RESTARTS_EXACT if self._solvers[0].has_analytic_ik else _RESTARTS):
             yield rng.uniform(low, high)
 
 

@@ -9,7 +9,7 @@ from .core.errors import ResourceError
 _PREFIX = "kitchenbench/"
 
 
-def task_of(name: str) -> str | dict[str, Any]:
+def resolve_scene_task(name: str) -> str | dict[str, Any]:
     """The config of a task that is a scene of the benchmark; any other name as it is.
 
     Raises:
@@ -19,11 +19,11 @@ def task_of(name: str) -> str | dict[str, Any]:
     if not name.startswith(_PREFIX):
         return name
     try:
-        from .kitchenbench import recorded
+        from .kitchenbench import scene_tasks as recorded
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("inspect_robots", "kitchenbench"):
             raise
         raise ResourceError(
             f"--task {name} needs the package {error.name}, which is not here: pip install 'yamsim[inspect]'"
         ) from error
-    return recorded.task_of(name.removeprefix(_PREFIX))
+    return recorded.scene_task_data(name.removeprefix(_PREFIX))

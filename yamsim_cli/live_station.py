@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from .core.closing import Closing
+from .core.closable import Closable
 from .core.images.image import Image
 from .station import Row, Station, StationForm, StationSettings
 
@@ -19,7 +19,7 @@ __all__ = ["LiveStation"]
 _MAX_CATCH_UP = 0.1  # s; when it is farther behind, the simulation continues from the present time
 
 
-class LiveStation(Closing):
+class LiveStation(Closable):
     """A station that moves in a thread of its own while it is open. Only one thread may use it, in which it renders.
 
     Attributes:

@@ -12,12 +12,12 @@ import numpy as np
 
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
-from .core.config.robot_names import ARMS, GRIPPERS, valid_families
+from .core.config.robot_families import ARMS, GRIPPERS, valid_families
 from .core.config.scene import SceneConfig
 from .core.errors import ConfigError, SimulationError, UsageError, suggest
 from .core.files.resources import Locations
-from .core.files.writing import refusal, write_file
-from .core.robots.models import ArmModel, Gripper, fit
+from .core.files.writing import describe_refusal, write_file
+from .core.robots.models import ArmModel, Gripper, find_gripper_fit
 from .core.scene.assets import AssetStore, load_lock
 from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
@@ -106,7 +106,7 @@ _XML = """\
 ARM, GRIPPER, STATION = "arm", "gripper", "station"
 
 
-def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
+def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
     """Every arm, gripper and rig with two arms, in this order, as plain data.
 
     An arm or a station with an invalid file has its error as `fault`, and an empty `goes_with`.
@@ -118,7 +118,7 @@ def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
     arms, broken_arms = _loaded_arms(locations, faults)
     grippers = {name: load_config(Gripper, GRIPPERS, name, locations) for name in locations.config_names(GRIPPERS)}
     newest = {list(revisions.values())[-1] for revisions in families.values()}
-    pairs = {(arm, gripper) for arm in arms for gripper in grippers if _fits(arms[arm], grippers[gripper])}
+    pairs = {(arm, gripper) for arm in arms for gripper in grippers if _can_mount(arms[arm], grippers[gripper])}
     found: list[dict[str, Any]] = []
     for name, arm in arms.items():
         found.append(
@@ -130,10 +130,10 @@ def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
                 "newest": name in newest,
                 "joints": len(arm.joints),
                 "goes_with": [gripper for gripper in grippers if (name, gripper) in pairs],
-                **_common(arm.source, arm.mjcf.file, arm.mesh_sets, meshes),
+                **_common_fields(arm.source, arm.mjcf.file, arm.mesh_sets, meshes),
             }
         )
-    found += [_faulty(ARM, ARMS, name, fault, locations) for name, fault in broken_arms.items()]
+    found += [_invalid_entry(ARM, ARMS, name, fault, locations) for name, fault in broken_arms.items()]
     for name, gripper in grippers.items():
         fingers = gripper.fingers
         found.append(
@@ -143,20 +143,20 @@ def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
                 "opens_mm": round(2000 * fingers.full_opening, 1) if fingers else 0.0,
                 "pads": fingers is not None and fingers.pads,
                 "goes_with": [arm for arm in arms if (arm, name) in pairs],
-                **_common(gripper.source, gripper.mjcf.file, gripper.mesh_sets, meshes),
+                **_common_fields(gripper.source, gripper.mjcf.file, gripper.mesh_sets, meshes),
             }
         )
     return (*found, *_stations(locations, meshes))
 
 
-def robot_there(name: str, locations: Locations) -> dict[str, Any]:
+def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
     """The arm, gripper or station of that name; of a family, its newest revision.
 
     Raises:
         UsageError: there is no such robot.
         ConfigError: its file is not valid.
     """
-    items = robots_there(locations)
+    items = robot_entries(locations)
     for item in items:
         if name == item["name"] or (item.get("newest") and name == item["family"]):
             if "fault" in item:
@@ -180,9 +180,9 @@ def _loaded_arms(
     return loaded, broken
 
 
-def _faulty(what: str, kind: str, name: str, fault: ConfigError, locations: Locations) -> dict[str, Any]:
+def _invalid_entry(what: str, kind: str, name: str, fault: ConfigError, locations: Locations) -> dict[str, Any]:
     path = str(locations.config_file(kind, name))
-    return {"kind": what, "name": name, "goes_with": [], **_common(None, path, (), {}), "fault": str(fault)}
+    return {"kind": what, "name": name, "goes_with": [], **_common_fields(None, path, (), {}), "fault": str(fault)}
 
 
 def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict[str, Any]]:
@@ -190,7 +190,7 @@ def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict
         try:
             rig = load_config(RigConfig, "rigs", name, locations)
         except ConfigError as error:
-            yield _faulty(STATION, "rigs", name, error, locations)
+            yield _invalid_entry(STATION, "rigs", name, error, locations)
             continue
         if len(rig.arms) > 1:
             yield {
@@ -198,13 +198,13 @@ def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict
                 "name": name,
                 "cameras": list(rig.camera_names),
                 "goes_with": [f"{arm.model.name}+{arm.gripper.name}" for arm in rig.arms],
-                **_common(None, str(locations.config_file("rigs", name)), rig_mesh_sets(rig), meshes),
+                **_common_fields(None, str(locations.config_file("rigs", name)), rig_mesh_sets(rig), meshes),
             }
 
 
-def _fits(arm: ArmModel, gripper: Gripper) -> bool:
+def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
     try:
-        fit(arm, gripper)
+        find_gripper_fit(arm, gripper)
     except ValueError:
         return False
     return True
@@ -216,11 +216,11 @@ def _meshes(locations: Locations) -> dict[str, bool]:
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
 
-def _common(source: str | None, path: str, sets: Iterable[str], meshes: Mapping[str, bool]) -> dict[str, Any]:
+def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: Mapping[str, bool]) -> dict[str, Any]:
     return {"source": source, "path": path, "meshes": {name: meshes.get(name, False) for name in sets}}
 
 
-def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
+def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     """Write the files of a new arm under a root of data, and return their paths.
 
     Raises UsageError if the name is not valid or taken, or the folder cannot be written.
@@ -237,7 +237,7 @@ def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
             write_file(folder / file, text.encode())
             paths.append(folder / file)
     except OSError as error:
-        raise UsageError(refusal(error, folder)) from error
+        raise UsageError(describe_refusal(error, folder)) from error
     return tuple(paths)
 
 
@@ -260,7 +260,7 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
         UsageError: no arm has that name.
     """
     arm = load_config(ArmModel, ARMS, name, locations)
-    grippers = robot_there(arm.name, locations)["goes_with"]
+    grippers = robot_entry(arm.name, locations)["goes_with"]
     if not grippers:
         raise ConfigError(f"{arm.mjcf.file}: no gripper fits {arm.name!r}; name one under `grippers` in its model.yaml")
     found = [_check_with(arm, gripper, locations) for gripper in grippers]

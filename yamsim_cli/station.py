@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .core.closing import Closing
+from .core.closable import Closable
 from .core.config.session import Session
 from .core.errors import SimulationError, UsageError
 from .station_settings import StationForm, StationSettings
@@ -33,7 +33,7 @@ __all__ = ["Station", "StationForm", "StationSettings"]
 Row = NDArray[np.float32]
 
 
-class Station(Closing):
+class Station(Closable):
     """The simulated arms of a rig with a task's things. Close it, or use it as a context manager.
 
     Time passes only in `advance` and `tick`. Until the first command, arms hold their start.
@@ -54,9 +54,9 @@ class Station(Closing):
     def __init__(
         self, settings: StationSettings, *, pictures: bool = True, end: Literal["success", "actor"] = "success"
     ) -> None:
-        from .core.dataset.rows import Rows
-        from .core.episode.rules import EndRule
-        from .policies.evaluate.stepped import SteppedTask
+        from .core.dataset.row_format import RowFormat
+        from .core.episode.episode_rules import EndRule
+        from .policies.evaluate.stepped_task import SteppedTask
 
         opener = settings.opener
         if pictures:
@@ -67,7 +67,7 @@ class Station(Closing):
         config = session.config
         self.form = StationForm.of_config(config)
         self._timing = config.task.timing
-        self._rows, self._task = Rows.of(config), SteppedTask(session, EndRule(end))
+        self._rows, self._task = RowFormat.from_config(config), SteppedTask(session, EndRule(end))
         self._command: Row = np.zeros(len(self.form.action), np.float32)
 
     @property
@@ -99,9 +99,9 @@ class Station(Closing):
         Raises:
             SimulationError: none of many trials has a start.
         """
-        from .core.types import EpisodeJob
+        from .core.attempt_data import AttemptJob
 
-        self._task.begin(EpisodeJob(seed, trial))
+        self._task.begin(AttemptJob(seed, trial))
         self._hold()
         return self.trial
 
@@ -114,9 +114,9 @@ class Station(Closing):
         Raises:
             SimulationError: the expert succeeds in none of many trials.
         """
-        from .core.types import EpisodeJob
+        from .core.attempt_data import AttemptJob
 
-        actions = self._task.begin_demonstrated(EpisodeJob(seed, trial))
+        actions = self._task.begin_demonstrated(AttemptJob(seed, trial))
         self._hold()
         drives = self._task.simulator.scene.drives
         first = range(0, len(actions.ctrl), self._timing.ticks_per_frame)
@@ -176,7 +176,7 @@ class Station(Closing):
 
     def judge(self) -> str:
         """Why the trial is no success at present, in words; empty if it is a success."""
-        return self._task.why_not()
+        return self._task.failure_reason()
 
     def positions(self) -> Array:
         """A copy of MuJoCo's present positions (nq,), from which `pictures` can render later."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .api import PROGRAM
-from .opener import Opener
+from .session_opener import SessionOpener
 
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
@@ -44,9 +44,9 @@ class StationSettings:
     spelling: str = "{}="
 
     @property
-    def opener(self) -> Opener:
+    def opener(self) -> SessionOpener:
         """The opener of sessions, whose messages spell the settings."""
-        return dataclasses.replace(PROGRAM, spell=lambda name: self.spelling.format(_SPELT.get(name, name)))
+        return dataclasses.replace(PROGRAM, setting_label=lambda name: self.spelling.format(_SPELT.get(name, name)))
 
     @property
     def given(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class StationForm:
     prompt: str
 
     @classmethod
-    def of(cls, settings: StationSettings) -> StationForm:
+    def from_settings(cls, settings: StationSettings) -> StationForm:
         """The form of a station with these settings; reads configs alone.
 
         Raises:
@@ -92,10 +92,10 @@ class StationForm:
     def of_config(cls, config: RecordConfig) -> StationForm:
         """The form of a station with a record config."""
         from .core.dataset.environment_state import object_pose_keys, state_names
-        from .core.dataset.rows import Rows
+        from .core.dataset.row_format import RowFormat
 
         joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
-        rows, timing = Rows.of(config), config.task.timing
+        rows, timing = RowFormat.from_config(config), config.task.timing
         width, height = config.image.size_px
         return cls(
             rows.drives,
@@ -103,6 +103,6 @@ class StationForm:
             state_names(tuple(object_pose_keys(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
             round(1 / (timing.tick * timing.ticks_per_frame), 6),
-            config.task.most_ticks // timing.ticks_per_frame,
+            config.task.max_ticks // timing.ticks_per_frame,
             config.task.language_prompt,
         )

@@ -18,7 +18,7 @@ from tests.cli.warm import REPOSITORY, WarmRun, warm_process
 
 
 @dataclass(frozen=True)
-class Shown:
+class RunningCommand:
     """A command that runs.
 
     Attributes:
@@ -57,7 +57,7 @@ def complaints(err: IO[str]) -> list[str]:
 
 
 @contextmanager
-def shown(*args: str | Path, **env: str) -> Iterator[Shown]:
+def shown(*args: str | Path, **env: str) -> Iterator[RunningCommand]:
     """`yamsim ARGS --json` in a process of its own, from when it tells where it is to be seen.
 
     With an environment of its own, for another display, that is one which Python has started.
@@ -72,7 +72,7 @@ def shown(*args: str | Path, **env: str) -> Iterator[Shown]:
                 line = out.readline()
                 assert line, complaints(err)
                 said += line
-            yield Shown(run, out, err, json.loads(said))
+            yield RunningCommand(run, out, err, json.loads(said))
         finally:
             run.kill()
             run.wait(10)

@@ -14,7 +14,7 @@ from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 
 TIMES = np.arange(0, 3.0, 0.01)
 
@@ -25,12 +25,12 @@ def single(locations: Locations) -> RigConfig:
 
 
 @pytest.fixture(scope="module")
-def made() -> Motion:
+def made() -> RecordedMotion:
     return plant(rig_scene(), TIMES, [swings(TIMES)])
 
 
 @pytest.fixture(scope="module")
-def logs(single: RigConfig, made: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def logs(single: RigConfig, made: RecordedMotion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("my logs")
     for name, motion in (("perfect", made), ("late", later(made, 2)), ("later", later(made, 3))):
         write_csv(folder / f"{name}.csv", motion, single)
@@ -72,7 +72,7 @@ def test_a_part_is_compared(logs: Path) -> None:
     assert whole["rms_rad"] > 1e-3 > 1e-4 > part["rms_rad"]
 
 
-def test_what_looks_wrong_with_a_recording_is_told(single: RigConfig, made: Motion, tmp_path: Path) -> None:
+def test_what_looks_wrong_with_a_recording_is_told(single: RigConfig, made: RecordedMotion, tmp_path: Path) -> None:
     (arm,) = made.arms
     assert arm.openings is not None and arm.commanded_openings is not None
     shares = replace(arm, openings=20 * arm.openings, commanded_openings=20 * arm.commanded_openings)
@@ -83,7 +83,9 @@ def test_what_looks_wrong_with_a_recording_is_told(single: RigConfig, made: Moti
     assert run.json["problems"][0]["fault"] == "gripper_share"
 
 
-def test_other_units_are_refused_before_anything_is_simulated(single: RigConfig, made: Motion, tmp_path: Path) -> None:
+def test_other_units_are_refused_before_anything_is_simulated(
+    single: RigConfig, made: RecordedMotion, tmp_path: Path
+) -> None:
     (arm,) = made.arms
     assert arm.commands is not None
     late = replace(made, times=made.times * 1000)

@@ -17,7 +17,7 @@ from rich.console import Console
 from tests.cli.run_cli import yamsim
 from tests.cli.test_docs import COMMANDS
 from yamsim_cli.terminal.console import print_table, print_text
-from yamsim_cli.terminal.tables import Facts, Listing
+from yamsim_cli.terminal.tables import FactTable, ItemTable
 from yamsim_cli.terminal.trial_tables import evaluation_table, trials_table
 
 LONG = "/data/" + "a_very_long_name/" * 8 + "[bold]x"
@@ -98,9 +98,9 @@ def test_help_fits_80_columns_and_has_no_colours(path: str) -> None:
 
 @pytest.mark.usefixtures("piped")
 def test_tables_fit_80_columns_and_lose_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    files = Listing(["name", "set", "size"], numbers_from=2)
+    files = ItemTable(["name", "set", "size"], numbers_from=2)
     files.add_row(LONG, "ycb", "1.0 MB")
-    for table in (trials_table(BATCH), evaluation_table(EVALUATION), Facts([("dataset", LONG)]), files):
+    for table in (trials_table(BATCH), evaluation_table(EVALUATION), FactTable([("dataset", LONG)]), files):
         print_table(table)
         out = capsys.readouterr().out
         assert plain_and_narrow(out)
@@ -116,11 +116,11 @@ FILES = ("an_object_with_a_name.stl", "i2rt_yam_linear_4310", "1,234.5 MB")
 
 @pytest.mark.parametrize("width", [32, 40, 59])
 def test_a_narrow_terminal_breaks_no_words(width: int) -> None:
-    listed = Listing(["name", "set", "size"], title="Files", numbers_from=2)
+    listed = ItemTable(["name", "set", "size"], title="Files", numbers_from=2)
     listed.add_row(*FILES)
     listed.add_row("other.stl", "", "2 kB")
     told = [("distance from the centre", "median 123.4 mm, p95 234.5 mm"), ("task", "pickplace on single_linear")]
-    for table, words in ((listed, " ".join(FILES)), (Facts(told), " ".join(map(" ".join, told)))):
+    for table, words in ((listed, " ".join(FILES)), (FactTable(told), " ".join(map(" ".join, told)))):
         console = Console(width=width, color_system=None, record=True, file=io.StringIO())
         console.print(table)
         lines = console.export_text().splitlines()
@@ -130,14 +130,14 @@ def test_a_narrow_terminal_breaks_no_words(width: int) -> None:
 
 def test_values_stand_under_long_names_and_beside_short_ones() -> None:
     console = Console(width=40, color_system=None, record=True, file=io.StringIO())
-    console.print(Facts([("distance from the centre", "median 123.4 mm")]))
-    console.print(Facts([("size", "1.0 MB"), ("seed", "0")]))
+    console.print(FactTable([("distance from the centre", "median 123.4 mm")]))
+    console.print(FactTable([("size", "1.0 MB"), ("seed", "0")]))
     told = [line.rstrip() for line in console.export_text().splitlines()]
     assert told == ["distance from the centre", "  median 123.4 mm", "size  1.0 MB", "seed  0"]
 
 
 def test_a_narrow_terminal_has_all_problems(capsys: pytest.CaptureFixture[str]) -> None:
-    listed = Listing(["problem", "times", "what, where, and what to do"], title="1 error", numbers_to=2, whole=True)
+    listed = ItemTable(["problem", "times", "what, where, and what to do"], title="1 error", numbers_to=2, whole=True)
     listed.add_row("manifest.missing", "1", "manifest.json: the manifest is missing")
     console = Console(width=40, color_system=None, file=sys.stdout)
     console.print(listed)

@@ -6,7 +6,7 @@ import pytest
 
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.flags.session import opener
+from yamsim_cli.flags.session_options import opener
 
 MINE = "{lens_deg: [-1, 1]}"
 

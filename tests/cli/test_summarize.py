@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.datasets.checks.sample import Sample, episode
+from tests.datasets.checks.sample import SampleDataset, episode
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.problem import CODES
 
@@ -18,7 +18,7 @@ WHOLE, BAD, USAGE, MISSING = 0, 4, 2, 4
 
 @pytest.fixture
 def dataset(tmp_path: Path, config: RecordConfig) -> Path:
-    sample = Sample(config.data_config(), [episode(k) for k in range(3)])
+    sample = SampleDataset(config.data_config(), [episode(k) for k in range(3)])
     sample.fail("off_target", dxy=0.06)
     return sample.write(tmp_path / "dataset")
 
@@ -71,7 +71,7 @@ def test_the_report_for_a_person_fits_80_columns_and_has_no_colour_in_a_pipe(dat
 
 
 def test_names_in_a_dataset_cannot_steer_the_terminal(tmp_path: Path, config: RecordConfig) -> None:
-    sample = Sample(config.data_config(), [episode(k) for k in range(2)])
+    sample = SampleDataset(config.data_config(), [episode(k) for k in range(2)])
     for made in sample.episodes:
         made.images = {"cam\x1b[2J\udcff": made.images["scene_camera"]}
         for frame in made.frames:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.clients.environments import Interpreter, NotToBeHadError, checkout, commit
+from tests.clients.environments import Interpreter, UnavailableError, checkout, commit
 from tests.clients.rows import ROWS
 
 # Row -> the version that a test of this process ran.
@@ -26,7 +26,7 @@ def client(request: pytest.FixtureRequest) -> Callable[[str], Interpreter]:
         try:
             repository = checkout(row.checkout) if row.checkout else None
             interpreter = row.environment.make()
-        except NotToBeHadError as reason:
+        except UnavailableError as reason:
             pytest.skip(str(reason))
         version = commit(repository) if repository else interpreter.version(row.distribution)
         request.node.stash.setdefault(_VERSIONS, {})[name] = version

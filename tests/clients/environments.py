@@ -23,7 +23,7 @@ SCRIPTS = Path(__file__).with_name("scripts")
 _VERSION = "import importlib.metadata, sys; print(importlib.metadata.version(sys.argv[1]))"
 
 
-class NotToBeHadError(Exception):
+class UnavailableError(Exception):
     """The environment cannot be made here; the message says why."""
 
 
@@ -138,9 +138,9 @@ def checkout(variable: str) -> Path:
     """
     path = os.environ.get(variable, "")
     if not path:
-        raise NotToBeHadError(f"{variable} does not name a checkout, with its submodules")
+        raise UnavailableError(f"{variable} does not name a checkout, with its submodules")
     if not Path(path).is_dir():
-        raise NotToBeHadError(f"{variable} names {path}, which is no directory")
+        raise UnavailableError(f"{variable} names {path}, which is no directory")
     return Path(path).resolve()
 
 
@@ -168,7 +168,7 @@ def find_python(version: str) -> Path:
     for candidate in filter(None, candidates):
         if subprocess.run([candidate, "-c", "import venv"], capture_output=True, check=False).returncode == 0:
             return Path(candidate)
-    raise NotToBeHadError(f"Python {version} is not here")
+    raise UnavailableError(f"Python {version} is not here")
 
 
 def _install(base: Path, requirements: Path, folder: Path, beside: bool) -> None:
@@ -183,4 +183,4 @@ def _install(base: Path, requirements: Path, folder: Path, beside: bool) -> None
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = done.stderr.strip().splitlines() or ["pip failed"]
-        raise NotToBeHadError(f"{requirements.name} cannot be installed: {said[-1]}")
+        raise UnavailableError(f"{requirements.name} cannot be installed: {said[-1]}")

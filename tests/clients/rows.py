@@ -8,7 +8,7 @@ from tests.clients.environments import Environment
 
 
 @dataclass(frozen=True)
-class Row:
+class ClientRow:
     """A client.
 
     Attributes:
@@ -37,18 +37,20 @@ _LEROBOT = (
 )
 
 # Key, as tests give it to the fixture `client` -> row.
-ROWS: dict[str, Row] = {
-    "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
-    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),
-    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("dm_control")),
-    "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
-    "dm_control": Row(
+ROWS: dict[str, ClientRow] = {
+    "mujoco-3.3": ClientRow("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
+    "mujoco-3.11": ClientRow("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),
+    "mujoco-3.17": ClientRow("MuJoCo 3.17", "mujoco", _SCENES, Environment("dm_control")),
+    "mujoco-4": ClientRow(
+        "MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"
+    ),
+    "dm_control": ClientRow(
         "dm_control",
         "dm_control",
         "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
         Environment("dm_control"),
     ),
-    "raiden": Row(
+    "raiden": ClientRow(
         client="TRI's raiden, of its repository",
         distribution="raiden",
         opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
@@ -56,40 +58,40 @@ ROWS: dict[str, Row] = {
         heavy=True,
         checkout="YAMSIM_RAIDEN",
     ),
-    "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
-    "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
-    "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
-    "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
-    "inspect-robots": Row(
+    "rerun-0.30": ClientRow("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
+    "rerun-0.41": ClientRow("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
+    "gymnasium-1.0": ClientRow("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
+    "gymnasium": ClientRow("gymnasium", "gymnasium", _ENVS),
+    "inspect-robots": ClientRow(
         "Inspect Robots",
         "inspect-robots",
         "Six of KitchenBench's tasks on our station: conforms, all 30 scenes at rest; our expert stacks two cups",
     ),
-    "act": Row(
+    "act": ClientRow(
         "inspect-robots-yam, json-numpy",
         "inspect-robots-yam",
         "`eval --policy act://`: a server with json_numpy gives the expert's trials; we send what its client sends",
         Environment("act"),
     ),
-    "openpi": Row(
+    "openpi": ClientRow(
         "openpi-client",
         "openpi-client",
         "`eval --policy ws://`: a server with its packer gives the expert's trials",
         Environment("openpi"),
     ),
-    "i2rt": Row(
+    "i2rt": ClientRow(
         "the maker's SDK, Dreamscale's build",
         "dreamscale-i2rt",
         "`serve-robot`, `can-run`: checks its motors, calibrates the gripper, moves, holds and floats; its tools",
         Environment("i2rt"),
     ),
-    "portal": Row(
+    "portal": ClientRow(
         "portal",
         "portal",
         "`serve-robot --portal`: drives the arm by the calls of the maker's follower",
         Environment("i2rt"),
     ),
-    "chiral": Row(
+    "chiral": ClientRow(
         client="TRI's chiral, of its repository",
         distribution="chiral",
         opens="`serve-robot --chiral`: its own client homes both arms, drives them by joints and by poses, and sees",
@@ -97,7 +99,7 @@ ROWS: dict[str, Row] = {
         heavy=True,
         checkout="YAMSIM_CHIRAL",
     ),
-    "raiden-cameras": Row(
+    "raiden-cameras": ClientRow(
         client="raiden's cameras, of its repository",
         distribution="raiden",
         opens="`serve-robot --cameras`: pictures by its camera class, the right wrist's turned as the real one's are",
@@ -105,10 +107,10 @@ ROWS: dict[str, Row] = {
         heavy=True,
         checkout="YAMSIM_RAIDEN",
     ),
-    "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
-    "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True), heavy=True),
-    "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True), heavy=True),
-    "lerobot": Row(
+    "av-15": ClientRow("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
+    "av-16": ClientRow("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True), heavy=True),
+    "av-17": ClientRow("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True), heavy=True),
+    "lerobot": ClientRow(
         "LeRobot 0.6",
         "lerobot",
         f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
@@ -118,7 +120,7 @@ ROWS: dict[str, Row] = {
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
-    "lerobot-eval": Row(
+    "lerobot-eval": ClientRow(
         "LeRobot 0.6: lerobot-eval",
         "lerobot",
         "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, several at once too; one that it "
@@ -126,14 +128,14 @@ ROWS: dict[str, Row] = {
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
-    "lerobot-record": Row(
+    "lerobot-record": ClientRow(
         "LeRobot 0.6: lerobot-record, lerobot-replay",
         "lerobot",
         "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one by the clock",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
-    "lerobot-writes": Row(
+    "lerobot-writes": ClientRow(
         "LeRobot 0.6: its own writer",
         "lerobot",
         "`import`: what `LeRobotDataset.create` wrote, with films in AV1 or with pictures; and its loader reads our "
@@ -141,7 +143,7 @@ ROWS: dict[str, Row] = {
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
-    "raiden-records": Row(
+    "raiden-records": ClientRow(
         client="raiden's recorder and sharder, of its repository",
         distribution="raiden",
         opens="`import`: what it recorded of two arms; it shards our `export raiden` of real ones",
@@ -149,14 +151,14 @@ ROWS: dict[str, Row] = {
         heavy=True,
         checkout="YAMSIM_RAIDEN",
     ),
-    "mcap": Row(
+    "mcap": ClientRow(
         "mcap, foxglove-schemas-protobuf",
         "mcap",
         "`import`: what their writers wrote with the topics of ABC-130k, films in H.264 and H.265",
         Environment("mcap"),
     ),
-    "lerobot-0.4": Row("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
-    "lerobot-doctor": Row(
+    "lerobot-0.4": ClientRow("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
+    "lerobot-doctor": ClientRow(
         "lerobot-doctor",
         "lerobot-doctor",
         "`export lerobot`: checked, without a failure",

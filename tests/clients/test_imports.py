@@ -20,13 +20,13 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_images
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
+from yamsim_cli.export.export_source import open_real_source
 from yamsim_cli.export.lerobot import export_real_lerobot
 from yamsim_cli.export.raiden import export_real_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import open_real_source
-from yamsim_cli.real.recordings.csv_file import header
-from yamsim_cli.real.recordings.reading import read_motions
+from yamsim_cli.real.recordings.csv_file import csv_columns
+from yamsim_cli.real.recordings.motion_reading import read_motions
 
 # Seconds; the machine may be busy with other things.
 PATIENCE = 900
@@ -38,7 +38,9 @@ def station(locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", "yam_station_linear_4310_d405", locations)
 
 
-def same(dataset: Path, number: int, truth: Motion, rig: RigConfig, locations: Locations, atol: float = 1e-6) -> None:
+def same(
+    dataset: Path, number: int, truth: RecordedMotion, rig: RigConfig, locations: Locations, atol: float = 1e-6
+) -> None:
     """An imported episode holds the joints, openings and commands of a motion."""
     (found,) = read_motions([dataset / f"ep_{number:06d}"], rig, locations)
     for arm, other in zip(found.arms, truth.arms, strict=True):
@@ -50,7 +52,7 @@ def greys(episode: RecordedEpisode, camera: str) -> list[float]:
     return [float(image.mean()) for image in recorded_images(episode, (camera,))]
 
 
-def save_motions(path: Path, motions: Sequence[Motion], rig: RigConfig) -> Path:
+def save_motions(path: Path, motions: Sequence[RecordedMotion], rig: RigConfig) -> Path:
     """What `lerobot_writes.py` takes."""
     arrays = {"names": np.array(NAMES), "fps": np.array(100), "episodes": np.array(len(motions))}
     for number, motion in enumerate(motions):
@@ -179,10 +181,10 @@ def test_numpys_own_tables_come_in(locations: Locations, tmp_path: Path) -> None
     assert arm.commands is not None
     columns = [motion.times, *arm.commands.T, arm.commanded_openings, *arm.joints.T, arm.openings]
     rows = np.column_stack(columns)  # type: ignore[arg-type]
-    np.savetxt(tmp_path / "numpy.csv", rows, delimiter=",", header=",".join(header(rig)), comments="")
+    np.savetxt(tmp_path / "numpy.csv", rows, delimiter=",", header=",".join(csv_columns(rig)), comments="")
     with (tmp_path / "quoted.csv").open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file, quoting=csv.QUOTE_ALL)
-        writer.writerow(header(rig))
+        writer.writerow(csv_columns(rig))
         writer.writerows(rows.tolist())
     dataset = bring_in(tmp_path / "real", [tmp_path / "numpy.csv", tmp_path / "quoted.csv"], rig, locations)
     for number in range(2):

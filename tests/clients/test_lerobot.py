@@ -21,8 +21,8 @@ from yamsim_cli.core.files.resources import Locations
 
 pytest.importorskip("pyarrow", reason="yamsim[lerobot] is not installed")
 pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
-from yamsim_cli.export.source import open_source
 
 pytestmark = pytest.mark.client_heavy
 VERSIONS = ["lerobot", "lerobot-0.4"]

@@ -22,8 +22,8 @@ pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 import av
 import pyarrow.parquet
 
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
-from yamsim_cli.export.source import open_source
 
 pytestmark = pytest.mark.client_heavy
 

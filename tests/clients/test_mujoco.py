@@ -18,7 +18,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
+from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start, write_scene
 
 Client = Callable[[str], Interpreter]
 # The oldest one that can load composed scenes, the last one of the third version, and one between them.
@@ -60,10 +60,10 @@ def scenes(
     for name, (rig, task, _, boards) in SCENES.items():
         if task is None:
             loaded = load_config(RigConfig, "rigs", rig, locations)
-            spec, model = at_home(Blueprint(loaded, studio, boards=boards), locations)
+            spec, model = compose_at_home(Blueprint(loaded, studio, boards=boards), locations)
         else:
-            config, home = task_start(Session(_config(name, make_config), locations))
-            spec, model = at_home(task_blueprint(config, boards=boards), locations, home)
+            config, home = first_attempt_start(Session(_config(name, make_config), locations))
+            spec, model = compose_at_home(task_blueprint(config, boards=boards), locations, home)
         write_scene(spec, model, folder / name, as_zip=False, overwrite=False)
     return {name: folder / name / "scene.xml" for name in SCENES}
 
@@ -88,7 +88,7 @@ def episodes(
             holds=np.array(actions.magnet)[:, welds],
             welds=[f"{arms[k].prefix}grasp_weld" for k in welds],
             hands=[f"{arms[k].prefix}link_6" for k in welds],
-            item=simulator.cast.one("object"),
+            item=simulator.roles.object_of("object"),
             steps=config.task.timing.physics_steps_per_tick,
             frames=[state.qpos for state in states],
             arms=np.concatenate([arm.joint_qpos for arm in arms]),

@@ -19,10 +19,10 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.act import dump_json, load_json
-from yamsim_cli.policies.chunks import Chunking
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
-from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
-from yamsim_cli.policies.mapped import MappedPolicy, PolicyStation
+from yamsim_cli.policies.action_chunks import ChunkSettings
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
 
 pytestmark = pytest.mark.render
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
@@ -93,12 +93,12 @@ def test_an_expert_that_is_served_does_what_it_does_here(
             HERE,
             time_limit=0.032 * max(result.ticks for result in local),
             mapping=str(tmp_path / "mapping.yaml"),
-            chunking=Chunking(execute=12),
+            chunking=ChunkSettings(execute=12),
         )
         with TrialRunner(Session(config, locations), choice) as runner:
             for own in local:
                 served = runner.run(own.attempt.job)
-                ended = Ended.SUCCESS if own.outcome.success else Ended.TIME_LIMIT
+                ended = TrialEnd.SUCCESS if own.outcome.success else TrialEnd.TIME_LIMIT
                 assert (served.ended, served.error) == (ended, "")
                 assert served.outcome.success == own.outcome.success
                 assert own.actions is not None
@@ -131,7 +131,7 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
     joints[[6, 13]] *= 0.0475
     observed = {"joints": joints, "prompt": "hand it over", "time": 0.0}
     observed |= {f"{name}_rgb": picture for name, picture in pictures.items()}
-    message = MappedPolicy(_Nobody(), config, station).message(observed)
+    message = MappedPolicy(_StubClient(), config, station).message(observed)
     ours = load_json(dump_json(message))
     assert ours.keys() == theirs.keys()
     for key, value in theirs.items():
@@ -142,11 +142,11 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
             assert ours[key] == value
 
 
-class _Nobody:
+class _StubClient:
     def begin(self, seed: int) -> None:
         pass
 
-    def ask(self, message: object) -> Mapping[str, object]:
+    def infer(self, message: object) -> Mapping[str, object]:
         return {}
 
     def close(self) -> None:

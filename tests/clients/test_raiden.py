@@ -17,9 +17,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import open_source
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 

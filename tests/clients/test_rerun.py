@@ -15,7 +15,7 @@ from tests.export.conftest import CAMERAS, jpeg
 from tests.unrendered import SIZE, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.export.source import Source, open_source
+from yamsim_cli.export.export_source import SimulatedSource, open_source
 
 pytestmark = pytest.mark.client
 
@@ -23,14 +23,14 @@ pytestmark = pytest.mark.client
 @pytest.fixture(scope="module")
 def source(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path_factory: pytest.TempPathFactory
-) -> Source:
+) -> SimulatedSource:
     path = tmp_path_factory.mktemp("recorded") / "dataset"
     write_dataset(path, make_config({("wrist",): True, ("image", "size_px"): list(SIZE)}), locations, 1, jpeg)
     return open_source(path, None, locations)
 
 
 @pytest.fixture(scope="module")
-def file(source: Source, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(source: SimulatedSource, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from yamsim_cli.export.rrd import export_rerun
 
     out = tmp_path_factory.mktemp("rrd") / "out"
@@ -45,7 +45,7 @@ def test_the_extra_writes_with_no_version_older_than_the_oldest_reader() -> None
 
 @pytest.mark.parametrize("row", ["rerun-0.30", "rerun-0.41"])
 def test_rerun_reads_all_that_was_recorded(
-    row: str, client: Callable[[str], Interpreter], source: Source, file: Path
+    row: str, client: Callable[[str], Interpreter], source: SimulatedSource, file: Path
 ) -> None:
     read = client(row).run("rerun_read.py", file)
     assert read["verified"], read["said"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.clients import table
-from tests.clients.rows import ROWS, Row
+from tests.clients.rows import ROWS, ClientRow
 
 HERE = Path(__file__).parent
 
@@ -28,7 +28,7 @@ def test_every_row_has_passed_in_a_test_that_names_it(key: str) -> None:
 
 
 def test_a_row_whose_tests_passed_gets_their_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "ROWS", {"a": Row("A", "a", "reads"), "b": Row("B", "b", "writes")})
+    monkeypatch.setattr(table, "ROWS", {"a": ClientRow("A", "a", "reads"), "b": ClientRow("B", "b", "writes")})
     lines = [
         '{"row": "a", "version": "1", "passed": true, "date": "2026-11-01", "test": "x"}',
         '{"row": "b", "version": "2", "passed": true, "date": "2026-11-01", "test": "y"}',

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.markup import Markup, join, percent, tag
-from yamsim_cli.core.plots import PixelScale, number
+from yamsim_cli.core.markup import Markup, html_tag, join_markup, percent
+from yamsim_cli.core.plots import PixelScale, format_number
 
 EVIL = "<script>alert(1)</script>\"' onload=x --> ]]> &amp;"
 
@@ -36,7 +36,7 @@ def read(markup: str) -> Reader:
 
 @pytest.mark.parametrize("text", [EVIL, "</p><p>", "'\"<>&", "<!--", "a\u202eb"])
 def test_text_and_attributes_stay_text(text: str) -> None:
-    page = read(tag("p", text, title=text))
+    page = read(html_tag("p", text, title=text))
     assert [name for name, _ in page.tags] == ["p"]
     shown = text.replace("\u202e", "\N{REPLACEMENT CHARACTER}")
     assert page.text == shown
@@ -45,19 +45,22 @@ def test_text_and_attributes_stay_text(text: str) -> None:
 
 @given(st.text(), st.text())
 def test_no_text_makes_an_element(text: str, attribute: str) -> None:
-    page = read(tag("div", text, tag("b", text), class_=attribute))
+    page = read(html_tag("div", text, html_tag("b", text), class_=attribute))
     assert [(name, list(attributes)) for name, attributes in page.tags] == [("div", ["class"]), ("b", [])]
 
 
 def test_elements_nest_and_none_is_left_out() -> None:
-    assert tag("ul", [tag("li", "a & b"), None, tag("li", 1.50, " mm")]) == "<ul><li>a &amp; b</li><li>1.5 mm</li></ul>"
-    assert tag("rect", x=1.0, stroke_width=0.333, class_=None) == '<rect x="1" stroke-width="0.33"></rect>'
-    assert tag("img", src="data:x") == '<img src="data:x">'
-    assert join(["<", Markup("<br>")]) == "&lt;<br>"
+    assert (
+        html_tag("ul", [html_tag("li", "a & b"), None, html_tag("li", 1.50, " mm")])
+        == "<ul><li>a &amp; b</li><li>1.5 mm</li></ul>"
+    )
+    assert html_tag("rect", x=1.0, stroke_width=0.333, class_=None) == '<rect x="1" stroke-width="0.33"></rect>'
+    assert html_tag("img", src="data:x") == '<img src="data:x">'
+    assert join_markup(["<", Markup("<br>")]) == "&lt;<br>"
 
 
 def test_markup_that_was_put_together_as_text_is_escaped() -> None:
-    assert tag("p", tag("b", "x") + " and more") == "<p>&lt;b&gt;x&lt;/b&gt; and more</p>"
+    assert html_tag("p", html_tag("b", "x") + " and more") == "<p>&lt;b&gt;x&lt;/b&gt; and more</p>"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +84,7 @@ def test_a_scale_can_run_backwards() -> None:
 
 
 def test_numbers_are_written_without_noise() -> None:
-    assert number(0.1 + 0.2) == "0.3"
-    assert number(-0.25) == "\N{MINUS SIGN}0.25"
-    assert number(-1e-12) == "0"
+    assert format_number(0.1 + 0.2) == "0.3"
+    assert format_number(-0.25) == "\N{MINUS SIGN}0.25"
+    assert format_number(-1e-12) == "0"
     assert percent(0.896) == "89.6\N{NO-BREAK SPACE}%"

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.page_origin import refusal
+from yamsim_cli.core.http_origin import refusal_reason
 from yamsim_cli.policies.policy_server import PolicyServer
-from yamsim_cli.policies.remote import pack
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.bodies_page import serve_page
+from yamsim_cli.policies.remote_policy import pack_message
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.scene_page import serve_page
 
 _WEBSOCKET = {
     "Upgrade": "websocket",
@@ -40,7 +40,7 @@ _WEBSOCKET = {
     ],
 )
 def test_own_pages_and_programs_are_accepted(host: str | None, origin: str | None, bound: str) -> None:
-    assert refusal([host] if host else [], [origin] if origin else [], bound) is None
+    assert refusal_reason([host] if host else [], [origin] if origin else [], bound) is None
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_own_pages_and_programs_are_accepted(host: str | None, origin: str | Non
     ],
 )
 def test_other_sites_are_refused(hosts: list[str], origins: list[str], bound: str) -> None:
-    assert refusal(hosts, origins, bound) is not None
+    assert refusal_reason(hosts, origins, bound) is not None
 
 
 def _asked(port: int, method: str, path: str, body: bytes | None = None, **headers: str) -> int:
@@ -109,7 +109,7 @@ def test_a_policy_server_answers_no_page() -> None:
     with PolicyServer(lambda: made.append(1), port=0) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
-        port, body = server.server_address[1], pack({"protocol": 1})
+        port, body = server.server_address[1], pack_message({"protocol": 1})
         try:
             for foreign in ({"Origin": "http://evil.example"}, {"Host": f"evil.example:{port}"}, {"Origin": "null"}):
                 assert _asked(port, "POST", "/session", body, **foreign) == 403

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.statistics import coverage, histogram, spread, wilson95
+from yamsim_cli.core.statistics import compute_coverage, histogram, summarize_values, wilson95
 
 # Source: the formula of Wilson (1927) as in R's prop.test(correct=FALSE) and Newcombe (1998), table I, method 3.
 PUBLISHED = [
@@ -56,13 +56,13 @@ def test_its_bounds_are_where_the_rate_is_196_standard_errors_away(count):
 
 
 def test_the_spread_of_a_few_values():
-    assert spread([3.0, 1.0, 2.0]) == {"median": 2.0, "p95": pytest.approx(2.9), "max": 3.0}
-    assert spread([0.5]) == {"median": 0.5, "p95": 0.5, "max": 0.5}
+    assert summarize_values([3.0, 1.0, 2.0]) == {"median": 2.0, "p95": pytest.approx(2.9), "max": 3.0}
+    assert summarize_values([0.5]) == {"median": 0.5, "p95": 0.5, "max": 0.5}
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50))
 def test_the_spread_is_ordered_and_of_plain_floats(values):
-    result = spread(values)
+    result = summarize_values(values)
     assert result["median"] <= result["p95"] <= result["max"] == max(values)
     assert result["median"] == pytest.approx(np.sort(values)[[(len(values) - 1) // 2, len(values) // 2]].mean())
     assert {type(value) for value in result.values()} == {float}
@@ -91,14 +91,14 @@ def test_a_histogram_of_anything_is_small_and_complete(values):
 
 def test_statistics_without_values():
     assert wilson95(0, 0) == (0.0, 1.0)
-    assert spread([]) is None
+    assert summarize_values([]) is None
     assert histogram([]) is None
-    grid = coverage([(0.3, 0.0)], (0.3, 0.3), (0.0, 0.0), 0.05)
+    grid = compute_coverage([(0.3, 0.0)], (0.3, 0.3), (0.0, 0.0), 0.05)
     assert (grid.cells, grid.cells_hit, grid.outside) == (1, 1, 0)
 
 
 def test_cells_of_a_box_are_counted():
-    grid = coverage(
+    grid = compute_coverage(
         [(0.30, -0.18), (0.55, 0.18), (0.31, -0.17), (0.2, 0.0), (0.4, 0.19)], (0.30, 0.55), (-0.18, 0.18), 0.05
     )
     assert grid.shape == (5, 8)

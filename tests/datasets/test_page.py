@@ -11,26 +11,26 @@ from typing import Any
 import pytest
 
 from tests.core.test_markup import Reader, read
-from tests.datasets.checks.sample import CAMERA, Sample, episode, look, picture
+from tests.datasets.checks.sample import CAMERA, SampleDataset, episode, look, picture
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.datasets.dataset_page import Strip, dataset_page
+from yamsim_cli.datasets.check_summary import summarize
+from yamsim_cli.datasets.dataset_page import FrameStrip, dataset_page
 from yamsim_cli.datasets.summarize import contact_sheet, write_report
-from yamsim_cli.datasets.summary import summarize
 
 FETCHING = {"script", "link", "iframe", "object", "embed", "a", "form", "base", "use", "image", "foreignobject"}
 EVIL = "<img src=x onerror=alert(1)>"
 
 
 @pytest.fixture
-def sample(config: RecordConfig) -> Sample:
-    return Sample(config.data_config(), [episode(k) for k in range(3)])
+def sample(config: RecordConfig) -> SampleDataset:
+    return SampleDataset(config.data_config(), [episode(k) for k in range(3)])
 
 
 @pytest.fixture
-def report(tmp_path: Path, locations: Locations) -> Callable[[Sample], str]:
-    def of(sample: Sample, change: Callable[[Path], object] = lambda path: None) -> str:
+def report(tmp_path: Path, locations: Locations) -> Callable[[SampleDataset], str]:
+    def of(sample: SampleDataset, change: Callable[[Path], object] = lambda path: None) -> str:
         path = sample.write(tmp_path / "dataset")
         change(path)
         survey = look(path, locations)
@@ -66,7 +66,7 @@ def pictures_are_well_formed(text: str) -> int:
     return len(found)
 
 
-def test_a_whole_dataset(sample: Sample, report: Any) -> None:
+def test_a_whole_dataset(sample: SampleDataset, report: Any) -> None:
     sample.fail("off_target", layout={"banana": (0.5, 0.1, 0.0, 0.0)})
     text = report(sample)
     reader = needs_nothing_else(text)
@@ -92,7 +92,7 @@ def test_a_whole_dataset(sample: Sample, report: Any) -> None:
     assert text.startswith("<!doctype html>")
 
 
-def test_a_damaged_dataset_shows_its_problems_first(sample: Sample, report: Any) -> None:
+def test_a_damaged_dataset_shows_its_problems_first(sample: SampleDataset, report: Any) -> None:
     def spoil(path: Path) -> None:
         (path / "ep_000001/lowdim/000002.pkl").unlink()
         for k in range(12):
@@ -110,7 +110,7 @@ def test_a_damaged_dataset_shows_its_problems_first(sample: Sample, report: Any)
     assert "and 7 more" in text
 
 
-def test_a_dataset_without_episodes(sample: Sample, report: Any) -> None:
+def test_a_dataset_without_episodes(sample: SampleDataset, report: Any) -> None:
     sample.episodes = []
     text = report(sample)
     needs_nothing_else(text)
@@ -118,7 +118,7 @@ def test_a_dataset_without_episodes(sample: Sample, report: Any) -> None:
     assert "There is no episode in it yet." in text
 
 
-def test_a_plain_recording(sample: Sample, tmp_path: Path, locations: Locations) -> None:
+def test_a_plain_recording(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
     survey = look(sample.write_plain(tmp_path / "plain"), locations)
     text = dataset_page(survey, summarize(survey, (0.05,)), contact_sheet(survey), "")
     needs_nothing_else(text)
@@ -127,7 +127,7 @@ def test_a_plain_recording(sample: Sample, tmp_path: Path, locations: Locations)
     assert "sampling box unknown" in text
 
 
-def test_nothing_in_a_dataset_becomes_markup(sample: Sample, tmp_path: Path, locations: Locations) -> None:
+def test_nothing_in_a_dataset_becomes_markup(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
     """Every text that a dataset can hold is hostile; names of cameras and things are refused as they are read."""
     made = sample.episodes[1]
     for frame in made.frames:
@@ -143,7 +143,9 @@ def test_nothing_in_a_dataset_becomes_markup(sample: Sample, tmp_path: Path, loc
     (path / "ep_000002" / EVIL).touch()
     (path / f"ep_{EVIL}").mkdir()
     survey = look(path, locations)
-    text = dataset_page(survey, summarize(survey, (0.05,)), [*contact_sheet(survey), Strip(EVIL, EVIL, [b"x"])], EVIL)
+    text = dataset_page(
+        survey, summarize(survey, (0.05,)), [*contact_sheet(survey), FrameStrip(EVIL, EVIL, [b"x"])], EVIL
+    )
     reader = needs_nothing_else(text)
     assert EVIL not in text
     assert all(attributes.get("src") != "x" for _, attributes in reader.tags)
@@ -152,7 +154,7 @@ def test_nothing_in_a_dataset_becomes_markup(sample: Sample, tmp_path: Path, loc
 
 
 def test_the_worst_episodes_come_first(config: RecordConfig, tmp_path: Path, locations: Locations) -> None:
-    sample = Sample(config.data_config(), [episode(k) for k in range(8)])
+    sample = SampleDataset(config.data_config(), [episode(k) for k in range(8)])
     for made in sample.episodes:
         made.frames[-1]["banana_pose"][0, 3] += 0.001 * ((made.number * 3) % 8)
     sheet = contact_sheet(look(sample.write(tmp_path / "dataset"), locations))
@@ -161,7 +163,9 @@ def test_the_worst_episodes_come_first(config: RecordConfig, tmp_path: Path, loc
     assert sheet[0].caption == "ended 9.0 mm off"
 
 
-def test_pictures_are_of_the_camera_that_stands_still(sample: Sample, tmp_path: Path, locations: Locations) -> None:
+def test_pictures_are_of_the_camera_that_stands_still(
+    sample: SampleDataset, tmp_path: Path, locations: Locations
+) -> None:
     for made in sample.episodes:
         made.images = {"a_wrist_camera": [picture(k, 9) for k in range(6)], "b": made.images[CAMERA]}
     both = contact_sheet(look(sample.write_plain(tmp_path / "dataset"), locations))
@@ -171,7 +175,7 @@ def test_pictures_are_of_the_camera_that_stands_still(sample: Sample, tmp_path: 
     assert both[0].pictures == alone[0].pictures
 
 
-def test_a_report_is_written_whole_or_not_at_all(sample: Sample, tmp_path: Path, locations: Locations) -> None:
+def test_a_report_is_written_whole_or_not_at_all(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
     survey = look(sample.write(tmp_path / "dataset"), locations)
     summary = summarize(survey, (0.05,))
     write_report(survey, summary, tmp_path / "report.html")

@@ -9,21 +9,21 @@ from typing import Any
 
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, FRAMES, OUTCOME, Sample, episode, look
+from tests.datasets.checks.sample import CAMERA, FRAMES, OUTCOME, SampleDataset, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.statistics import wilson95
-from yamsim_cli.datasets.summary import summarize
+from yamsim_cli.datasets.check_summary import summarize
 
 
 @pytest.fixture
-def sample(config: RecordConfig) -> Sample:
-    return Sample(config.data_config(), [episode(k) for k in range(3)])
+def sample(config: RecordConfig) -> SampleDataset:
+    return SampleDataset(config.data_config(), [episode(k) for k in range(3)])
 
 
 @pytest.fixture
 def summary(tmp_path: Path, locations: Locations) -> Callable[..., dict[str, Any]]:
-    def of(sample: Sample, thresholds: Sequence[float] = (0.05, 0.08), plain: bool = False) -> dict[str, Any]:
+    def of(sample: SampleDataset, thresholds: Sequence[float] = (0.05, 0.08), plain: bool = False) -> dict[str, Any]:
         path = (sample.write_plain if plain else sample.write)(tmp_path / "dataset")
         report = summarize(look(path, locations), thresholds)
         json.dumps(report, allow_nan=False)
@@ -32,7 +32,7 @@ def summary(tmp_path: Path, locations: Locations) -> Callable[..., dict[str, Any
     return of
 
 
-def put(sample: Sample, distances: Sequence[float]) -> None:
+def put(sample: SampleDataset, distances: Sequence[float]) -> None:
     """Let the banana of each episode end at a distance from the plate's centre."""
     for made, distance in zip(sample.episodes, distances, strict=True):
         last = made.frames[-1]
@@ -42,7 +42,7 @@ def put(sample: Sample, distances: Sequence[float]) -> None:
         last["banana_pose"] = pose
 
 
-def test_a_dataset_is_counted(sample: Sample, summary: Any, tmp_path: Path) -> None:
+def test_a_dataset_is_counted(sample: SampleDataset, summary: Any, tmp_path: Path) -> None:
     report = summary(sample)
     files = [path for path in (tmp_path / "dataset").glob("ep_*/**/*") if path.is_file()]
     assert (report["episodes"], report["frames"]) == (3, 3 * FRAMES)
@@ -57,7 +57,7 @@ def test_a_dataset_is_counted(sample: Sample, summary: Any, tmp_path: Path) -> N
 
 
 def test_outcomes_are_scored_by_every_threshold(config: RecordConfig, summary: Any) -> None:
-    sample = Sample(config.data_config(), [episode(k) for k in range(4)])
+    sample = SampleDataset(config.data_config(), [episode(k) for k in range(4)])
     put(sample, (0.01, 0.06, 0.07, 0.2))
     report = summary(sample, (0.05, 0.065, 0.08))
     assert report["success_rate"] == {"0.05": 0.25, "0.065": 0.5, "0.08": 0.75}
@@ -68,12 +68,12 @@ def test_outcomes_are_scored_by_every_threshold(config: RecordConfig, summary: A
     assert report["dz_m"]["median"] == 0.02
 
 
-def test_every_episode_is_scored_by_the_height_its_own_task_allows(sample: Sample, summary: Any) -> None:
+def test_every_episode_is_scored_by_the_height_its_own_task_allows(sample: SampleDataset, summary: Any) -> None:
     sample.episodes[1].over["max_height_m"] = 0.001
     assert summary(sample)["success_rate"]["0.05"] == pytest.approx(2 / 3)
 
 
-def test_attempts_are_scored_too_and_counted_by_cause(sample: Sample, summary: Any) -> None:
+def test_attempts_are_scored_too_and_counted_by_cause(sample: SampleDataset, summary: Any) -> None:
     sample.fail("off_target", dxy=0.06)
     sample.fail("dropped", dxy=0.3)
     sample.fail("off_target", dxy=0.09)
@@ -88,7 +88,7 @@ def test_attempts_are_scored_too_and_counted_by_cause(sample: Sample, summary: A
     assert attempts["causes"] == {"off_target": 2, "dropped": 1, "no_layout": 1}
 
 
-def test_the_workspace_is_spanned_by_starts_and_ends(sample: Sample, summary: Any) -> None:
+def test_the_workspace_is_spanned_by_starts_and_ends(sample: SampleDataset, summary: Any) -> None:
     workspace = summary(sample)["workspace"]
     assert workspace["box"] == {"x": [0.3, 0.55], "y": [-0.18, 0.18], "cell_m": 0.05}
     banana = workspace["objects"]["banana"]
@@ -99,13 +99,15 @@ def test_the_workspace_is_spanned_by_starts_and_ends(sample: Sample, summary: An
     assert list(workspace["objects"]) == ["banana", "plate"]
 
 
-def test_places_are_in_the_world_where_the_base_is_not(config: RecordConfig, sample: Sample, summary: Any) -> None:
+def test_places_are_in_the_world_where_the_base_is_not(
+    config: RecordConfig, sample: SampleDataset, summary: Any
+) -> None:
     sample.config["rig"]["arms"][0]["base"] = {"position": [0.0, 0.1, 0.0], "yaw_deg": 0.0}
     banana = summary(sample)["workspace"]["objects"]["banana"]
     assert banana["start"]["y"] == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-def test_a_plain_recording_is_counted_by_what_its_frames_show(sample: Sample, summary: Any) -> None:
+def test_a_plain_recording_is_counted_by_what_its_frames_show(sample: SampleDataset, summary: Any) -> None:
     put(sample, (0.01, 0.02, 0.06))
     report = summary(sample, plain=True)
     assert report["recorded_by_yamsim"] is False
@@ -116,7 +118,7 @@ def test_a_plain_recording_is_counted_by_what_its_frames_show(sample: Sample, su
     assert (report["errors"], report["warnings"]) == (0, 1)
 
 
-def test_a_dataset_without_episodes_is_counted_too(sample: Sample, summary: Any) -> None:
+def test_a_dataset_without_episodes_is_counted_too(sample: SampleDataset, summary: Any) -> None:
     sample.episodes = []
     report = summary(sample)
     assert (report["episodes"], report["bytes"], report["seconds"]) == (0, 0, 0)
@@ -125,7 +127,7 @@ def test_a_dataset_without_episodes_is_counted_too(sample: Sample, summary: Any)
     assert (report["dxy_m"], report["bytes_per_episode"], report["workspace"]["objects"]) == (None, None, {})
 
 
-def test_problems_are_listed_with_all_that_is_known(sample: Sample, summary: Any) -> None:
+def test_problems_are_listed_with_all_that_is_known(sample: SampleDataset, summary: Any) -> None:
     sample.episodes[1].over["outcome"] = OUTCOME.model_copy(update={"dxy_m": 0.04})
     report = summary(sample)
     assert report["errors"] == 1

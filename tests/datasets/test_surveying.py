@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, Sample, episode, look
+from tests.datasets.checks.sample import CAMERA, SampleDataset, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.context import EpisodeDirectory
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.datasets.checks.facts import EpisodeFacts
-from yamsim_cli.datasets.summarize import EpisodeChecker, survey_dataset
+from yamsim_cli.datasets.checks.episode_facts import EpisodeFacts
+from yamsim_cli.datasets.summarize import EpisodeChecker, check_dataset
 
 
 @pytest.fixture
 def dataset(tmp_path: Path, config: RecordConfig) -> Path:
-    path = Sample(config.data_config(), [episode(k) for k in range(4)]).write(tmp_path / "dataset")
+    path = SampleDataset(config.data_config(), [episode(k) for k in range(4)]).write(tmp_path / "dataset")
     image = path / f"ep_000001/rgb/{CAMERA}/000002.jpg"
     data = image.read_bytes()
     image.write_bytes(data[:-300] + data[-2:])
@@ -32,7 +32,7 @@ def test_workers_find_what_one_process_finds(
     dataset: Path, locations: Locations, capfd: pytest.CaptureFixture[str]
 ) -> None:
     told: list[tuple[int, int]] = []
-    found = survey_dataset(dataset, locations, 2, lambda *done: told.append(done))
+    found = check_dataset(dataset, locations, 2, lambda *done: told.append(done))
     assert found.problems == look(dataset, locations).problems
     assert [problem.code for problem in found.problems] == ["image.decode", "lowdim.damaged"]
     assert [episode.name for episode in found.episodes] == [f"ep_{k:06d}" for k in range(4)]
@@ -45,19 +45,19 @@ def test_an_interruption_is_told_as_one(dataset: Path, locations: Locations) -> 
         raise KeyboardInterrupt
 
     with pytest.raises(InterruptedJobError, match="interrupted after 1 of 4 episodes; nothing was changed"):
-        survey_dataset(dataset, locations, 1, interrupt)
+        check_dataset(dataset, locations, 1, interrupt)
 
 
 def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, monkeypatch: Any) -> None:
-    monkeypatch.setattr("yamsim_cli.datasets.summarize.WorkerPool", None)
+    monkeypatch.setattr("yamsim_cli.datasets.summarize.ProcessPool", None)
     with pytest.raises(DatasetError):
-        survey_dataset(tmp_path, locations, 2, lambda *_: None)
+        check_dataset(tmp_path, locations, 2, lambda *_: None)
     (tmp_path / "config.yaml").write_text("{}\n")
-    found = survey_dataset(tmp_path, locations, 2, lambda *_: None)
+    found = check_dataset(tmp_path, locations, 2, lambda *_: None)
     assert {problem.code for problem in found.problems} == {"config.damaged", "dataset.empty"}
 
 
-class Deadly(EpisodeChecker):
+class CrashingChecker(EpisodeChecker):
     """Ends its process on one episode, as a file that crashes a decoder would."""
 
     def run(self, job: EpisodeDirectory) -> EpisodeFacts:
@@ -70,8 +70,8 @@ class Deadly(EpisodeChecker):
 def test_an_episode_that_ends_every_process_is_told_and_the_rest_is_checked(
     dataset: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.datasets.summarize.EpisodeChecker", Deadly)
-    found = survey_dataset(dataset, locations, 2, lambda *_: None)
+    monkeypatch.setattr("yamsim_cli.datasets.summarize.EpisodeChecker", CrashingChecker)
+    found = check_dataset(dataset, locations, 2, lambda *_: None)
     assert [(problem.code, problem.episode) for problem in found.problems][:2] == [
         ("episode.unchecked", "ep_000001"),
         ("lowdim.damaged", "ep_000003"),

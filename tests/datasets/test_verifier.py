@@ -15,7 +15,7 @@ from tests.unrendered import SIZE, change_frame, change_record, frame_count, rea
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
-from yamsim_cli.core.episode.payload import ENGINE, LOOKS
+from yamsim_cli.core.episode.attempt_payload import ENGINE, LOOKS
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
@@ -66,7 +66,7 @@ def test_a_changed_joint_is_named_with_its_frame_whether_or_not_its_hash_was_cha
     change_frame(dataset / "ep_000001", 20, rehash=rehash, joints=after)
     result = verdict()
     for check in (SEED, ACTIONS):
-        first = result.checks[check].first
+        first = result.checks[check].first_difference
         assert (first.frame, first.quantity) == (20, "joints[2]")
         assert first.time_s == pytest.approx(1.28)
         assert (first.stored, first.got) == (float(after[2]), float(before[2]))
@@ -80,8 +80,11 @@ def test_a_changed_action_is_named_and_what_it_does_is_seen_one_frame_later(data
     actions[1, 1] += 1e-3
     change_frame(dataset / "ep_000001", 20, rehash=True, sim_ctrl=actions)
     result = verdict()
-    assert (result.checks[SEED].first.frame, result.checks[SEED].first.quantity) == (20, "sim_ctrl[1, 1]")
-    assert result.checks[ACTIONS].first.frame == 21
+    assert (result.checks[SEED].first_difference.frame, result.checks[SEED].first_difference.quantity) == (
+        20,
+        "sim_ctrl[1, 1]",
+    )
+    assert result.checks[ACTIONS].first_difference.frame == 21
     assert result.checks[ACTIONS].max_error > 1e-5
 
 
@@ -91,7 +94,7 @@ def test_a_weld_that_was_never_switched_on_drops_the_object(dataset: Path, verdi
     for k, magnet in enumerate(magnets):
         change_frame(directory, k, rehash=True, sim_magnet=np.zeros_like(magnet))
     taken = next(k for k, magnet in enumerate(magnets) if magnet.any())
-    first = verdict().checks[ACTIONS].first
+    first = verdict().checks[ACTIONS].first_difference
     assert taken <= first.frame < taken + 10
     assert verdict().checks[ACTIONS].max_error > 0.1
 
@@ -100,15 +103,15 @@ def test_a_failure_passed_off_as_a_success_is_found(dataset: Path, verdict) -> N
     outcome = json.loads((dataset / "ep_000001" / "episode.json").read_text())["outcome"]
     change_record(dataset / "ep_000001", outcome=outcome | {"dxy_m": 0.2, "cause": "off_target"})
     for check in (SEED, ACTIONS):
-        first = verdict().checks[check].first
+        first = verdict().checks[check].first_difference
         assert (first.frame, first.quantity, first.stored) == (None, "outcome.cause", "off_target")
 
 
 def test_an_episode_under_another_attempts_number_is_found(dataset: Path, verdict) -> None:
     change_record(dataset / "ep_000001", attempt=7)
     result = verdict()
-    assert result.checks[SEED].first.frame == 0
-    assert result.checks[ACTIONS].first is None
+    assert result.checks[SEED].first_difference.frame == 0
+    assert result.checks[ACTIONS].first_difference is None
 
 
 @pytest.mark.slow
@@ -252,7 +255,7 @@ def test_pictures_of_an_earlier_revision_of_looks_are_reported_and_states_agree(
 ) -> None:
     found = verdict_without_version(dataset, locations, "looks")
     assert found.agrees
-    assert found.checks[SEED].first is None
+    assert found.checks[SEED].first_difference is None
     assert IMAGES not in found.checks
     assert found.skipped[IMAGES].startswith(
         f"its pictures are of looks revision 1, and this version draws revision {LOOKS}"

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.workers.toy_runners import Toy
+from tests.core.workers.toy_runners import ToyRunner
 from tests.e2e.recorder import workers_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.workers.processes import WorkerPool
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
-from yamsim_cli.recording.executors import LocalProcesses
+from yamsim_cli.core.workers.process_pool import ProcessPool
+from yamsim_cli.core.workers.stop_request import StopRequest
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
 from yamsim_cli.recording.recorder import record
+from yamsim_cli.recording.recording_output import RecordingOutput
 
 # What 2,000 episodes may add to any one process.
 LIMIT_MB = 50.0
@@ -52,8 +52,14 @@ def test_two_thousand_episodes_fit_into_memory(
         if done >= 60 and mark not in used:
             used[mark] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}
 
-    watch = Notifier(measure, lambda warning: None)
-    record(Session(config, locations), Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
+    watch = RecordCallbacks(measure, lambda warning: None)
+    record(
+        Session(config, locations),
+        RecordingOutput(tmp_path / "d", OpenMode.NEW),
+        ProcessExecutorFactory(),
+        watch,
+        StopRequest(),
+    )
     assert len(used[180]) == 3
     growth = {pid: (used[180][pid] - used[60][pid]) * EPISODES / 120 for pid in used[180]}
     print({pid: f"{used[180][pid]:.0f} MB, {mb:.1f} MB more in {EPISODES} episodes" for pid, mb in growth.items()})
@@ -62,7 +68,7 @@ def test_two_thousand_episodes_fit_into_memory(
 
 def test_large_answers_leave_nothing_behind() -> None:
     """Episodes of full size, as bytes through the pipe."""
-    with WorkerPool[int | str, object](Toy, 1) as pool:
+    with ProcessPool[int | str, object](ToyRunner, 1) as pool:
         used = []
         for k in range(400):
             pool.submit(f"large:{3_000_000 + 5000 * (k % 97)}")

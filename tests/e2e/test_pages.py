@@ -28,7 +28,7 @@ from tests.objects.test_fits import block
 from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
 from tests.real.recordings.making import write_csv
-from tests.rig_photos import CAMERA, JOINTS, Studio, looking
+from tests.rig_photos import CAMERA, JOINTS, RigPhotographer, looking
 from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -142,7 +142,7 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         scan = mug(24)
         scan.apply_scale(1000)
         scan.export(folder / "scan.obj")
-    with Studio("russet", locations, CAMERA) as studio:
+    with RigPhotographer("russet", locations, CAMERA) as studio:
         shot = studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
     (folder / "morning").mkdir()
     for photo in ("photo.png", "morning/0001.png"):

@@ -11,15 +11,15 @@ import pytest
 from tests.e2e.recorder import digest, episodes, run, start, wait_until
 from tests.programs import ONTO_PLATE, written
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.datasets.verify import CHECKS, EpisodeVerifier, Tolerances
-from yamsim_cli.opener import Opener
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
-from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.executor_factories import InlineExecutorFactory
 from yamsim_cli.recording.recorder import record
+from yamsim_cli.recording.recording_output import RecordingOutput
+from yamsim_cli.session_opener import SessionOpener
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -57,12 +57,12 @@ def test_kill_and_resume_give_what_an_undisturbed_run_gives(
 
 @pytest.mark.parametrize("task", SHIPPED)
 def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locations, tmp_path: Path) -> None:
-    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
     config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
     session = Session(config, locations).without_meshes()
     out = tmp_path / "dataset"
-    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
     assert verdict.agrees, verdict

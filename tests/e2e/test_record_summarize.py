@@ -17,9 +17,9 @@ import pytest
 import yaml
 
 from tests.cli.run_cli import yamsim
-from yamsim_cli.core.config.pictures import ImageConfig
+from yamsim_cli.core.config.rendering import ImageConfig
 from yamsim_cli.gl import GlBackend
-from yamsim_cli.recording.space import EpisodeSize
+from yamsim_cli.recording.disk_space import EpisodeSize
 
 pytestmark = pytest.mark.render
 
@@ -66,7 +66,7 @@ def test_layout_on_the_disk(dataset: Path) -> None:
         assert names == [f"{k:06d}.jpg" for k in range(count)]
     assert len(list((dataset / "ep_000001" / "lowdim").iterdir())) == count
     image = ImageConfig(size_px=(96, 72), jpeg_quality=85)
-    assert EpisodeSize.expected((count, count), 2, image, 4096).inodes == 1 + len(
+    assert EpisodeSize.estimate((count, count), 2, image, 4096).inodes == 1 + len(
         list((dataset / "ep_000001").rglob("*"))
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.datasets.checks.sample import Sample, episode
+from tests.datasets.checks.sample import SampleDataset, episode
 from tests.e2e.browser import Browser
 from yamsim_cli.core.config.recording import RecordConfig
 
@@ -25,7 +25,7 @@ def evaluate(client: Browser, script: str) -> Any:
 
 @pytest.fixture(params=["whole", "damaged", "empty"])
 def page(request: pytest.FixtureRequest, tmp_path: Path, config: RecordConfig) -> tuple[str, Path]:
-    sample = Sample(config.data_config(), [episode(k) for k in range(8)])
+    sample = SampleDataset(config.data_config(), [episode(k) for k in range(8)])
     sample.fail(EVIL, layout={"banana": (0.5, 0.1, 0.0, 0.0)})
     sample.episodes[1].over["rig"] = EVIL
     if request.param == "empty":

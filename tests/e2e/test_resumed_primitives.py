@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from yamsim_cli.core.config.shown_meshes import PRIMITIVES
+from yamsim_cli.core.config.mesh_provenance import PRIMITIVES
 from yamsim_cli.core.dataset.reader import open_episodes
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -19,7 +19,7 @@ RECORD = ("record", "--size", "64x48", "--quality", "fast", "--seed", "1", "--wo
 
 
 def test_a_dataset_of_primitives_goes_on_when_the_meshes_are_here(locations: Locations, tmp_path: Path) -> None:
-    opener = Opener({"YAMSIM_OFFLINE": "1"}, lambda text: None, str)
+    opener = SessionOpener({"YAMSIM_OFFLINE": "1"}, lambda text: None, str)
     if None in opener.find_meshes(locations, ["i2rt_yam_crank", "ycb"]).meshes.values():
         pytest.skip("the meshes of i2rt_yam_crank and ycb are not here: yamsim assets fetch")
     dataset = tmp_path / "dataset"

@@ -18,20 +18,20 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.show.view import task_viewpoint
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
-from yamsim_cli.viewers.teleop.loop import open_teleop, run_page
-from yamsim_cli.viewers.teleop_page import heading_of
+from yamsim_cli.core.workers.stop_request import StopRequest
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.show.viewer import task_viewpoint
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
+from yamsim_cli.viewers.teleop.teleop_session import open_teleop, run_page
+from yamsim_cli.viewers.teleop_page import hand_heading
 from yamsim_cli.viewers.viewpoint import FOV_DEG
 
 REPOSITORY = Path(__file__).parents[2]
@@ -64,11 +64,11 @@ def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, 
 
 
 @contextmanager
-def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, DrivenScene]]:
+def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, TeleopScene]]:
     """A page on which an arm is driven: its URL, and the session behind it. How well time was kept is printed."""
     urls: list[str] = []
-    scenes: list[DrivenScene] = []
-    stop = Stop()
+    scenes: list[TeleopScene] = []
+    stop = StopRequest()
 
     def serve() -> None:
         with open_teleop(Session(config, locations), out, OpenMode.NEW, print) as session:
@@ -81,11 +81,11 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
         wait_until(lambda: urls)
         yield urls[0], scenes[0]
     finally:
-        stop.ask()
+        stop.request()
         thread.join()
 
 
-def at(driven: DrivenScene, place: Array, tolerance: float = 0.006) -> bool:
+def at(driven: TeleopScene, place: Array, tolerance: float = 0.006) -> bool:
     """Whether the hand is there, and at rest."""
     near = np.linalg.norm(driven.data.site("pinch_site").xpos - place) < tolerance
     return bool(near and np.abs(driven.data.qvel[:6]).max() < 0.02)
@@ -135,7 +135,7 @@ def test_what_is_done_on_the_page_is_an_episode(
     config = make_config({("image", "size_px"): [160, 120], ("render",): "fast"})
     out = tmp_path / "d"
     with Simulator(Session(config, locations).without_meshes()) as simulator:
-        layout = sample(simulator, EpisodeJob(config.seed, 0)).layout
+        layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     assert layout
     banana = next(item for item in config.task.objects if item.name == "banana")
     assert banana.grasp
@@ -159,7 +159,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         # The hand is the same the other way round.
         heading = heading if heading > 0 else heading + 180
         browser.run(SET_NUMBER, HEADING, f"{heading:.1f}")
-        wait_until(lambda: heading_of(driven.target) == pytest.approx(math.radians(heading), abs=0.001))
+        wait_until(lambda: hand_heading(driven.target) == pytest.approx(math.radians(heading), abs=0.001))
         x, y, z = T_grasp[:3, 3]
         go((x, y, 0.15))
         go((x, y, z))
@@ -175,7 +175,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         go((x, y, 0.06))
         browser.screenshot(screens / "teleop_placing.png")
         browser.keys("gm")
-        wait_until(lambda: not driven.status.holds)
+        wait_until(lambda: not driven.status.magnet_holds)
         time.sleep(1)
         go((x, y, 0.2))
         browser.click("Stop and judge")

@@ -21,8 +21,8 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.show.view import live_rig, view_rig
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.show.viewer import make_live_rig, view_rig
 from yamsim_cli.viewers.viewed_scene import LiveRig
 from yamsim_cli.viewers.viewpoint import Viewpoint
 
@@ -53,7 +53,7 @@ def live(locations: Locations) -> LiveRig:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     rig = load_config(RigConfig, "rigs", "russet", locations)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
-    return live_rig(Blueprint(rig, scene), locations)
+    return make_live_rig(Blueprint(rig, scene), locations)
 
 
 def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, screens: Path) -> None:
@@ -90,7 +90,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     middle = np.array([*np.mean(list(places.values()), axis=0), 0.0])
     # The picture's right is then world +x, its top world +y. A hair off the vertical, where "up" has no meaning.
     above = Viewpoint(middle, distance=0.75, azimuth_deg=90, elevation_deg=-89.5)
-    monkeypatch.setattr("yamsim_cli.viewers.show.view.frame_rig", lambda _: above)
+    monkeypatch.setattr("yamsim_cli.viewers.show.viewer.rig_viewpoint", lambda _: above)
     # Out of the way: arms up and back.
     for k in range(2):
         live.data.ctrl[7 * k : 7 * k + 3] = (0, 0, 0)

@@ -9,7 +9,7 @@ from tests.real.recordings.foreign import write_lerobot_v2
 from tests.real.recordings.making import write_csv
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.real.import_recording.importing import ImportRequest, import_recordings
 
 
@@ -19,16 +19,16 @@ def bring_in(out: Path, sources: list[Path], rig: RigConfig, locations: Location
     return out
 
 
-def with_film(folder: Path, motion: Motion, rig: RigConfig, locations: Locations) -> Path:
+def with_film(folder: Path, motion: RecordedMotion, rig: RigConfig, locations: Locations) -> Path:
     """A dataset of two arms, with commands, a film of one camera, and a prompt."""
     return bring_in(folder / "real", [write_lerobot_v2(folder / "lerobot", motion, rig)], rig, locations)
 
 
-def of_tables(folder: Path, motions: list[Motion], rig: RigConfig, locations: Locations) -> Path:
+def of_tables(folder: Path, motions: list[RecordedMotion], rig: RigConfig, locations: Locations) -> Path:
     """A dataset of CSVs, without pictures and prompt."""
     files = [write_csv(folder / f"log{k}.csv", motion, rig) for k, motion in enumerate(motions)]
     return bring_in(folder / "tables", files, rig, locations)
 
 
-def without_commands(motion: Motion) -> Motion:
+def without_commands(motion: RecordedMotion) -> RecordedMotion:
     return replace(motion, arms=tuple(replace(arm, commands=None, commanded_openings=None) for arm in motion.arms))

@@ -14,17 +14,17 @@ from tests.export.lerobot_files import check_numbers, rows
 from tests.export.lerobot_files import recorded as all_recorded
 from tests.export.raiden_diff import column, differences, frames_of
 from tests.unrendered import change_record
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import open_source
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
 
 CAMERAS = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
@@ -194,7 +194,7 @@ def test_lerobots_actions_are_those_that_a_policy_answers_with(
     (tmp_path / "player.py").write_text(PLAYER.format(file=str(tmp_path / "actions.npy")))
     config = dataset_config(two_armed, locations)
     with TrialRunner(Session(config, locations), PolicyChoice("player.py:Player", tmp_path)) as runner:
-        outcome = runner.run(EpisodeJob(config.seed, 0)).outcome
+        outcome = runner.run(AttemptJob(config.seed, 0)).outcome
     assert outcome.success, outcome.detail
 
 

@@ -14,9 +14,9 @@ from tests.export.conftest import CAMERAS, EPISODES, frames_of, ignore, picture
 from tests.unrendered import SIZE, frame_count
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.files.writing import move_aside
+from yamsim_cli.core.files.writing import move_to_backup
 from yamsim_cli.core.images.jpeg import decode_jpeg
-from yamsim_cli.export.source import open_source
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.videos import export_mp4, export_sheet
 
 CLOSE = 6.0
@@ -84,7 +84,7 @@ def test_a_sheet_that_cannot_be_is_refused_before_the_work(dataset: Path, locati
 def test_a_damaged_episode_leaves_no_sheet(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(dataset, "0", locations)
     image = dataset / "ep_000000" / "rgb" / "scene_camera" / f"{frame_count(dataset / 'ep_000000') - 1:06d}.jpg"
-    moved = move_aside(image)
+    moved = move_to_backup(image)
     try:
         with pytest.raises(DatasetError, match=rf"{image.name} cannot be read"):
             export_sheet(source, tmp_path / "sheet.jpg", (), ignore)

@@ -15,9 +15,9 @@ from tests.export.lerobot_files import check_numbers, jpegs, recorded, rows
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.export import lerobot_schema
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.lerobot_stats import PixelCounts, RunningStats, column_stats
-from yamsim_cli.export.source import open_source
 
 av = pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="yamsim[lerobot] is not installed")

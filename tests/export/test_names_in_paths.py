@@ -11,21 +11,21 @@ import pytest
 
 from tests.export.conftest import ignore
 from tests.unrendered import change_record
-from yamsim_cli.core.dataset.layout import EPISODE
+from yamsim_cli.core.dataset.dataset_paths import EPISODE
 from yamsim_cli.core.dataset.reader import open_recorded
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.export.export_source import SimulatedSource, open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
 from yamsim_cli.export.rrd import export_rerun
-from yamsim_cli.export.source import Source, open_source
 from yamsim_cli.export.videos import export_mp4, export_sheet
 
 _AWAY = "../../../escaped"
 _CAMERA = "scene_camera"
 
-_EXPORTS: dict[str, Callable[[Source, Path, Locations], object]] = {
+_EXPORTS: dict[str, Callable[[SimulatedSource, Path, Locations], object]] = {
     "lerobot": lambda source, out, where: export_lerobot(source, out, ignore),
     "raiden": lambda source, out, where: export_raiden(source, out, where, ignore, RaidenOptions()),
     "mp4": lambda source, out, where: export_mp4(source, out, (), ignore),

@@ -24,9 +24,9 @@ from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.robots.models import ArmModel
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import open_source
 
 # The recorded frames and no others; and what needs nothing drawn, at raiden's own rate.
 SOURCE = RaidenOptions(fps=None)

@@ -20,14 +20,14 @@ from tests.real.recordings.making import same_motion, some, swinging
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
+from yamsim_cli.export.export_source import ActionSource, nearest_to_even, open_real_source, open_source
 from yamsim_cli.export.lerobot import export_real_lerobot
+from yamsim_cli.export.output_directory import ExportResult
 from yamsim_cli.export.raiden import export_real_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import ActionSource, nearest_to_even, open_real_source, open_source
-from yamsim_cli.export.target import Exported
 from yamsim_cli.export.videos import export_mp4, export_sheet
-from yamsim_cli.real.recordings.reading import read_motions
+from yamsim_cli.real.recordings.motion_reading import read_motions
 
 DRIVES = [f"{side}_{name}" for side in ("left", "right") for name in (*[f"joint{k}" for k in range(1, 7)], "gripper")]
 
@@ -37,7 +37,7 @@ class Real:
     """A dataset of one recording, and the recorded motion."""
 
     dataset: Path
-    motion: Motion
+    motion: RecordedMotion
     rig: RigConfig
 
 
@@ -53,7 +53,7 @@ DEFAULT = RaidenOptions()
 
 def to_lerobot(
     dataset: Path, out: Path, locations: Locations, actions: ActionSource = "recorded", fps: float | None = None
-) -> Exported:
+) -> ExportResult:
     return export_real_lerobot(open_real_source(dataset, None, locations, fps), out, ignore, actions=actions)
 
 
@@ -221,7 +221,7 @@ def to_raiden(
     locations: Locations,
     options: RaidenOptions = DEFAULT,
     actions: ActionSource = "recorded",
-) -> Exported:
+) -> ExportResult:
     source = open_real_source(dataset, None, locations, options.fps)
     return export_real_raiden(source, out, locations, ignore, options, actions)
 

@@ -22,16 +22,16 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.lowdim import SIMULATION, recorded_actions
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
-from yamsim_cli.core.episode.engine import repeat
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.export.moments import StateSampler
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.resample import frame_times, nearest_frames, resample
-from yamsim_cli.export.source import open_source
+from yamsim_cli.export.resample import frame_times, nearest_frames, resample_episode
+from yamsim_cli.export.state_sampler import StateSampler
 
 TICK, PERIOD = 0.032, 0.064
 
@@ -60,10 +60,10 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     seen = StateSampler(simulator.scene.model, np.arange(ticks) * TICK)
     done = planned(simulator, episode.record.seed, episode.record.attempt)
     plan = all_actions(done.states).joints[:, 0]
-    found = resample(simulator, episode, 1 / TICK)
+    found = resample_episode(simulator, episode, 1 / TICK)
     recorded = recorded_actions(episode.frames(), simulator.scene.model.nq, simulator.scene.model.nu)
     assert recorded
-    repeat(simulator, done.attempt, recorded[1], EXPERT_RULES, on_step=seen)
+    run_actions(simulator, done.attempt, recorded[1], EXPERT_RULES, on_step=seen)
     assert len(found.times) == ticks
     np.testing.assert_array_equal(found.qpos, seen.qpos)
     np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.states])
@@ -77,8 +77,8 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
 
 def test_between_two_steps_a_state_lies_on_the_way(dataset: Path, simulator: Simulator) -> None:
     episode = open_episode(dataset / "ep_000001")
-    steps = resample(simulator, episode, 500.0)
-    halves = resample(simulator, episode, 1000.0)
+    steps = resample_episode(simulator, episode, 500.0)
+    halves = resample_episode(simulator, episode, 1000.0)
     np.testing.assert_array_equal(halves.qpos[::2], steps.qpos)
     middle = (steps.qpos[:-1] + steps.qpos[1:]) / 2
     # Quaternions turn, the rest is straight.

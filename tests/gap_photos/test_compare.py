@@ -9,21 +9,27 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.rig_photos import Studio, looking
+from tests.rig_photos import RigPhotographer, looking
 from tests.rig_scenes import plant, rig_scene, swings
 from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg
-from yamsim_cli.gap_photos.compare import PhotoRequest, chosen_photos, compare_photos, stands_at, taken_photos
-from yamsim_cli.real.gap.figures import Gap, gap_of
+from yamsim_cli.gap_photos.photo_comparison import (
+    PhotoRequest,
+    compare_photos,
+    photos_in_parts,
+    postures_at,
+    select_photos,
+)
+from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
 
 TIMES = np.arange(12) * 0.064
 # Photographed samples, and the one where the arm is elsewhere than its simulation.
@@ -33,21 +39,21 @@ VIEW = looking((0.9, -0.35, 0.6), (0.05, 0.0, 0.12))
 
 
 @pytest.fixture(scope="module")
-def gap(tmp_path_factory: pytest.TempPathFactory) -> Gap:
+def gap(tmp_path_factory: pytest.TempPathFactory) -> MotionGap:
     """Of an episode's directory without any files."""
     motion = plant(rig_scene(), TIMES, [swings(TIMES, still=0.1)])
     joints = motion.arms[0].joints.copy()
     joints[OFF, 1] += 0.15
     episode = tmp_path_factory.mktemp("dataset") / "ep_000000"
-    return gap_of(rig_scene(), replace(motion, name=str(episode), arms=(replace(motion.arms[0], joints=joints),)))
+    return measure_gap(rig_scene(), replace(motion, name=str(episode), arms=(replace(motion.arms[0], joints=joints),)))
 
 
 @pytest.fixture(scope="module")
-def photographed(gap: Gap, locations: Locations) -> Gap:
+def photographed(gap: MotionGap, locations: Locations) -> MotionGap:
     """The same with photos of some of its samples, and frames that say what took them."""
-    with Studio("single", locations, CAMERA) as studio:
+    with RigPhotographer("single", locations, CAMERA) as studio:
         for k in TAKEN:
-            (stand,) = stands_at(gap.motion, k, studio.rig)
+            (stand,) = postures_at(gap.motion, k, studio.rig)
             shot = studio.shoot(VIEW, np.append(stand.joints, stand.opening)[None])
             T_cam_in_base = inverse(studio.rig.T_base_in_world(0)) @ VIEW
             frame = {"intrinsics": {SCENE_CAMERA: np.array(CAMERA.K)}, "extrinsics": {SCENE_CAMERA: T_cam_in_base}}
@@ -64,16 +70,16 @@ def _write(episode: Path, k: int, image: np.ndarray, frame: dict[str, object]) -
         (episode / name).write_bytes(data)
 
 
-def _compare(gap: Gap, locations: Locations, request: PhotoRequest):  # type: ignore[no-untyped-def]
+def _compare(gap: MotionGap, locations: Locations, request: PhotoRequest):  # type: ignore[no-untyped-def]
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    with Studio("single", locations, CAMERA) as studio:
+    with RigPhotographer("single", locations, CAMERA) as studio:
         rig = studio.rig
     return compare_photos([gap], rig, request, scene, quality, locations, lambda done, total: None)
 
 
 @pytest.mark.render
-def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: Gap, locations: Locations) -> None:
+def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: MotionGap, locations: Locations) -> None:
     report, shown = _compare(photographed, locations, PhotoRequest(10))
     assert (report["camera"], report["photos"], report["without_pose"]) == (SCENE_CAMERA, 4, 0)
     assert [frame["frame"] for frame in report["frames"]] == list(TAKEN)
@@ -90,7 +96,7 @@ def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: Gap, l
 
 @pytest.mark.render
 def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
-    photographed: Gap, locations: Locations, tmp_path: Path
+    photographed: MotionGap, locations: Locations, tmp_path: Path
 ) -> None:
     episode = tmp_path / "ep_000001"
     for k in TAKEN[:2]:
@@ -104,14 +110,16 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
 
 
 @pytest.mark.render
-def test_photos_that_do_not_say_where_they_were_taken_from(gap: Gap, locations: Locations, tmp_path: Path) -> None:
+def test_photos_that_do_not_say_where_they_were_taken_from(
+    gap: MotionGap, locations: Locations, tmp_path: Path
+) -> None:
     episode = tmp_path / "ep_000002"
     _write(episode, 0, np.full((480, 640, 3), 128, np.uint8), {})
     with pytest.raises(ResourceError, match="no photo of camera 'scene_camera' shows where it stood"):
         _compare(replace(gap, name=str(episode)), locations, PhotoRequest(10, CAMERA))
 
 
-def _with_files(gap: Gap, episode: Path, camera: str, samples: range) -> Gap:
+def _with_files(gap: MotionGap, episode: Path, camera: str, samples: range) -> MotionGap:
     for k in samples:
         path = episode / image_name(camera, k)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -119,21 +127,21 @@ def _with_files(gap: Gap, episode: Path, camera: str, samples: range) -> Gap:
     return replace(gap, name=str(episode))
 
 
-def test_photos_are_chosen_evenly_and_the_worst_is_among_them(gap: Gap, tmp_path: Path) -> None:
+def test_photos_are_chosen_evenly_and_the_worst_is_among_them(gap: MotionGap, tmp_path: Path) -> None:
     whole = _with_files(gap, tmp_path / "ep_000003", SCENE_CAMERA, range(12))
-    _, taken = taken_photos([whole], None)
+    _, taken = photos_in_parts([whole], None)
     assert [one.frame for one in taken] == list(range(12))
-    assert [one.frame for one in chosen_photos(taken, 12)] == list(range(12))
-    assert [one.frame for one in chosen_photos(taken, 4)] == [0, 6, OFF, 11]
-    assert [one.frame for one in chosen_photos(taken, 1)] == [OFF]
+    assert [one.frame for one in select_photos(taken, 12)] == list(range(12))
+    assert [one.frame for one in select_photos(taken, 4)] == [0, 6, OFF, 11]
+    assert [one.frame for one in select_photos(taken, 1)] == [OFF]
 
 
-def test_the_camera_that_stands_still_is_taken_unless_another_is_named(gap: Gap, tmp_path: Path) -> None:
+def test_the_camera_that_stands_still_is_taken_unless_another_is_named(gap: MotionGap, tmp_path: Path) -> None:
     episode = tmp_path / "ep_000004"
     both = _with_files(_with_files(gap, episode, "a_wrist_camera", range(12)), episode, SCENE_CAMERA, range(3))
-    assert taken_photos([both], None)[0] == SCENE_CAMERA
-    assert len(taken_photos([both], "a_wrist_camera")[1]) == 12
+    assert photos_in_parts([both], None)[0] == SCENE_CAMERA
+    assert len(photos_in_parts([both], "a_wrist_camera")[1]) == 12
     with pytest.raises(UsageError, match="no recording has it; valid: a_wrist_camera, scene_camera"):
-        taken_photos([both], "other")
+        photos_in_parts([both], "other")
     with pytest.raises(UsageError, match="no recording has photos"):
-        taken_photos([replace(gap, name="a.csv")], None)
+        photos_in_parts([replace(gap, name="a.csv")], None)

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.viewers.show.views import ViewScene, set_up_views
+from yamsim_cli.viewers.show.rig_views import ViewScene, set_up_views
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")
@@ -51,7 +51,7 @@ MAX_MEAN_COLOUR = 2.0
 
 
 @dataclass(frozen=True)
-class Shot:
+class GoldenPicture:
     """A picture of a rig: colours (h, w, 3), and the part seen at each pixel (h, w): 0 or index in PARTS + 1."""
 
     colour: np.ndarray
@@ -61,7 +61,7 @@ class Shot:
 
 def take(
     rig: RigConfig, locations: Locations, tamper: Callable[[mujoco.MjModel], None] | None = None
-) -> dict[str, Shot]:
+) -> dict[str, GoldenPicture]:
     """The pictures of a rig by view, on primitives, which are always here; `tamper` may spoil the model first."""
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
@@ -72,7 +72,7 @@ def take(
     part_of_geom = np.array([_part(stage.model, int(body)) for body in stage.model.geom_bodyid] + [0], np.uint8)
     with stage.renderer() as renderer:
         return {
-            view: Shot(
+            view: GoldenPicture(
                 renderer.render(stage.data, view).copy(), part_of_geom[renderer.segment(stage.data, view)], stage
             )
             for view in VIEWS
@@ -95,7 +95,7 @@ def golden(rig: str, view: str) -> tuple[np.ndarray, np.ndarray]:
     return colour[..., ::-1], mask
 
 
-def faults(shot: Shot, rig: str, view: str) -> list[str]:
+def faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
     """What is wrong with a picture that should be the golden one, the gravest first; empty when nothing is."""
     found = centre_faults(shot, rig, view)
     colour, mask = golden(rig, view)
@@ -110,7 +110,7 @@ def faults(shot: Shot, rig: str, view: str) -> list[str]:
     return found
 
 
-def centre_faults(shot: Shot, rig: str, view: str) -> list[str]:
+def centre_faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
     """Boards whose middle is not seen where the figures put it; looked for from above, where nothing hides them."""
     found = []
     for part, centre in BOARD_CENTRES[rig].items() if view == "near_top" else ():
@@ -125,7 +125,7 @@ def centre_faults(shot: Shot, rig: str, view: str) -> list[str]:
     return found
 
 
-def save_failure(shot: Shot, rig: str, view: str) -> Path:
+def save_failure(shot: GoldenPicture, rig: str, view: str) -> Path:
     """Write expected, actual and their difference side by side, for a person to look at."""
     colour, mask = golden(rig, view)
     FAILED.mkdir(exist_ok=True)

@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.golden.shots import RIGS, VIEWS, Shot, centre_faults, faults, save_failure, take
+from tests.golden.shots import RIGS, VIEWS, GoldenPicture, centre_faults, faults, save_failure, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.viewers.show.views import set_up_views
+from yamsim_cli.viewers.show.rig_views import set_up_views
 
 pytestmark = pytest.mark.render
 
-Shots = Callable[..., dict[str, Shot]]
+Shots = Callable[..., dict[str, GoldenPicture]]
 
 
 def _rig(name: str, locations: Locations) -> RigConfig:
@@ -32,7 +32,7 @@ def shots(locations: Locations) -> Shots:
     """Pictures of a rig, by its name and a mistake; each is rendered once."""
 
     @functools.cache
-    def shots(name: str, mistake: Callable[[Any], Any] | None = None) -> dict[str, Shot]:
+    def shots(name: str, mistake: Callable[[Any], Any] | None = None) -> dict[str, GoldenPicture]:
         rig = _rig(name, locations)
         if mistake is _boards_upright:
             return take(rig, locations, mistake)
@@ -105,7 +105,7 @@ def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(shots: Shots) -> None:
 
 @pytest.mark.parametrize("name", RIGS)
 def test_every_marker_is_found_from_above(name: str, locations: Locations) -> None:
-    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     rig, size = _rig(name, locations), (1280, 960)

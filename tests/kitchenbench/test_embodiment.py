@@ -21,13 +21,13 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
-from yamsim_cli.kitchenbench.catalog import COMPARTMENT
+from yamsim_cli.kitchenbench.asset_configs import COMPARTMENT
+from yamsim_cli.kitchenbench.benchmark_scene import KINDS, build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.judges import KitchenWorld
-from yamsim_cli.kitchenbench.motion import Motion
-from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
+from yamsim_cli.kitchenbench.object_poses import AHEAD, BESIDE
 from yamsim_cli.kitchenbench.policy import YamsimExpert
-from yamsim_cli.kitchenbench.scene import KINDS, open_base, realize
+from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 REALIZED = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery", "fold_cloth")
 SCENES = {scene.id: scene for name in REALIZED for scene in tasks.TASK_FACTORIES[name]().scenes}
@@ -48,7 +48,7 @@ def embodiment() -> Iterator[YamsimEmbodiment]:
 
 @pytest.fixture(scope="module")
 def base() -> Any:
-    return open_base("64x48", images=False)
+    return open_station_session("64x48", images=False)
 
 
 def seed_of(scene: Scene, epoch: int = 0) -> int:
@@ -89,7 +89,7 @@ def test_a_kind_without_physics_is_refused(embodiment: YamsimEmbodiment) -> None
 )
 def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> None:
     blueprint = build_blueprint(SCENES[name], seed_of(SCENES[name]))
-    realized = realize(blueprint, base)
+    realized = build_benchmark_scene(blueprint, base)
     try:
         if name not in APART:
             assert max(realized.offsets_mm.values()) < (ON_A_WALL if name.startswith("sort") else 5.0)
@@ -97,7 +97,7 @@ def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> Non
             assert (off >= 5.0) == any(line.startswith(f"{thing}: came to rest") for line in realized.unrealized)
         for condition in set(blueprint.conditions) - {"slot_width_cm", "crumple_level"}:
             assert any(line.startswith(condition) for line in realized.unrealized)
-        motion = Motion(realized, 10)
+        motion = SceneStepper(realized, 10)
         world = KitchenWorld(realized, motion)
         for item in blueprint.objects:
             low, high = world.aabb(item.name)
@@ -163,8 +163,8 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
 def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
     """A knife that is put into a compartment by hand, then half out of it."""
     scene = SCENES["sort-cutlery-sparse"]
-    realized = realize(build_blueprint(scene, seed_of(scene)), base)
-    motion = Motion(realized, 10)
+    realized = build_benchmark_scene(build_blueprint(scene, seed_of(scene)), base)
+    motion = SceneStepper(realized, 10)
     world = KitchenWorld(realized, motion)
     low, high = world.aabb("compartment_knife")
     assert np.sort((high - low)[:2]) == pytest.approx([0.09, 0.36])

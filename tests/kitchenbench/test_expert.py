@@ -31,45 +31,50 @@ from kitchenbench import tasks
 from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 
-from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.expert.skills.bench import Bench, Fingers, Segment, SkillFailedError
-from yamsim_cli.core.expert.skills.grips import Grip
+from yamsim_cli.core.attempt_data import FailureCause
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.expert.skills.grasp_candidates import GraspCandidate
 from yamsim_cli.core.expert.skills.handover import Handover
-from yamsim_cli.core.expert.skills.pick import Pick, Reach
+from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
 from yamsim_cli.core.expert.skills.place import Place
+from yamsim_cli.core.expert.skills.planning_context import (
+    FingerTarget,
+    MotionSegment,
+    PlanningContext,
+    SkillFailedError,
+)
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
-from yamsim_cli.core.scene.casting import gap, outline
-from yamsim_cli.core.sim.world import SimWorld
-from yamsim_cli.core.types import Cause
-from yamsim_cli.kitchenbench.catalog import thing_of
+from yamsim_cli.core.scene.start_sampling import footprint_corners, footprint_distance
+from yamsim_cli.core.sim.sim_world import SimWorld
+from yamsim_cli.kitchenbench.asset_configs import object_config_of
+from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.judges import KitchenWorld
-from yamsim_cli.kitchenbench.motion import Motion, commanded_opening, commanded_share, fingers_of
-from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, actions_of, is_still
-from yamsim_cli.kitchenbench.programs import program_of
-from yamsim_cli.kitchenbench.scene import open_base, realize
+from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, segment_actions
+from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
+from yamsim_cli.kitchenbench.skill_programs import build_scene_program
 from yamsim_cli.kitchenbench.sorting import Grab, PlaceInCompartment, PutBesideTray, Slide, Sort
+from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
 
 
 def _planning_scene(name: str) -> PlanningScene:
-    realized = realize(build_blueprint(SCENES[name], 0), open_base("64x48", images=False))
+    realized = build_benchmark_scene(build_blueprint(SCENES[name], 0), open_station_session("64x48", images=False))
     return PlanningScene(realized, 0, 10)
 
 
 @pytest.fixture
-def expert_bench() -> Iterator[Bench]:
+def expert_bench() -> Iterator[PlanningContext]:
     planning = _planning_scene("stack-tight-spacing")
-    yield planning.bench
+    yield planning.context
     planning.close()
 
 
 def test_larger_things_are_stacked_first() -> None:
     blueprint = build_blueprint(SCENES["stack-mixed-sizes"], 0)
     sizes = {item.name: item.size_cm or 0.0 for item in blueprint.objects}
-    placed = [skill for skill in program_of(blueprint, {}, BASES) if isinstance(skill, Place)]
+    placed = [skill for skill in build_scene_program(blueprint, {}, BASES) if isinstance(skill, Place)]
     order = [placed[0].on, *(skill.thing for skill in placed)]
     assert sorted(order) == sorted(sizes) and [skill.on for skill in placed] == order[:-1]
     assert [sizes[name] for name in order] == sorted(sizes.values(), reverse=True)
@@ -81,38 +86,40 @@ def test_a_stack_stands_where_arms_reach_least_far() -> None:
     blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 2))
     names = [item.name for item in blueprint.objects]
     assert len(names) == 4
-    below = next(skill for skill in program_of(blueprint, {}, BASES) if isinstance(skill, Place)).on
+    below = next(skill for skill in build_scene_program(blueprint, {}, BASES) if isinstance(skill, Place)).on
     assert below in names[1:3]
 
 
-def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: Bench) -> None:
+def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: PlanningContext) -> None:
     """And not what slows it down: an arm that is at rest would stand beside its place by that."""
     hand = expert_bench.hands[0]
-    goal = hand.ready + np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
-    segment = expert_bench.segment({hand: expert_bench.free_path(hand, goal)})
-    *_, last = actions_of(expert_bench, segment, 10)
+    goal = hand.ready_joints + np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+    segment = expert_bench.make_segment({hand: expert_bench.plan_free_path(hand, goal)})
+    *_, last = segment_actions(expert_bench, segment, 10)
     # Nothing hangs on the first joint, whose axis is upright; what brakes it is newton metres.
     assert last[7 * hand.number] == pytest.approx(goal[0], abs=0.002)
     assert abs(segment.paths[hand.number].torques[-1][0] / hand.arm.kp[0]) > 0.005
 
 
-def test_only_what_waits_is_still(expert_bench: Bench) -> None:
+def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
     hand = expert_bench.hands[0]
-    assert is_still(expert_bench.wait(4))
-    closing = {hand: Fingers(0.0, 10.0)}
-    assert not is_still(expert_bench.segment({hand: expert_bench.still(hand, 10)}, closing))
+    assert is_still(expert_bench.wait_segment(4))
+    closing = {hand: FingerTarget(0.0, 10.0)}
+    assert not is_still(expert_bench.make_segment({hand: expert_bench.hold_still(hand, 10)}, closing))
 
 
 def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.bench, planning._simulator.cast
+        bench, roles = planning.context, planning._simulator.roles
         assert roles is not None
         put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
         inside = put.goals(bench, roles, "knife_1")
-        assert inside and bench.world.inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
+        assert (
+            inside and bench.world.points_inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
+        )
         aside = PutBesideTray(thing="knife_1").goals(bench, roles, "knife_1")
-        assert aside and not any(bench.world.inside("tray", T[None, :3, 3]).any() for T in aside)
+        assert aside and not any(bench.world.points_inside("tray", T[None, :3, 3]).any() for T in aside)
     finally:
         planning.close()
 
@@ -121,17 +128,17 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
     """Spoon, fork and knife lie across each other."""
     scene = SCENES["sort-cutlery-sparse"]
     seed = derive_seed(0, scene.init_seed, 1)
-    realized = realize(build_blueprint(scene, seed), open_base("64x48", images=False))
+    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
     try:
-        cast = realized.simulator.cast
+        cast = realized.simulator.roles
         assert cast is not None
-        world = KitchenWorld(realized, Motion(realized, 10)).scene
-        (sort,) = program_of(realized.blueprint, {}, BASES)
+        world = KitchenWorld(realized, SceneStepper(realized, 10)).scene
+        (sort,) = build_scene_program(realized.blueprint, {}, BASES)
         assert isinstance(sort, Sort)
-        left = sort.left(world, cast, {})
+        left = sort.remaining_objects(world, cast, {})
         assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
         # After a failure, what lies below still waits.
-        after_failure = sort.left(world, cast, {"knife_1": 1})
+        after_failure = sort.remaining_objects(world, cast, {"knife_1": 1})
         below = {name for name in after_failure if _overlap(world, name, "knife_1") and name != "knife_1"}
         assert below and all(after_failure.index(name) > after_failure.index("knife_1") for name in below)
         address = realized.simulator.scene.object_qpos["knife_1"]
@@ -139,21 +146,23 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
         world.data.qpos[address : address + 3] = (tray @ (0.10, 0.0, 0.012, 1.0))[:3]
         world.data.qpos[address + 3 : address + 7] = quat_from_rotation(tray[:3, :3])
         mujoco.mj_kinematics(realized.simulator.scene.model, world.data)
-        assert "knife_1" not in sort.left(world, cast, {})
+        assert "knife_1" not in sort.remaining_objects(world, cast, {})
     finally:
         realized.simulator.close()
 
 
 def _overlap(world: SimWorld, one: str, other: str) -> bool:
     """Return whether two things overlap, seen from above."""
-    return gap(*(outline(world.block(name), world.pose(name)) for name in (one, other))) < 0
+    return (
+        footprint_distance(*(footprint_corners(world.local_box(name), world.pose(name)) for name in (one, other))) < 0
+    )
 
 
 def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
     """At the height of an upright piece, its lower end would be pressed into the floor."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.bench, planning._simulator.cast
+        bench, roles = planning.context, planning._simulator.roles
         assert roles is not None
         address = planning._scene.object_qpos["knife_1"]
         leaning = rotation_from_vector([0.0, math.radians(15.0), 0.0])
@@ -165,33 +174,37 @@ def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
             upright = next(T for T in goals if T[2, 2] > 0.999)
             other = next(T for T in goals if T[2, 2] < 0.99)
             for T in (upright, other):
-                assert T[2, 3] == pytest.approx(bench.height_of("knife_1", T, onto), abs=5e-4)
+                assert T[2, 3] == pytest.approx(bench.rest_height_of("knife_1", T, onto), abs=5e-4)
             assert other[2, 3] > upright[2, 3] + 0.001
     finally:
         planning.close()
 
 
-def test_a_grip_that_slipped_is_not_tried_again(expert_bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, monkeypatch: pytest.MonkeyPatch) -> None:
     hand, thing = expert_bench.hands[0], "cup_1"
-    grip = next(expert_bench.grips(thing, hand.max_opening))
+    grip = next(expert_bench.grasp_candidates(thing, hand.max_opening))
 
-    def slips(*_: object) -> Iterator[Segment]:
-        raise SkillFailedError(Cause.SLIPPED, "between the fingers is nothing")
+    def slips(*_: object) -> Iterator[MotionSegment]:
+        raise SkillFailedError(FailureCause.SLIPPED, "between the fingers is nothing")
         yield
 
     monkeypatch.setattr(Pick, "_take", slips)
     grab = Grab(thing=thing)
     with pytest.raises(SkillFailedError):
-        list(grab._take(expert_bench, hand, thing, Reach(grip, hand.ready, hand.ready, grip.opening)))
-    assert hand.failed_with(thing, grip.T_pinch_in_thing)
-    assert grab.reach(expert_bench, hand, thing, grip) is None
+        list(
+            grab._take(
+                expert_bench, hand, thing, ReachableGrasp(grip, hand.ready_joints, hand.ready_joints, grip.opening)
+            )
+        )
+    assert hand.has_failed_with(thing, grip.T_pinch_in_thing)
+    assert grab.find_reachable_grasp(expert_bench, hand, thing, grip) is None
 
 
 def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
     """A hand takes it there by the most reliable grip."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.bench, planning._simulator.cast
+        bench, roles = planning.context, planning._simulator.roles
         assert roles is not None
 
         class Onwards(PutBesideTray):
@@ -201,8 +214,11 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
         nearest = PutBesideTray(thing="spoon_1").goals(bench, roles, "spoon_1")
         taken_on = PutBesideTray(thing="spoon_1", then=Onwards(thing="spoon_1")).goals(bench, roles, "spoon_1")
         assert len(nearest) == len(taken_on)
-        grips = [(hand, next(bench.grips("spoon_1", hand.max_opening)).T_pinch_in_thing) for hand in bench.acting]
-        assert any(hand.reach(taken_on[0] @ T_pinch, (hand.ready,)) is not None for hand, T_pinch in grips)
+        grips = [
+            (hand, next(bench.grasp_candidates("spoon_1", hand.max_opening)).T_pinch_in_thing)
+            for hand in bench.acting_hands
+        ]
+        assert any(hand.solve_ik(taken_on[0] @ T_pinch, (hand.ready_joints,)) is not None for hand, T_pinch in grips)
     finally:
         planning.close()
 
@@ -212,44 +228,49 @@ def tray_scene() -> Iterator[PlanningScene]:
     """Cutlery that lies in the cells of a tray, a fork beside the wall on its left."""
     scene = SCENES["sort-cutlery-overlapping"]
     seed = derive_seed(0, scene.init_seed, 0)
-    planning = PlanningScene(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
+    planning = PlanningScene(
+        build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False)), seed, 10
+    )
     yield planning
     planning.close()
 
 
 def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) -> None:
     """A fork for which there is no grip otherwise."""
-    bench = tray_scene.bench
+    bench = tray_scene.context
     hand, T = bench.hands[0], bench.world.pose("cutlery_2")
 
-    def free(grip: Grip, beside: float | None) -> bool:
-        at = hand.reach(T @ grip.T_pinch_in_thing, (hand.joints, hand.ready))
+    def free(grip: GraspCandidate, beside: float | None) -> bool:
+        at = hand.solve_ik(T @ grip.T_pinch_in_thing, (hand.joints, hand.ready_joints))
         wide = grip.opening + grip.clearance
-        return at is not None and bench.touched(hand, at, wide, between="cutlery_2", beside=beside) is None
+        return at is not None and bench.find_contact(hand, at, wide, between="cutlery_2", beside=beside) is None
 
-    close = [grip for grip in bench.grips("cutlery_2", hand.max_opening) if grip.finger_distance is not None]
+    close = [grip for grip in bench.grasp_candidates("cutlery_2", hand.max_opening) if grip.finger_distance is not None]
     first = next(grip for grip in close if free(grip, grip.finger_distance))
     assert not free(first, None)
 
 
 def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_scene: PlanningScene) -> None:
     """The fork is 30 mm wide, and lies with its middle 22 mm from the wall."""
-    bench = tray_scene.bench
-    room = [bench.obstacles.room(bench.qpos, "cutlery_2", np.array((0.0, side)), 0.04) for side in (1.0, -1.0)]
+    bench = tray_scene.context
+    room = [
+        bench.collision_checker.free_distance(bench.qpos, "cutlery_2", np.array((0.0, side)), 0.04)
+        for side in (1.0, -1.0)
+    ]
     assert room == pytest.approx([0.008, 0.026], abs=0.003)
 
 
 def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene) -> None:
-    before = tray_scene.bench.world.pose("cutlery_2")[1, 3]
-    cast = Cast({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
-    tray_scene.do([Slide(thing="cutlery_2")], cast)
+    before = tray_scene.context.world.pose("cutlery_2")[1, 3]
+    cast = RoleAssignment({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
+    tray_scene.step_action([Slide(thing="cutlery_2")], cast)
     while len(tray_scene.next_actions()) > 1:
         pass
-    assert before - tray_scene.bench.world.pose("cutlery_2")[1, 3] > 0.002
+    assert before - tray_scene.context.world.pose("cutlery_2")[1, 3] > 0.002
 
 
 def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
-    pick, give = program_of(build_blueprint(SCENES["handoff-cross-body"], 0), {}, BASES)
+    pick, give = build_scene_program(build_blueprint(SCENES["handoff-cross-body"], 0), {}, BASES)
     assert isinstance(pick, Pick) and pick.arm == "right"
     assert isinstance(give, Handover) and give.to == "left"
 
@@ -270,9 +291,9 @@ def test_a_dish_goes_into_the_slot_that_is_asked_for_or_the_nearest_that_fits(
     scene: str, conditions: dict[str, int], expected_mm: float
 ) -> None:
     blueprint = replace(build_blueprint(SCENES[f"place-in-rack-{scene}"], 0), conditions=conditions)
-    where = open_base("64x48", images=False).locations
-    items = {item.name: thing_of(item, conditions, where) for item in blueprint.objects}
-    place = program_of(blueprint, items, BASES)[1]
+    where = open_station_session("64x48", images=False).locations
+    items = {item.name: object_config_of(item, conditions, where) for item in blueprint.objects}
+    place = build_scene_program(blueprint, items, BASES)[1]
     assert isinstance(place, Place) and place.at is not None
     assert [1000 * x for x in place.at] == pytest.approx([expected_mm, 0.0])
 
@@ -280,14 +301,14 @@ def test_a_dish_goes_into_the_slot_that_is_asked_for_or_the_nearest_that_fits(
 def test_what_nobody_can_do_is_named() -> None:
     blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("pour")), 0)
     with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
-        program_of(blueprint, {}, BASES)
+        build_scene_program(blueprint, {}, BASES)
 
 
 def test_a_gripper_is_told_what_its_share_says() -> None:
     embodiment = YamsimEmbodiment(images=False)
     scene = SCENES["handoff-cup-upright"]
     embodiment.reset(scene, seed=0)
-    fingers = fingers_of(embodiment.world.scene.arms)[0]
+    fingers = scene_fingers(embodiment.world.scene.arms)[0]
     shares = np.linspace(0.0, 1.0, 41)
     told = [commanded_opening(fingers, share) for share in shares]
     assert told[0] == fingers.ctrl_range[0] and told[-1] == pytest.approx(fingers.stroke)
@@ -298,9 +319,11 @@ def test_a_gripper_is_told_what_its_share_says() -> None:
 
 def test_a_closed_planning_scene_is_freed_without_the_garbage_collector() -> None:
     scene = SCENES["place-cutlery-from-drawer"]
-    planning = PlanningScene(realize(build_blueprint(scene, 0), open_base("64x48", images=False)), 0, 10)
+    planning = PlanningScene(
+        build_benchmark_scene(build_blueprint(scene, 0), open_station_session("64x48", images=False)), 0, 10
+    )
     planning.next_actions()
-    bench = weakref.ref(planning.bench)
+    bench = weakref.ref(planning.context)
     gc.collect()
     gc.disable()
     try:

@@ -16,19 +16,21 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.scene.cloth import edges
-from yamsim_cli.kitchenbench.folding import block_area, possible_folds, required_area
-from yamsim_cli.kitchenbench.judges import KitchenWorld
-from yamsim_cli.kitchenbench.motion import Motion
+from yamsim_cli.core.scene.cloth import grid_edges
+from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.fold_small import bounding_box_area, possible_folds, required_area
 from yamsim_cli.kitchenbench.policy import PlanningScene
-from yamsim_cli.kitchenbench.scene import Realization, open_base, realize
+from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
 
 
-def realized(name: str, epoch: int = 0) -> Realization:
+def realized(name: str, epoch: int = 0) -> BenchmarkScene:
     scene = SCENES[name]
-    return realize(build_blueprint(scene, derive_seed(0, scene.init_seed, epoch)), open_base("64x48", images=False))
+    return build_benchmark_scene(
+        build_blueprint(scene, derive_seed(0, scene.init_seed, epoch)), open_station_session("64x48", images=False)
+    )
 
 
 def sheet(turned_deg: float = 0.0) -> Array:
@@ -60,7 +62,7 @@ def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> No
             assert off.min() < 1e-9 and np.linalg.norm(points[point] - to) > 0.3
     if not turned_deg:
         assert sorted(way.area for way in whole) == pytest.approx([0.12] * 4)
-        assert block_area(points) == pytest.approx(0.24)
+        assert bounding_box_area(points) == pytest.approx(0.24)
 
 
 def test_of_several_layers_all_are_counted() -> None:
@@ -99,7 +101,7 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
         item = scene.blueprint.objects[0]
         cloth = scene.items[item.name].cloth
         assert cloth is not None
-        world = KitchenWorld(scene, Motion(scene, 10))
+        world = KitchenWorld(scene, SceneStepper(scene, 10))
         checker = make_success_checker(scene.blueprint, world)
         area = required_area(scene.blueprint, item, cloth)
         said = checker(_Square(world, math.sqrt(area) + 2 * cloth.radius))
@@ -129,7 +131,7 @@ def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
         assert np.array_equal(first.start, again.start)
         (cloth,) = first.simulator.scene.cloths.values()
         # Its cells are half as wide as those of cloth that lies flat, and hands hold it by layers.
-        assert cloth.grid == (17, 25) and cloth.by_layers
+        assert cloth.grid == (17, 25) and cloth.held_by_layers
         assert first.simulator.scene.model.opt.solver == mujoco.mjtSolver.mjSOL_CG
         points = cloth.points(first.start)
         assert np.ptp(points[:, 2]) > 0.02
@@ -157,7 +159,7 @@ def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
             actions += len(planning.next_actions())
         assert checker(world).success and actions <= 120
         (cloth,) = scene.simulator.scene.cloths.values()
-        points, ends = cloth.points(planning.motion.data.qpos), edges(*cloth.grid)
+        points, ends = cloth.points(planning.motion.data.qpos), grid_edges(*cloth.grid)
         lengths, rest = (np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1) for x in (points, cloth.rest))
         assert (lengths / rest).max() < 1.08
     finally:

@@ -20,7 +20,7 @@ from inspect_robots.compat import check_compatibility
 
 from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.own_tasks import own_task
+from yamsim_cli.kitchenbench.own_tasks import make_task
 from yamsim_cli.kitchenbench.policy import YamsimExpert
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,14 +51,14 @@ def test_what_they_ask_for_fits(embodiment: YamsimEmbodiment) -> None:
 
 @pytest.mark.parametrize("name", ["set_upright", "pickplace"])
 def test_the_expert_does_it_and_our_goal_says_so(name: str, embodiment: YamsimEmbodiment, tmp_path: Path) -> None:
-    task = replace(own_task(name), epochs=1)
+    task = replace(make_task(name), epochs=1)
     (log,) = evaluate(task, policy=YamsimExpert(), embodiment=embodiment, log_dir=str(tmp_path))
     assert log.status == "success"
     assert [scene.reduced["success_at_end"] for scene in log.samples] == [1.0]
 
 
 def test_who_holds_still_does_not(embodiment: YamsimEmbodiment) -> None:
-    (scene,) = own_task("tower").scenes
+    (scene,) = make_task("tower").scenes
     first = embodiment.reset(scene, seed=3)
     assert first.instruction in {"stack the three cubes into a tower", "build a tower of all the cubes",
                                  "put the cubes on top of each other"}  # fmt: skip

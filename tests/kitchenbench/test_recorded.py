@@ -19,26 +19,26 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from tests.attempts import all_actions
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config
-from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.episode.engine import demonstrate
-from yamsim_cli.core.episode.expert import sides
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.expert import arm_sides
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.sim.world import SimWorld, world_of
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.sim.sim_world import SimWorld, make_sim_world
+from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.datasets.verify import EpisodeVerifier, Tolerances
-from yamsim_cli.kitchen_scenes import task_of
-from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
-from yamsim_cli.opener import Opener
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
-from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.kitchen_scenes import resolve_scene_task
+from yamsim_cli.kitchenbench.object_poses import AHEAD, BESIDE
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.executor_factories import InlineExecutorFactory
 from yamsim_cli.recording.recorder import record
+from yamsim_cli.recording.recording_output import RecordingOutput
+from yamsim_cli.session_opener import SessionOpener
 
 SCENE = next(scene for scene in tasks.TASK_FACTORIES["stack"]().scenes if scene.id == "stack-tight-spacing")
 NAME = "kitchenbench/stack/tight-spacing"
@@ -46,7 +46,7 @@ NAME = "kitchenbench/stack/tight-spacing"
 
 @pytest.fixture(scope="module")
 def task() -> dict[str, Any]:
-    found = task_of(NAME)
+    found = resolve_scene_task(NAME)
     assert isinstance(found, dict)
     return found
 
@@ -57,7 +57,7 @@ def session(task: dict[str, Any], locations: Locations) -> Session:
 
 
 def _session(task: dict[str, Any], locations: Locations) -> Session:
-    opener = Opener(os.environ, lambda text: None, "--{}".format)
+    opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
     config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
     return Session(config, locations).without_meshes()
 
@@ -83,7 +83,7 @@ def test_a_scene_becomes_a_task_with_its_realizations(task: dict[str, Any]) -> N
 
 
 def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None:
-    others = [task_of(f"{NAME}@{k}") for k in (1, 2, 3)]
+    others = [resolve_scene_task(f"{NAME}@{k}") for k in (1, 2, 3)]
     counts = {len(one["things"]) for one in (*others, task) if isinstance(one, dict)}
     assert counts == {2, 3}
 
@@ -100,15 +100,15 @@ def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None
 )
 def test_what_cannot_be_recorded_is_told(name: str, said: str) -> None:
     with pytest.raises(UsageError) as caught:
-        task_of(name)
+        resolve_scene_task(name)
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)
 
 
 def test_attempts_go_through_all_realizations(simulators: Simulators, task: dict[str, Any]) -> None:
     starts = set()
     for number in range(4):
-        job = EpisodeJob(0, number)
-        attempt = sample(simulators.of(job), job)
+        job = AttemptJob(0, number)
+        attempt = sample_attempt(simulators.get(job), job)
         assert attempt.layout is not None
         x, y, _ = attempt.layout.T_in_world["cup_1"][:3, 3]
         starts.add(min(range(100), key=lambda k: _off(task["arrangements"][k], (x, y))))
@@ -124,24 +124,24 @@ class Queries:
     """What the benchmark's checker asks, of a recorded task's state."""
 
     def __init__(self, world: SimWorld) -> None:
-        self.aabb, self.contained_fraction = world.bounds, world.share_inside
+        self.aabb, self.contained_fraction = world.aabb, world.volume_fraction_inside
 
 
 @pytest.mark.slow
 def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulators, task: dict[str, Any]) -> None:
-    job = EpisodeJob(0, 0)
-    simulator = simulators.of(job)
-    done = demonstrate(simulator, sample(simulator, job))
+    job = AttemptJob(0, 0)
+    simulator = simulators.get(job)
+    done = demonstrate(simulator, sample_attempt(simulator, job))
     assert done.outcome.success, done.outcome
     scene, goal = simulator.scene, simulator.config.task.goal
     data = mujoco.MjData(scene.model)
-    world = SimWorld(scene.model, data, scene.arms, sides(simulator.config), list(scene.object_qpos))
+    world = SimWorld(scene.model, data, scene.arms, arm_sides(simulator.config), list(scene.object_qpos))
     checker = make_success_checker(build_blueprint(SCENE, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
     agreed = []
     for state in done.states[::5]:
         data.qpos[:] = state.qpos
         mujoco.mj_forward(scene.model, data)
-        ours = all(measure.holds for measure in goal.measures(world, simulator.cast))
+        ours = all(measure.holds for measure in goal.measures(world, simulator.roles))
         assert ours == checker(Queries(world)).success  # type: ignore[arg-type]
         agreed.append(ours)
     assert not agreed[0] and agreed[-1]
@@ -151,20 +151,20 @@ def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulato
 @pytest.mark.slow
 def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
     scene = next(scene for scene in tasks.TASK_FACTORIES["place_cutlery"]().scenes if scene.id.endswith("napkin-soft"))
-    task = task_of("kitchenbench/place_cutlery/napkin-soft")
+    task = resolve_scene_task("kitchenbench/place_cutlery/napkin-soft")
     assert isinstance(task, dict) and task["things"]["napkin"]["of"][0]["cloth"]["size_mm"] == [200.0, 200.0]
     with Simulators(_session(task, locations)) as simulators:
-        simulator = simulators.of(EpisodeJob(0, 0))
-        attempt = sample(simulator, EpisodeJob(0, 0))
+        simulator = simulators.get(AttemptJob(0, 0))
+        attempt = sample_attempt(simulator, AttemptJob(0, 0))
         done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         data = mujoco.MjData(simulator.scene.model)
         simulator.scene.reset(data, done.states[-1].qpos)
-        world = world_of(simulator.scene, data, sides(simulator.config))
+        world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
         checker = make_success_checker(build_blueprint(scene, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
         assert checker(Queries(world)).success  # type: ignore[arg-type]
         # The fork lies on the fabric, let go, and did not go through it.
-        assert world.touching("cutlery", "napkin") and not world.holders("cutlery")
+        assert world.touching("cutlery", "napkin") and not world.holding_sides("cutlery")
         assert not world.touching("cutlery", "table")
 
 
@@ -174,8 +174,8 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
     session: Session, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "dataset"
-    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
     again = Session(dataset_config(out, locations), locations).without_meshes()
     with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:

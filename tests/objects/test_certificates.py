@@ -11,13 +11,13 @@ import pytest
 
 from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.scene.assets import load_lock
-from yamsim_cli.core.scene.certificates import Certificate, Standing, find_certificate, store_certificate
+from yamsim_cli.core.scene.certificates import Certificate, CertificateStatus, find_certificate, store_certificate
 
 GOOD: dict[str, Any] = {"ok": True, "checks": [{"code": "rest.moves", "ok": True, "figures": {}, "note": ""}]}
 BAD: dict[str, Any] = {"ok": False, "checks": [{"code": "rest.moves", "ok": False, "figures": {}, "note": "rolls"}]}
@@ -34,17 +34,17 @@ def changed(item: ObjectConfig) -> ObjectConfig:
 
 def test_a_certificate_is_of_one_thing_as_it_was(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:
     lock = load_lock(locations)
-    assert find_certificate(tmp_path, bowl, lock).standing is Standing.NONE
+    assert find_certificate(tmp_path, bowl, lock).status is CertificateStatus.NONE
     path = store_certificate(tmp_path, bowl, lock, GOOD, {"mujoco": "4"})
     assert find_certificate(tmp_path, bowl, lock) == (stands := find_certificate(tmp_path, bowl, lock))
-    assert (stands.standing, stands.path) == (Standing.GOOD, path)
-    assert find_certificate(tmp_path, changed(bowl), lock).standing is Standing.STALE
+    assert (stands.status, stands.path) == (CertificateStatus.GOOD, path)
+    assert find_certificate(tmp_path, changed(bowl), lock).status is CertificateStatus.STALE
     # The kitchen's bowl is called the same, and is another thing.
     ours = load_config(ObjectConfig, "objects", "kitchen_bowl", locations)
-    assert find_certificate(tmp_path, ours, lock).standing is Standing.NONE
+    assert find_certificate(tmp_path, ours, lock).status is CertificateStatus.NONE
     store_certificate(tmp_path, bowl, lock, BAD, {})
     failed = find_certificate(tmp_path, bowl, lock)
-    assert (failed.standing, failed.failed) == (Standing.FAILED, ("rest.moves",))
+    assert (failed.status, failed.failed) == (CertificateStatus.FAILED, ("rest.moves",))
 
 
 def of_set(item: ObjectConfig, mesh_set: str) -> ObjectConfig:
@@ -57,10 +57,10 @@ def test_two_imports_under_one_name_have_a_certificate_each(
     lock = load_lock(locations)
     first, other = (of_set(bowl, f"own-mug-{digit * 12}") for digit in "12")
     store_certificate(tmp_path, first, lock, BAD, {})
-    assert find_certificate(tmp_path, other, lock).standing is Standing.NONE
+    assert find_certificate(tmp_path, other, lock).status is CertificateStatus.NONE
     store_certificate(tmp_path, other, lock, GOOD, {})
-    assert find_certificate(tmp_path, first, lock).standing is Standing.FAILED
-    assert find_certificate(tmp_path, other, lock).standing is Standing.GOOD
+    assert find_certificate(tmp_path, first, lock).status is CertificateStatus.FAILED
+    assert find_certificate(tmp_path, other, lock).status is CertificateStatus.GOOD
 
 
 @pytest.mark.parametrize("mesh_set", ["ycb_objects", "own-mug-111111111111"])
@@ -73,15 +73,15 @@ def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     old = tmp_path / "certificates" / f"{item.name}-{shared}.json"
     old.parent.mkdir()
     old.write_text(json.dumps({"inputs": "0" * 64, **BAD}))
-    assert find_certificate(tmp_path, item, lock) == Certificate(Standing.STALE, ("rest.moves",), old)
+    assert find_certificate(tmp_path, item, lock) == Certificate(CertificateStatus.STALE, ("rest.moves",), old)
     store_certificate(tmp_path, item, lock, GOOD, {})
-    assert find_certificate(tmp_path, item, lock).standing is Standing.GOOD
+    assert find_certificate(tmp_path, item, lock).status is CertificateStatus.GOOD
 
 
 def test_a_damaged_certificate_is_none(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:
     lock = load_lock(locations)
     store_certificate(tmp_path, bowl, lock, GOOD, {}).write_text("{")
-    assert find_certificate(tmp_path, bowl, lock).standing is Standing.NONE
+    assert find_certificate(tmp_path, bowl, lock).status is CertificateStatus.NONE
 
 
 def recording(make_config: Callable[..., RecordConfig], tmp_path: Path, locations: Locations) -> Recording:

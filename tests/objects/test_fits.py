@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.things.primitives import Box, Capsule, Cylinder, Ring, Sphere
+from yamsim_cli.core.config.objects.primitives import Box, Capsule, Cylinder, Ring, Sphere
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.objects.describe import ScannedThing, describe
-from yamsim_cli.objects.fit import Scan, fit_solid
-from yamsim_cli.objects.primitives import Body, signed_distance
+from yamsim_cli.objects.primitive_fit import Scan, fit_solid
+from yamsim_cli.objects.primitives import PointBody, signed_distance
+from yamsim_cli.objects.ycb_config import ScannedObject, build_ycb_config
 
-THING = ScannedThing("thing", 100.0, (1, 1, 1, 1), "imported", "thing.stl", "A thing")
+THING = ScannedObject("thing", 100.0, (1, 1, 1, 1), "imported", "thing.stl", "A thing")
 
 
 def revolved(profile: list[tuple[float, float]], segments: int = 96) -> bytes:
@@ -78,7 +78,7 @@ def test_a_can_is_a_cylinder_that_stands_on_its_foot() -> None:
 
 @pytest.mark.slow
 def test_a_block_is_a_box_turned_as_it_is_and_taken_across_its_narrow_side() -> None:
-    made = describe(THING, Scan.read(block((0.05, 0.02, 0.03), np.radians(30), (0.1, -0.2, 0.03))))
+    made = build_ycb_config(THING, Scan.read(block((0.05, 0.02, 0.03), np.radians(30), (0.1, -0.2, 0.03))))
     (part,) = made.fit.parts
     assert isinstance(part, Box)
     assert made.data["mesh"]["origin"] == pytest.approx([0.1, -0.2, 0.03], abs=5e-4)
@@ -93,7 +93,7 @@ def test_a_block_is_a_box_turned_as_it_is_and_taken_across_its_narrow_side() -> 
 def test_inertia_is_that_of_the_primitives() -> None:
     half = np.array([0.05, 0.02, 0.03])
     part = Box(type="box", centre=(0.1, 0, 0), half_size=(0.05, 0.02, 0.03))
-    body = Body.fill([part], np.array([0.04, -0.03, -0.04]), np.array([0.16, 0.03, 0.04]))
+    body = PointBody.fill([part], np.array([0.04, -0.03, -0.04]), np.array([0.16, 0.03, 0.04]))
     moments, _ = body.inertia(0.3)
     square: Array = (2 * half) ** 2
     assert body.centre == pytest.approx([0.1, 0, 0], abs=2e-4)
@@ -101,7 +101,7 @@ def test_inertia_is_that_of_the_primitives() -> None:
 
 
 def test_a_bowl_is_a_floor_and_rings_to_put_things_in() -> None:
-    made = describe(THING, Scan.read(revolved(BOWL)))
+    made = build_ycb_config(THING, Scan.read(revolved(BOWL)))
     floor, *rings = made.fit.parts
     assert isinstance(floor, Cylinder)
     assert floor.centre[2] + floor.half_height == pytest.approx(0.004, abs=5e-4)
@@ -119,7 +119,7 @@ def test_a_bowl_is_a_floor_and_rings_to_put_things_in() -> None:
 
 def test_a_bowl_upside_down_is_none() -> None:
     over = [(r, 0.05 - z) for r, z in reversed(BOWL)]
-    assert "grasp" in describe(THING, Scan.read(revolved(over))).data
+    assert "grasp" in build_ycb_config(THING, Scan.read(revolved(over))).data
 
 
 def test_a_dimple_does_not_count() -> None:

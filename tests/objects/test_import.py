@@ -10,16 +10,16 @@ import pytest
 from tests.mugs import has_import_extra
 from tests.objects.test_fits import ball, block
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, YamsimError
-from yamsim_cli.core.expert.skills.checked import check_config
+from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.assets import AssetStore, resolve_own
-from yamsim_cli.objects.importing.from_file import import_file
-from yamsim_cli.objects.importing.ycb import import_ycb
-from yamsim_cli.objects.make import ImportOptions
-from yamsim_cli.objects.readers.read import UnitOptions
+from yamsim_cli.core.scene.assets import AssetStore, resolve_user_set
+from yamsim_cli.objects.building import ImportOptions
+from yamsim_cli.objects.importing.file_import import import_file
+from yamsim_cli.objects.importing.ycb_import import import_ycb
+from yamsim_cli.objects.readers.object_reader import UnitOptions
 
 needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -37,7 +37,7 @@ def test_an_own_stl_becomes_an_object_by_name(
     assert made.path == tmp_path / "configs/objects/brick.yaml"
     item = load_config(ObjectConfig, "objects", "brick", where)
     assert item == made.config
-    folder = resolve_own(AssetStore(where.assets), item.mesh.set)
+    folder = resolve_user_set(AssetStore(where.assets), item.mesh.set)
     assert folder is not None and (folder / item.mesh.file).is_file()
     assert item.inertia.mass == pytest.approx(0.12)
     a, b, c = 0.1, 0.04, 0.06
@@ -59,14 +59,14 @@ def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations
     brick = ImportOptions("brick", mass=0.12)
     made = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, None)
     store = AssetStore(where.assets)
-    folder = resolve_own(store, made.config.mesh.set)
+    folder = resolve_user_set(store, made.config.mesh.set)
     assert folder is not None
     file = folder / made.config.mesh.file
     file.write_bytes(file.read_bytes() + b"x")
-    assert resolve_own(store, made.config.mesh.set) is None
+    assert resolve_user_set(store, made.config.mesh.set) is None
     again = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, tmp_path / "b.yaml")
     assert again.config == made.config
-    assert resolve_own(store, made.config.mesh.set) == folder
+    assert resolve_user_set(store, made.config.mesh.set) == folder
 
 
 TETRAHEDRON = "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -125,7 +125,7 @@ def test_a_shipped_config_is_what_import_writes(tmp_path: Path, locations: Locat
 def test_objects_and_targets_are_named_by_number_or_without(locations: Locations) -> None:
     by_id = pickplace("013_apple", "024_bowl", locations)
     assert by_id == pickplace("apple", "bowl", locations)
-    played = by_id.task.played_by(by_id.task.typical_cast)
+    played = by_id.task.with_objects_of(by_id.task.typical_roles)
     assert played.language_task == "pick_place_apple"
     assert played.language_prompt == "pick up the apple and put it in the bowl"
 
@@ -149,4 +149,4 @@ def test_what_cannot_be_done_is_told(item: str, target: str, said: str, location
 def pickplace(item: str, target: str, locations: Locations) -> RecordConfig:
     roles = {"object": item, "target": target}
     overrides = {("task", "things", role, "of"): ("test", name) for role, name in roles.items()}
-    return load_config(RecordConfig, "record", "default", locations, overrides, check_config)
+    return load_config(RecordConfig, "record", "default", locations, overrides, check_task_config)

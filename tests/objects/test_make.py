@@ -13,31 +13,31 @@ import pytest
 from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug_mesh, write_mugs
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.columns import crossings_along_z
-from yamsim_cli.core.geometry.solid import filling
+from yamsim_cli.core.geometry.closed_surface import uniform_mass_properties
+from yamsim_cli.core.geometry.height_map import crossings_along_z
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.core.scene.assets import AssetStore, resolve_own
-from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.objects.certify.alone import reachable_places
-from yamsim_cli.objects.convex import decompose
-from yamsim_cli.objects.importing.from_file import import_directly, import_file, name_of
-from yamsim_cli.objects.looks import looks_of
-from yamsim_cli.objects.make import ImportOptions, make
-from yamsim_cli.objects.primitives import Body
-from yamsim_cli.objects.readers.child import read_file
-from yamsim_cli.objects.readers.parts import Part, ReadThing, Surface, SurfaceMaterial
-from yamsim_cli.objects.readers.read import UnitOptions
-from yamsim_cli.objects.readers.solids import seen, touching
-from yamsim_cli.objects.surfaces import solid_or_sheet
+from yamsim_cli.core.scene.assets import AssetStore, resolve_user_set
+from yamsim_cli.core.scene.objects.scene_object import add_object
+from yamsim_cli.objects.building import ImportOptions, build_object
+from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
+from yamsim_cli.objects.convex_decomposition import decompose
+from yamsim_cli.objects.importing.file_import import import_directly, import_file, object_name_of
+from yamsim_cli.objects.part_surfaces import solid_or_sheet
+from yamsim_cli.objects.primitives import PointBody
+from yamsim_cli.objects.readers.object_parts import ObjectDescription, RigidPart, Surface, SurfaceMaterial
+from yamsim_cli.objects.readers.object_reader import UnitOptions
+from yamsim_cli.objects.readers.primitive_shapes import collision_shape, visual_surface
+from yamsim_cli.objects.readers.reader_process import read_file
+from yamsim_cli.objects.visual_meshes import make_visual_meshes
 
 needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
 
-def thing(*surfaces: Surface, **part: Any) -> ReadThing:
-    return ReadThing("t", (Part("base", None, np.eye(4), looks=surfaces, **part),))
+def thing(*surfaces: Surface, **part: Any) -> ObjectDescription:
+    return ObjectDescription("t", (RigidPart("base", None, np.eye(4), looks=surfaces, **part),))
 
 
 def mug_surface(segments: int = 32) -> Surface:
@@ -47,12 +47,12 @@ def mug_surface(segments: int = 32) -> Surface:
 
 def test_mass_follows_what_is_told() -> None:
     read = thing(mug_surface())
-    volume = filling(*mug_mesh(32)).volume
+    volume = uniform_mass_properties(*mug_mesh(32)).volume
     kept = Path("unused")
 
     def mass(**wishes: Any) -> tuple[float, bool]:
-        made = make(read, ImportOptions("mug", collision="hull", **wishes), kept)
-        return made.mass, made.guessed
+        made = build_object(read, ImportOptions("mug", collision="hull", **wishes), kept)
+        return made.mass, made.mass_is_guessed
 
     assert mass() == (pytest.approx(1000 * volume), True)
     assert mass(density=2400) == (pytest.approx(2400 * volume), False)
@@ -64,18 +64,18 @@ def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, tilt * 0.1], [0, 0.1, tilt * 0.1]])
     plane = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     with pytest.raises(ResourceError, match=r"^sheet: all 4 corners of its base lie in one plane: no volume"):
-        make(thing(plane), ImportOptions("sheet", collision="hull"), Path("unused"))
+        build_object(thing(plane), ImportOptions("sheet", collision="hull"), Path("unused"))
 
 
 def test_an_open_surface_weighs_as_a_sheet() -> None:
     vertices, faces = mug_mesh(32)
     held, closed = solid_or_sheet(vertices, faces[5:].astype(np.int32))
     assert not closed
-    assert held.volume == pytest.approx(2 * filling(vertices, faces.astype(np.int32)).volume, rel=0.6)
+    assert held.volume == pytest.approx(2 * uniform_mass_properties(vertices, faces.astype(np.int32)).volume, rel=0.6)
 
 
 def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
-    made = make(thing(mug_surface()), ImportOptions("mug", mass=0.3, collision="hull"), Path("unused"))
+    made = build_object(thing(mug_surface()), ImportOptions("mug", mass=0.3, collision="hull"), Path("unused"))
     item = ObjectConfig.model_validate(made.with_set("own-mug-000000000000"))
     assert item.rest_height == 0 and item.preposition == "in"
     assert item.support_height == pytest.approx(0.006, abs=2e-4)
@@ -99,23 +99,23 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
     angles = [point.axis_deg for point in item.grasp.friction.points]
     assert angles[-1] == 19 and item.grasp.axis_deg == angles[0]
     assert min(abs(item.grasp.axis_deg), abs(item.grasp.axis_deg - 180)) > 45
-    meshed = replace(where, meshes={item.mesh.set: resolve_own(AssetStore(where.assets), item.mesh.set)})
-    assert reachable_places(item, meshed) == item.grasp.friction.points
+    meshed = replace(where, meshes={item.mesh.set: resolve_user_set(AssetStore(where.assets), item.mesh.set)})
+    assert reachable_grasp_points(item, meshed) == item.grasp.friction.points
 
 
 def test_what_is_a_block_becomes_one() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
-    made = make(thing(block), ImportOptions("brick"), Path("unused"))
+    block = visual_surface("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
+    made = build_object(thing(block), ImportOptions("brick"), Path("unused"))
     assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
     assert made.collision[0].fit is not None and made.collision[0].fit.most < 1e-3
 
 
 def test_the_inside_of_a_mug_is_not_of_it() -> None:
     vertices, faces = mug_mesh(32)
-    body = Body.inside(vertices, faces.astype(np.int32))
+    body = PointBody.inside(vertices, faces.astype(np.int32))
     inner = np.hypot(body.points[:, 0], body.points[:, 1]) < RADIUS - WALL - 0.001
     assert body.points[inner, 2].max() < 0.008
-    assert len(body.points) * body.step**3 == pytest.approx(filling(*mug_mesh(32)).volume, rel=0.05)
+    assert len(body.points) * body.step**3 == pytest.approx(uniform_mass_properties(*mug_mesh(32)).volume, rel=0.05)
 
 
 def test_columns_go_through_a_surface_an_even_number_of_times() -> None:
@@ -136,9 +136,11 @@ def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     shares: list[float] = []
     parts = decompose(body, tmp_path, share=shares.append)
     assert 2 <= len(parts) <= 4
-    assert sum(filling(*part).volume for part in parts) == pytest.approx(filling(*body).volume, rel=0.15)
+    assert sum(uniform_mass_properties(*part).volume for part in parts) == pytest.approx(
+        uniform_mass_properties(*body).volume, rel=0.15
+    )
     assert shares == sorted(shares) and shares[-1] == 1.0
-    monkeypatch.setattr("yamsim_cli.objects.convex.run_child", None)
+    monkeypatch.setattr("yamsim_cli.objects.convex_decomposition.run_child", None)
     again = decompose(body, tmp_path)
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True))
 
@@ -160,7 +162,9 @@ def test_many_faces_are_reduced_within_half_a_millimetre_and_keep_their_colours(
 
     image = np.zeros((4, 4, 3), np.uint8)
     image[:, :2], image[:, 2:] = (0, 0, 255), (255, 0, 0)
-    looks = looks_of("ball", (Surface(vertices, faces, SurfaceMaterial((1, 1, 1, 1), encode_png(image)), uv),))
+    looks = make_visual_meshes(
+        "ball", (Surface(vertices, faces, SurfaceMaterial((1, 1, 1, 1), encode_png(image)), uv),)
+    )
     text = looks.files["ball_0.obj"].decode()
     assert text.count("\nf ") < len(faces) / 3
     points = np.array([[float(x) for x in line.split()[1:]] for line in text.splitlines() if line.startswith("v ")])
@@ -192,7 +196,7 @@ def subdivided(levels: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("name", "text"), [("c.sdf", cabinet_sdf()), ("f.urdf", URDF), ("d.xml", MJCF)])
 def test_what_moves_in_a_file_moves_in_a_scene(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    made = make(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
+    made = build_object(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
     set_name = "own-thing-000000000000"
     item = ObjectConfig.model_validate(made.with_set(set_name))
     folder = tmp_path / set_name
@@ -228,9 +232,9 @@ def test_a_file_stands_in_for_a_config(tmp_path: Path) -> None:
 
 
 def test_things_are_called_after_their_file() -> None:
-    assert name_of(Path("my mug.glb")) == "my_mug"
-    assert name_of(Path("lab/banana/model.sdf")) == "banana"
-    assert name_of(Path("3d.obj")) == "thing_3d"
+    assert object_name_of(Path("my mug.glb")) == "my_mug"
+    assert object_name_of(Path("lab/banana/model.sdf")) == "banana"
+    assert object_name_of(Path("3d.obj")) == "thing_3d"
 
 
 @needs_extra
@@ -249,10 +253,10 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
 
 def test_plain_bodies_keep_their_kind_where_configs_can_say_them() -> None:
     T = np.eye(4)
-    assert touching("box", np.array([1, 2, 3.0]), T)["type"] == "box"  # type: ignore[index]
+    assert collision_shape("box", np.array([1, 2, 3.0]), T)["type"] == "box"  # type: ignore[index]
     T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    turned = touching("box", np.array([0.1, 0.2, 0.3]), T)
+    turned = collision_shape("box", np.array([0.1, 0.2, 0.3]), T)
     assert isinstance(turned, dict) and turned["half_size"][2] == pytest.approx(0.2)
-    lying = touching("cylinder", np.array([0.1, 0.2]), T)
+    lying = collision_shape("cylinder", np.array([0.1, 0.2]), T)
     assert isinstance(lying, Surface)
     assert np.abs(lying.vertices).max(axis=0) == pytest.approx([0.1, 0.2, 0.1], abs=1e-3)

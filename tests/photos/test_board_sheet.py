@@ -17,7 +17,16 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import Intrinsics, project
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
 from yamsim_cli.core.images.board_image import board_image, board_texture, marker_cells
-from yamsim_cli.photos.board_sheet import PAPERS, Bar, Line, PrintedMarker, Text, board_sheet, pdf_bytes, png_bytes
+from yamsim_cli.photos.board_sheet import (
+    PAPERS,
+    PageBar,
+    PageLine,
+    PageText,
+    PrintedMarker,
+    board_sheet,
+    pdf_bytes,
+    png_bytes,
+)
 
 BOARD = Board("larger_coarse_board", 217, 3, 3, "DICT_6X6_250", 29.230769e-3, 2.9230769e-3)
 SECOND = Board("larger_coarse_board_arm2", 226, 3, 3, "DICT_6X6_250", 29.230769e-3, 2.9230769e-3)
@@ -57,14 +66,14 @@ def assert_true_size(image, px_per_mm, board):
 def extent(mark, size=0.75):
     """A generous box around a mark: left, top, right, bottom in mm."""
     match mark:
-        case Bar():
+        case PageBar():
             return mark.x, mark.y, mark.x + mark.width, mark.y + mark.height
-        case Line():
+        case PageLine():
             return min(mark.x0, mark.x1), min(mark.y0, mark.y1), max(mark.x0, mark.x1), max(mark.y0, mark.y1)
         case PrintedMarker():
             edge = mark.cell * len(mark.black)
             return mark.x, mark.y, mark.x + edge, mark.y + edge
-        case Text():
+        case PageText():
             width = len(mark.text) * mark.size * 0.62
             left = mark.x - width * {"left": 0, "right": 1, "centre": 0.5}[mark.align]
             return left, mark.y - mark.size * size, left + width, mark.y + mark.size * 0.25
@@ -87,17 +96,17 @@ def test_the_layout(paper, board):
     gaps = np.max([left - others[:, 2], others[:, 0] - right, top - others[:, 3], others[:, 1] - bottom], axis=0)
     assert gaps.min() >= min(quiet, 5.0)
 
-    texts = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, Text)])
+    texts = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, PageText)])
     overlaps = (texts[:, None, :2] < texts[None, :, 2:]).all(2) & (texts[None, :, :2] < texts[:, None, 2:]).all(2)
     assert overlaps.sum() == len(texts)
-    lines = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, Line)])
+    lines = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, PageLine)])
     assert not (
         (texts[:, None, :2] < lines[None, :, 2:]).all(2) & (lines[None, :, :2] < texts[:, None, 2:]).all(2)
     ).any()
 
 
 def test_the_words():
-    words = " ".join(mark.text for mark in board_sheet(BOARD, "arm1", PAPERS["A4"]).marks if isinstance(mark, Text))
+    words = " ".join(mark.text for mark in board_sheet(BOARD, "arm1", PAPERS["A4"]).marks if isinstance(mark, PageText))
     for part in ("arm1: larger_coarse_board", "217 to 225", "DICT_6X6_250", "29.231 mm", "A4", "100 %", "100.0 mm"):
         assert part in words
     assert words.isascii()
@@ -106,9 +115,9 @@ def test_the_words():
 @papers
 def test_both_rulers_are_100_mm_with_a_tick_a_millimetre(paper):
     marks = board_sheet(BOARD, "arm1", paper).marks
-    level, upright = sorted((mark for mark in marks if isinstance(mark, Bar)), key=lambda bar: bar.height)
+    level, upright = sorted((mark for mark in marks if isinstance(mark, PageBar)), key=lambda bar: bar.height)
     assert (level.width, upright.height) == (100.0, 100.0)
-    lines = [mark for mark in marks if isinstance(mark, Line)]
+    lines = [mark for mark in marks if isinstance(mark, PageLine)]
     across = sorted(line.x0 - level.x for line in lines if line.y0 == level.y + level.height)
     down = sorted(line.y0 - upright.y for line in lines if line.x0 == upright.x)
     assert across == pytest.approx(range(101)) and down == pytest.approx(range(101))

@@ -8,7 +8,7 @@ import pytest
 
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.photos.lens import LensWarp, project_points, ray_field, rays
+from yamsim_cli.photos.lens_distortion import LensWarp, project_points, viewing_ray_grid, viewing_rays
 
 PLAIN = CameraModel(640, 480, ((600.0, 0.0, 330.0), (0.0, 598.0, 231.0), (0.0, 0.0, 1.0)))
 # A webcam; and a wide-angle lens with all eight coefficients of OpenCV's rational model, 93 degrees across.
@@ -36,7 +36,7 @@ def opencv_pixels(camera: CameraModel, points: np.ndarray) -> np.ndarray:
 @CAMERAS
 def test_a_ray_projects_onto_the_pixel_it_came_from(camera: CameraModel) -> None:
     pixels = whole_image(camera)
-    directions = np.column_stack([rays(camera, pixels), np.ones(len(pixels))])
+    directions = np.column_stack([viewing_rays(camera, pixels), np.ones(len(pixels))])
     depth = np.linspace(0.2, 3.0, len(pixels))[:, None]
     assert np.abs(opencv_pixels(camera, directions * depth) - pixels).max() < 1e-4
     assert np.abs(project_points(camera, directions * depth) - pixels).max() < 1e-4
@@ -45,15 +45,15 @@ def test_a_ray_projects_onto_the_pixel_it_came_from(camera: CameraModel) -> None
 @CAMERAS
 def test_the_ray_field_is_the_rays(camera: CameraModel) -> None:
     x, y = np.arange(camera.width * 2) / 2 - 0.25, np.arange(camera.height * 2) / 2 - 0.25
-    field = ray_field(camera, x, y)
+    field = viewing_ray_grid(camera, x, y)
     assert field.shape == (len(y), len(x), 2)
-    exact = rays(camera, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(field.shape)
+    exact = viewing_rays(camera, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(field.shape)
     # In pixels, the interpolation's and single precision's share together.
     assert np.abs(field - exact).max() * camera.focal < 5e-4
 
 
 def test_nothing_in_nothing_out() -> None:
-    assert rays(WEBCAM, np.zeros((0, 2))).shape == project_points(WEBCAM, np.zeros((0, 3))).shape == (0, 2)
+    assert viewing_rays(WEBCAM, np.zeros((0, 2))).shape == project_points(WEBCAM, np.zeros((0, 3))).shape == (0, 2)
 
 
 @CAMERAS
@@ -64,7 +64,7 @@ def test_points_of_an_ideal_picture_come_out_where_the_lens_has_them(camera: Cam
     # A soft blob for each viewing ray, drawn where the ideal camera has it.
     pixels = np.stack(np.meshgrid(np.linspace(40, camera.width - 40, 5), np.linspace(40, camera.height - 40, 4)), -1)
     pixels = pixels.reshape(-1, 2) + 0.3
-    directions = rays(camera, pixels)
+    directions = viewing_rays(camera, pixels)
     picture = np.zeros((ideal.height, ideal.width), np.float32)
     rows, columns = np.mgrid[: ideal.height, : ideal.width].astype(np.float32)
     for ray in directions:
@@ -103,7 +103,9 @@ def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
     picture = (128 + 60 * np.sin(columns / 25) + 60 * np.cos(rows / 31)).astype(np.uint8)
     flat = warp.flattened(warp.image(picture))
     assert flat.shape == picture.shape
-    seen = np.round(rays(camera, whole_image(camera, 5)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)).astype(int)
+    seen = np.round(viewing_rays(camera, whole_image(camera, 5)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)).astype(
+        int
+    )
     inner = (seen > 5).all(axis=1) & (seen < (ideal.width - 6, ideal.height - 6)).all(axis=1)
     at = tuple(seen[inner].T[::-1])
     off_border = np.abs(flat[at].astype(int) - picture[at])
@@ -124,7 +126,7 @@ def test_every_nth_pixel_of_the_ideal_picture_is_the_coarse_cameras(supersample:
 def test_the_ideal_picture_holds_all_that_the_lens_sees() -> None:
     for camera in (PLAIN, WEBCAM, WIDE):
         ideal = LensWarp(camera).ideal
-        pixels = rays(camera, whole_image(camera)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)
+        pixels = viewing_rays(camera, whole_image(camera)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)
         assert (pixels > -0.5).all()
         assert (pixels < (ideal.width - 0.5, ideal.height - 0.5)).all()
 

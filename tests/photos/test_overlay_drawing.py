@@ -7,7 +7,7 @@ import pytest
 
 from tests.board_photos import CAMERA, ONE, facing
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.photos.picture_overlay import ARM_COLOURS, blend, draw_board, write_lines
+from yamsim_cli.photos.picture_overlay import ARM_COLOURS, blend_arms, draw_board, write_lines
 
 
 def grey_photo(height: int = 480, width: int = 640) -> np.ndarray:
@@ -17,13 +17,13 @@ def grey_photo(height: int = 480, width: int = 640) -> np.ndarray:
 def test_arms_are_mixed_in_and_outlined_each_in_its_colour() -> None:
     drawn, labels = np.full((480, 640, 3), 200, np.uint8), np.zeros((480, 640), np.uint8)
     labels[100:200, 100:200], labels[300:400, 300:400] = 1, 2
-    mixed = blend(grey_photo(), drawn, labels, 0.5)
+    mixed = blend_arms(grey_photo(), drawn, labels, 0.5)
     assert mixed[150, 150].tolist() == mixed[350, 350].tolist() == [150] * 3
     assert mixed[50, 50].tolist() == [100] * 3
     for at, colour in (((150, 100), ARM_COLOURS[0]), ((350, 300), ARM_COLOURS[1])):
         assert np.abs(mixed[at].astype(int) - colour).max() < 40
-    assert (blend(grey_photo(), drawn, labels, 0.0)[120:180, 120:180] == 100).all()
-    assert (blend(grey_photo(), drawn, labels, 1.0)[120:180, 120:180] == 200).all()
+    assert (blend_arms(grey_photo(), drawn, labels, 0.0)[120:180, 120:180] == 100).all()
+    assert (blend_arms(grey_photo(), drawn, labels, 1.0)[120:180, 120:180] == 200).all()
 
 
 def test_a_boards_axes_start_at_its_middle_and_go_where_they_point() -> None:

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
-from yamsim_cli.photos.silhouette import (
+from yamsim_cli.photos.edge_alignment import (
     REACH,
-    Correction,
-    correction,
+    PoseCorrection,
     edge_equations,
     edge_offsets,
     grain_px,
-    outline,
-    rounds,
+    mask_outline,
+    search_radii,
+    solve_correction,
 )
 
 CENTRE, RADIUS = (160.0, 120.0), 60.0
@@ -39,7 +39,7 @@ def mask(
 
 
 def test_an_outline_runs_along_the_edge_and_its_normals_point_out() -> None:
-    line = outline(mask())
+    line = mask_outline(mask())
     assert len(line.points) > 80
     from_centre = line.points - CENTRE
     radii = np.linalg.norm(from_centre, axis=1)
@@ -49,40 +49,40 @@ def test_an_outline_runs_along_the_edge_and_its_normals_point_out() -> None:
 
 def test_holes_have_outlines_and_the_border_of_the_picture_has_none() -> None:
     ring = mask() & ~mask(radius=20)
-    assert len(outline(ring).points) > len(outline(mask()).points) + 20
-    at_border = outline(mask(centre=(0.0, 120.0)))
+    assert len(mask_outline(ring).points) > len(mask_outline(mask()).points) + 20
+    at_border = mask_outline(mask(centre=(0.0, 120.0)))
     assert (at_border.points[:, 0] > 2).all()
-    assert len(outline(np.zeros((50, 50), bool)).points) == 0
+    assert len(mask_outline(np.zeros((50, 50), bool)).points) == 0
 
 
 def test_the_outline_against_what_lies_in_front_is_left_out() -> None:
     front = np.zeros((240, 320), bool)
     front[:, 165:] = True
-    line = outline(mask() & ~front, front)
+    line = mask_outline(mask() & ~front, front)
     assert line.points[:, 0].max() < 164
 
 
 @pytest.mark.parametrize("offset", [-3.0, -0.7, 0.0, 0.3, 2.4])
 def test_edges_are_found_to_a_fraction_of_a_pixel(offset: float) -> None:
-    found = edge_offsets(disk(radius=RADIUS + offset), outline(mask()))
+    found = edge_offsets(disk(radius=RADIUS + offset), mask_outline(mask()))
     assert found.found > 0.99
     assert np.nanmean(found.offsets) == pytest.approx(offset, abs=0.12)
     assert found.residual == pytest.approx(abs(offset), abs=0.3)
 
 
 def test_what_has_no_edge_counts_as_far() -> None:
-    nothing = edge_offsets(np.full((240, 320), 100, np.uint8), outline(mask()))
+    nothing = edge_offsets(np.full((240, 320), 100, np.uint8), mask_outline(mask()))
     assert (nothing.found, nothing.residual) == (0.0, REACH)
-    faint = edge_offsets((disk() // 40) + 100, outline(mask()))
+    faint = edge_offsets((disk() // 40) + 100, mask_outline(mask()))
     assert faint.found == 0.0
-    assert edge_offsets(disk(), outline(np.zeros((240, 320), bool))).residual is None
+    assert edge_offsets(disk(), mask_outline(np.zeros((240, 320), bool))).residual is None
 
 
 def test_large_photos_are_looked_at_in_larger_grains() -> None:
     """The same picture four times as large has four times the offset, not one out of reach."""
     assert [grain_px((480, 640)), grain_px((720, 1280, 3)), grain_px((3000, 4000))] == [1, 1, 4]
     shape = (2400, 3200)
-    line = outline(mask((1600.0, 1200.0), 600.0, shape))
+    line = mask_outline(mask((1600.0, 1200.0), 600.0, shape))
     off = edge_offsets(disk((1600.0, 1200.0), 620.0, shape), line)
     assert off.reach == 3 * REACH
     assert np.nanmean(off.offsets) == pytest.approx(20.0, abs=0.5)
@@ -95,30 +95,30 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
     so_far = np.zeros(6)
     # A disk's turn hardly shows; left free, it would make up for some of the shift.
     weak = np.diag([1e6] * 3 + [10.0] * 3)
-    for reach in rounds():
+    for reach in search_radii():
         centre = (160 + 500 * T[0, 3] / T[2, 3], 120 + 500 * T[1, 3] / T[2, 3])
-        line = outline(mask(centre, RADIUS / T[2, 3]))
+        line = mask_outline(mask(centre, RADIUS / T[2, 3]))
         offsets = edge_offsets(photo, line, reach).offsets
         part = edge_equations(line, np.full(len(line.points), T[2, 3]), offsets, K, T[:3, 3].copy())
-        move = correction([part], T[:3, 3].copy(), weak, so_far)
+        move = solve_correction([part], T[:3, 3].copy(), weak, so_far)
         T, so_far = move.applied(T), so_far + move.step
     assert T[:2, 3] == pytest.approx((0.012, -0.008), abs=0.0008)
     assert T[2, 3] == pytest.approx(1.0, abs=0.005)
 
 
 def test_what_the_boards_know_is_not_given_up() -> None:
-    line = outline(mask())
+    line = mask_outline(mask())
     offsets = edge_offsets(disk((164.0, 120.0)), line).offsets
     part = edge_equations(line, np.ones(len(line.points)), offsets, K, np.array([0, 0, 1.0]))
     sure = np.diag([1e8] * 3 + [1e10] * 3)
-    assert np.linalg.norm(correction([part], np.array([0, 0, 1.0]), sure, np.zeros(6)).step) < 1e-5
+    assert np.linalg.norm(solve_correction([part], np.array([0, 0, 1.0]), sure, np.zeros(6)).step) < 1e-5
     # And having left it, it is drawn back.
-    back = correction([part], np.array([0, 0, 1.0]), sure, np.array([0, 0, 0, 0.01, 0, 0])).step
+    back = solve_correction([part], np.array([0, 0, 1.0]), sure, np.array([0, 0, 0, 0.01, 0, 0])).step
     assert back[3] == pytest.approx(-0.01, abs=1e-4)
 
 
 def test_outlines_that_move_together_are_weighed_together() -> None:
-    line = outline(mask())
+    line = mask_outline(mask())
     centre = np.array([0, 0, 1.0])
     parts = [
         edge_equations(
@@ -127,19 +127,19 @@ def test_outlines_that_move_together_are_weighed_together() -> None:
         for dx in (4.0, 0.0)
     ]
     weak = np.diag([1e6] * 3 + [10.0] * 3)
-    alone = correction(parts[:1], centre, weak, np.zeros(6)).step
-    both = correction(parts, centre, weak, np.zeros(6)).step
+    alone = solve_correction(parts[:1], centre, weak, np.zeros(6)).step
+    both = solve_correction(parts, centre, weak, np.zeros(6)).step
     assert alone[3] == pytest.approx(0.008, abs=0.001)
     assert both[3] == pytest.approx(0.004, abs=0.001)
 
 
 def test_no_outline_no_step() -> None:
-    nothing = edge_equations(outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
-    assert correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).size == 0.0
+    nothing = edge_equations(mask_outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
+    assert solve_correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).size == 0.0
 
 
 def test_a_correction_turns_about_its_centre() -> None:
-    turn = Correction(np.array([0, 0, np.pi / 2, 0, 0, 0.1]), np.array([1.0, 0, 0]))
+    turn = PoseCorrection(np.array([0, 0, np.pi / 2, 0, 0, 0.1]), np.array([1.0, 0, 0]))
     moved = turn.applied(pose((1.0, 1.0, 0.0)))
     assert moved[:3, 3] == pytest.approx((0.0, 0.0, 0.1))
     assert moved[:3, :3] == pytest.approx(rotation_from_vector([0, 0, np.pi / 2]))

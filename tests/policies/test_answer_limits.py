@@ -13,11 +13,11 @@ import pytest
 
 from tests.policies.servers import raw_server, read_request
 from yamsim_cli.policies.act import ActClient, load_json
-from yamsim_cli.policies.base import Chunk, InvalidActionError, read_chunk
-from yamsim_cli.policies.chunks import Chunking, ChunkPlayer
+from yamsim_cli.policies.action_chunks import ChunkScheduler, ChunkSettings
 from yamsim_cli.policies.openpi import unpack_openpi
-from yamsim_cli.policies.policy_client import MAX_VALUES, DamagedError, RemoteError, rows_of
-from yamsim_cli.policies.remote import RemotePolicy, WireError, pack, unpack
+from yamsim_cli.policies.policy_client import MAX_VALUES, DamagedMessageError, RemoteError, action_rows
+from yamsim_cli.policies.policy_protocol import ActionChunk, InvalidActionError, read_chunk
+from yamsim_cli.policies.remote_policy import MessageError, RemotePolicy, pack_message, unpack_message
 
 _MOST_MEMORY = 40_000_000  # Bytes while an answer is read: ten times the largest one that is read.
 
@@ -38,19 +38,19 @@ def test_text_in_place_of_actions_takes_no_memory() -> None:
     def work() -> None:
         for value in (["x" * 100_000, *["a"] * 1000], ["1"], [[{}]], [[[[[[[[[[1]]]]]]]]]]):
             with pytest.raises(InvalidActionError, match="actions "):
-                rows_of(value, "actions", 7)
+                action_rows(value, "actions", 7)
 
     assert _peak(work) < 2_000_000
 
 
 @pytest.mark.parametrize("size", [3_900_000])
-@pytest.mark.parametrize("load", [unpack_openpi, unpack])
+@pytest.mark.parametrize("load", [unpack_openpi, unpack_message])
 def test_small_containers_are_counted_while_msgpack_is_decoded(load: Callable[[bytes], Any], size: int) -> None:
     heads = b"\x81\xa1a\xdd" + size.to_bytes(4, "big")
 
     def work() -> None:
         for inner in (b"\x90", b"\x80"):
-            with pytest.raises((DamagedError, WireError), match=f"more than {MAX_VALUES} values"):
+            with pytest.raises((DamagedMessageError, MessageError), match=f"more than {MAX_VALUES} values"):
                 load(heads + inner * size)
 
     assert _peak(work) < _MOST_MEMORY
@@ -61,7 +61,7 @@ def test_small_containers_are_counted_before_json_is_decoded(inner: str) -> None
     data = f'{{"actions": [{",".join([inner] * 900_000)}]}}'.encode()
 
     def work() -> None:
-        with pytest.raises(DamagedError, match=f"more than {MAX_VALUES} values"):
+        with pytest.raises(DamagedMessageError, match=f"more than {MAX_VALUES} values"):
             load_json(data)
 
     assert _peak(work) < _MOST_MEMORY
@@ -69,8 +69,8 @@ def test_small_containers_are_counted_before_json_is_decoded(inner: str) -> None
 
 def test_the_largest_honest_answer_is_read() -> None:
     rows = np.random.default_rng(0).normal(size=(1000, 14)).tolist()
-    assert rows_of(load_json(json.dumps({"actions": rows}).encode())["actions"], "actions", 14).shape == (1000, 14)
-    assert unpack(pack({"ctrl": rows}))["ctrl"] == rows
+    assert action_rows(load_json(json.dumps({"actions": rows}).encode())["actions"], "actions", 14).shape == (1000, 14)
+    assert unpack_message(pack_message({"ctrl": rows}))["ctrl"] == rows
 
 
 @pytest.mark.parametrize("head", [b"Transfer-Encoding: chunked\r\n", b"", b"Content-Length: 99999999999\r\n"])
@@ -90,7 +90,7 @@ def test_an_endless_answer_is_cut_off(head: bytes) -> None:
         with raw_server(answer) as port:
             client = ActClient(f"act://127.0.0.1:{port}", 5.0)
             with pytest.raises(RemoteError, match="longer than"):
-                client.ask({"state": [1.0]})
+                client.infer({"state": [1.0]})
 
     assert _peak(work) < _MOST_MEMORY
     assert sent < 100_000_000
@@ -103,7 +103,10 @@ def test_a_long_error_is_shortened() -> None:
 
 
 def test_a_native_servers_text_is_no_action() -> None:
-    said = [pack({"session": "s", "images": [], "ticks": 1}), pack({"action": {"ctrl": ["x" * 1000, "a"]}})]
+    said = [
+        pack_message({"session": "s", "images": [], "ticks": 1}),
+        pack_message({"action": {"ctrl": ["x" * 1000, "a"]}}),
+    ]
 
     def answer(connection: socket.socket) -> None:
         for data in said:
@@ -124,19 +127,19 @@ def test_a_chunk_has_a_horizon() -> None:
 
 def test_chunks_that_can_act_no_more_are_dropped() -> None:
     """Asked after each action, a player that does not average keeps two chunks at most."""
-    player = ChunkPlayer(Chunking(execute=1), 0.032, 1, np.zeros((1, 7)))
+    player = ChunkScheduler(ChunkSettings(execute=1), 0.032, 1, np.zeros((1, 7)))
     for tick in range(200):
-        player.take(Chunk(np.full((1000, 1, 7), tick), np.zeros((1000, 1), bool), False), tick, 0.0)
-        ctrl, _ = player.act(tick)
+        player.add_chunk(ActionChunk(np.full((1000, 1, 7), tick), np.zeros((1000, 1), bool), False), tick, 0.0)
+        ctrl, _ = player.next_command(tick)
         assert ctrl[0, 0] == tick
         assert len(player._chunks) == 1
 
 
 def test_an_older_chunk_acts_on_where_a_newer_one_is_shorter() -> None:
-    player = ChunkPlayer(Chunking(execute=1), 0.032, 1, np.zeros((1, 7)))
+    player = ChunkScheduler(ChunkSettings(execute=1), 0.032, 1, np.zeros((1, 7)))
     for tick, length in ((0, 10), (1, 2)):
-        player.take(Chunk(np.full((length, 1, 7), tick), np.zeros((length, 1), bool), False), tick, 0.0)
-    acted = [player.act(tick)[0][0, 0] for tick in range(1, 12)]
+        player.add_chunk(ActionChunk(np.full((length, 1, 7), tick), np.zeros((length, 1), bool), False), tick, 0.0)
+    acted = [player.next_command(tick)[0][0, 0] for tick in range(1, 12)]
     assert acted == [1, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1]
 
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.policies.base import Chunk
-from yamsim_cli.policies.chunks import ChunkCount, Chunking, ChunkPlayer, read_latency
+from yamsim_cli.policies.action_chunks import ChunkScheduler, ChunkSettings, ChunkStats, read_latency
+from yamsim_cli.policies.policy_protocol import ActionChunk
 
 TICK = 0.032
 REST = np.full((1, 7), -1.0)
 
 
-def chunk(first: float, actions: int, *, ticks: int = 1, done: bool = False, welds: bool = False) -> Chunk:
+def chunk(first: float, actions: int, *, ticks: int = 1, done: bool = False, welds: bool = False) -> ActionChunk:
     """Actions that count up from a number, by which they are known."""
     ctrl = np.repeat(first + np.arange(actions, dtype=float), 7).reshape(actions, 1, 7)
-    return Chunk(ctrl, np.full((actions, 1), welds), done, ticks * TICK)
+    return ActionChunk(ctrl, np.full((actions, 1), welds), done, ticks * TICK)
 
 
-def played(player: ChunkPlayer, ticks: int, actions: int = 5, *, per: int = 1, seconds: float = 0.0) -> list[float]:
+def played(player: ChunkScheduler, ticks: int, actions: int = 5, *, per: int = 1, seconds: float = 0.0) -> list[float]:
     """What acts on each tick, where every chunk's actions are the ticks that they are for, plus a thousandth for each
     chunk before.
     """
@@ -28,88 +28,88 @@ def played(player: ChunkPlayer, ticks: int, actions: int = 5, *, per: int = 1, s
         if player.is_due(now):
             rows = chunk(0, actions, ticks=per)
             rows.ctrl[:] = (now + per * np.arange(actions)).reshape(-1, 1, 1) + asked / 1000
-            player.take(rows, now, seconds)
+            player.add_chunk(rows, now, seconds)
             asked += 1
-        acted.append(float(player.act(now)[0][0, 0]))
+        acted.append(float(player.next_command(now)[0][0, 0]))
     return [round(value, 6) for value in acted]
 
 
 def test_all_of_a_chunk_acts_before_the_next_is_asked_for() -> None:
-    player = ChunkPlayer(Chunking(), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(), TICK, 1, REST)
     assert played(player, 7) == [0, 1, 2, 3, 4, 5.001, 6.001]
-    assert player.count == ChunkCount(chunks=2, actions=10)
+    assert player.count == ChunkStats(chunks=2, actions=10)
 
 
 def test_actions_may_last_several_ticks_or_parts_of_one() -> None:
-    assert played(ChunkPlayer(Chunking(), TICK, 1, REST), 5, per=2) == [0, 0, 2, 2, 4]
-    player = ChunkPlayer(Chunking(), TICK, 1, REST)
+    assert played(ChunkScheduler(ChunkSettings(), TICK, 1, REST), 5, per=2) == [0, 0, 2, 2, 4]
+    player = ChunkScheduler(ChunkSettings(), TICK, 1, REST)
     # At 50 a second on ticks of 32 ms: the action that is for the tick's beginning.
     rows = chunk(0, 5)
-    player.take(Chunk(rows.ctrl, rows.magnet, False, 0.020), 0, 0.0)
-    assert [player.act(now)[0][0, 0] for now in range(4)] == [0, 1, 3, 4]
+    player.add_chunk(ActionChunk(rows.ctrl, rows.magnet, False, 0.020), 0, 0.0)
+    assert [player.next_command(now)[0][0, 0] for now in range(4)] == [0, 1, 3, 4]
     assert not player.is_due(3)
     assert player.is_due(4)
 
 
 def test_without_a_period_an_action_lasts_as_long_as_the_policy_says() -> None:
-    player = ChunkPlayer(Chunking(), TICK, 3, REST)
-    player.take(Chunk(np.ones((1, 1, 7)), np.zeros((1, 1), bool), False), 0, 0.0)
+    player = ChunkScheduler(ChunkSettings(), TICK, 3, REST)
+    player.add_chunk(ActionChunk(np.ones((1, 1, 7)), np.zeros((1, 1), bool), False), 0, 0.0)
     assert [player.is_due(now) for now in (1, 2, 3)] == [False, False, True]
 
 
 def test_the_next_chunk_takes_over_after_some_actions() -> None:
-    assert played(ChunkPlayer(Chunking(execute=2), TICK, 1, REST), 6) == [0, 1, 2.001, 3.001, 4.002, 5.002]
+    assert played(ChunkScheduler(ChunkSettings(execute=2), TICK, 1, REST), 6) == [0, 1, 2.001, 3.001, 4.002, 5.002]
     # More than there are is all.
-    assert played(ChunkPlayer(Chunking(execute=9), TICK, 1, REST), 6) == [0, 1, 2, 3, 4, 5.001]
+    assert played(ChunkScheduler(ChunkSettings(execute=9), TICK, 1, REST), 6) == [0, 1, 2, 3, 4, 5.001]
 
 
 def test_an_answer_that_comes_late_is_taken_up_where_it_would_be() -> None:
     """In the meantime the arm goes on with what it has, then stays."""
-    player = ChunkPlayer(Chunking(execute=3, latency=2 * TICK), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(execute=3, latency=2 * TICK), TICK, 1, REST)
     #                            waits   stale 0, 1       asked at 3: 0.001 from 5 on
     assert played(player, 9) == [-1, -1, 2, 3, 4, 5.001, 6.001, 7.001, 8.002]
-    assert player.count == ChunkCount(chunks=3, actions=15, stale=6, waited=2)
+    assert player.count == ChunkStats(chunks=3, actions=15, stale=6, waited=2)
 
 
 def test_while_there_is_nothing_for_now_the_last_action_stays() -> None:
-    player = ChunkPlayer(Chunking(latency=2 * TICK), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(latency=2 * TICK), TICK, 1, REST)
     #                               asked at 0, 4 and 8, answered two ticks later
     assert played(player, 8, 4) == [-1, -1, 2, 3, 3, 3, 6.001, 7.001]
     assert player.count.waited == 4
 
 
 def test_of_a_chunk_that_is_all_too_late_the_last_action_acts() -> None:
-    player = ChunkPlayer(Chunking(latency=3 * TICK), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(latency=3 * TICK), TICK, 1, REST)
     assert played(player, 7, 1) == [-1, -1, -1, 0, 0, 0, 3.001]
     assert (player.count.stale, player.count.waited) == (3, 7)
 
 
 def test_the_measured_latency_is_how_long_the_answer_took() -> None:
-    player = ChunkPlayer(Chunking(latency=None), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(latency=None), TICK, 1, REST)
     assert played(player, 4, seconds=0.040) == [-1, -1, 2, 3]
 
 
 def test_chunks_that_overlap_are_averaged() -> None:
-    player = ChunkPlayer(Chunking(execute=1, ensemble=np.log(2.0)), TICK, 1, REST)
+    player = ChunkScheduler(ChunkSettings(execute=1, ensemble=np.log(2.0)), TICK, 1, REST)
     for now, first in ((0, 0.0), (1, 10.0), (2, 100.0)):
         assert player.is_due(now)
-        player.take(chunk(first, 3), now, 0.0)
-        told = player.act(now)[0]
+        player.add_chunk(chunk(first, 3), now, 0.0)
+        told = player.next_command(now)[0]
     # The oldest says 2, the next 11, the newest 100: with weights of 4, 2 and 1.
     np.testing.assert_allclose(told, (4 * 2 + 2 * 11 + 100) / 7)
 
 
 def test_of_two_chunks_that_disagree_on_a_weld_the_weightier_wins() -> None:
-    player = ChunkPlayer(Chunking(execute=1, ensemble=0.1), TICK, 1, REST)
-    player.take(chunk(0, 3, welds=True), 0, 0.0)
-    player.take(chunk(0, 3), 1, 0.0)
-    assert player.act(1)[1].tolist() == [True]
+    player = ChunkScheduler(ChunkSettings(execute=1, ensemble=0.1), TICK, 1, REST)
+    player.add_chunk(chunk(0, 3, welds=True), 0, 0.0)
+    player.add_chunk(chunk(0, 3), 1, 0.0)
+    assert player.next_command(1)[1].tolist() == [True]
 
 
 def test_a_last_chunk_is_played_to_its_end() -> None:
-    player = ChunkPlayer(Chunking(execute=1, latency=TICK), TICK, 1, REST)
-    player.take(chunk(0, 3, done=True), 0, 0.0)
-    assert [player.is_due(now) or player.is_over(now) for now in range(4)] == [False, False, False, True]
+    player = ChunkScheduler(ChunkSettings(execute=1, latency=TICK), TICK, 1, REST)
+    player.add_chunk(chunk(0, 3, done=True), 0, 0.0)
+    assert [player.is_due(now) or player.last_chunk_is_over(now) for now in range(4)] == [False, False, False, True]
     assert player.has_ended
 
 

@@ -19,16 +19,16 @@ import pytest
 from tests.policies.servers import act_server, openpi_server, raw_server, read_request
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.policies.act import ActClient, dump_json, load_json
-from yamsim_cli.policies.base import InvalidActionError
 from yamsim_cli.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 from yamsim_cli.policies.policy_client import (
     MAX_ANSWER_BYTES,
-    DamagedError,
+    DamagedMessageError,
     RemoteError,
-    array_of,
-    period_of,
-    rows_of,
+    action_period,
+    action_rows,
+    array_from_bytes,
 )
+from yamsim_cli.policies.policy_protocol import InvalidActionError
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
@@ -48,13 +48,13 @@ def test_act_sends_arrays_and_understands_them() -> None:
     with act_server(doubled) as url:
         client = ActClient(url, 5.0)
         for _ in range(3):
-            answer = client.ask(MESSAGE)
+            answer = client.infer(MESSAGE)
             assert answer["actions"].dtype == np.float32
             np.testing.assert_array_equal(answer["actions"], np.full((3, 14), 2.0))
             assert answer["dt_ms"] == 20.0
         client.close()
         with pytest.raises(RemoteError, match=r"answers 404"):
-            ActClient(f"{url}/elsewhere", 5.0).ask(MESSAGE)
+            ActClient(f"{url}/elsewhere", 5.0).infer(MESSAGE)
 
 
 def test_openpi_sends_arrays_and_understands_them() -> None:
@@ -62,9 +62,9 @@ def test_openpi_sends_arrays_and_understands_them() -> None:
         client = OpenpiClient(url, 5.0)
         client.begin(0)
         for _ in range(3):
-            np.testing.assert_array_equal(client.ask(MESSAGE)["actions"], np.full((3, 14), 2.0))
+            np.testing.assert_array_equal(client.infer(MESSAGE)["actions"], np.full((3, 14), 2.0))
         # Longer than a frame's short forms of a length.
-        client.ask({**MESSAGE, "more": np.zeros(300_000, np.uint8)})
+        client.infer({**MESSAGE, "more": np.zeros(300_000, np.uint8)})
         client.close()
 
 
@@ -73,10 +73,10 @@ def test_an_error_of_openpis_server_is_told_and_the_next_trial_connects_again() 
     with openpi_server(lambda _: next(answers)) as url:
         client = OpenpiClient(url, 5.0)
         with pytest.raises(RemoteError, match="KeyError: 'no such thing'") as caught:
-            client.ask(MESSAGE)
+            client.infer(MESSAGE)
         assert caught.value.fault.traceback.startswith("Traceback")
         client.begin(1)
-        assert client.ask(MESSAGE) == {"a": 1}
+        assert client.infer(MESSAGE) == {"a": 1}
         client.close()
 
 
@@ -131,7 +131,7 @@ def test_what_is_no_answer_of_act_is_told(said: bytes, told: str) -> None:
     with raw_server(answer) as port:
         client = ActClient(f"act://127.0.0.1:{port}", 2.0)
         with pytest.raises(RemoteError) as caught:
-            client.ask({"state": [1.0]})
+            client.infer({"state": [1.0]})
         assert re.search(told, str(caught.value)), str(caught.value)
         client.close()
 
@@ -147,8 +147,8 @@ def test_an_answer_that_comes_too_late_is_never_another_questions() -> None:
     with act_server(infer) as url:
         client = ActClient(url, 0.1)
         with pytest.raises(TimeoutError):
-            client.ask({"n": 1})
-        assert client.ask({"n": 2}) == {"n": 2}
+            client.infer({"n": 1})
+        assert client.infer({"n": 2}) == {"n": 2}
         client.close()
 
 
@@ -203,7 +203,7 @@ def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
     with raw_server(answer) as port:
         client = OpenpiClient(f"ws://127.0.0.1:{port}", 2.0)
         try:
-            client.ask({"state": [1.0]})
+            client.infer({"state": [1.0]})
         except RemoteError as error:
             assert re.search(told, str(error)), str(error)
         else:
@@ -234,7 +234,7 @@ def test_a_peer_that_says_nothing_is_not_waited_for(make: Callable[..., Any]) ->
         client = make(f"{'act' if make is ActClient else 'ws'}://127.0.0.1:{port}", 0.2)
         began = time.monotonic()
         with pytest.raises(TimeoutError):
-            client.ask({"state": [1.0]})
+            client.infer({"state": [1.0]})
         assert time.monotonic() - began < 5
         client.close()
 
@@ -256,21 +256,21 @@ def test_a_peer_that_says_nothing_is_not_waited_for(make: Callable[..., Any]) ->
 )
 def test_what_is_no_row_of_actions_is_told(value: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=f"^actions {told}" if "its rows" not in told else told):
-        rows_of(value, "actions", 14)
+        action_rows(value, "actions", 14)
 
 
 def test_a_row_alone_is_one_action_and_whole_numbers_do() -> None:
-    assert rows_of(list(range(14)), "actions", 14).shape == (1, 14)
+    assert action_rows(list(range(14)), "actions", 14).shape == (1, 14)
 
 
 @pytest.mark.parametrize("value", [-5, 0.5, 20_000, float("nan"), "20", True, [20]])
 def test_what_is_no_period_is_told(value: object) -> None:
     with pytest.raises(InvalidActionError, match=r"^dt_ms is "):
-        period_of(value, "dt_ms")
+        action_period(value, "dt_ms")
 
 
 def test_no_period_is_the_configs() -> None:
-    assert (period_of(None, "dt_ms"), period_of(0, "dt_ms"), period_of(20, "dt_ms")) == (None, None, 0.02)
+    assert (action_period(None, "dt_ms"), action_period(0, "dt_ms"), action_period(20, "dt_ms")) == (None, None, 0.02)
 
 
 @pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f8", "<i8", "|u1", "|b1", "<f2"])
@@ -293,7 +293,7 @@ def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
             spoilt = bytearray(data)
             for place in rng.integers(0, len(data), 3):
                 spoilt[place] = rng.integers(0, 256)
-            with contextlib.suppress(DamagedError):
+            with contextlib.suppress(DamagedMessageError):
                 load(bytes(spoilt))
 
 
@@ -326,7 +326,7 @@ def test_thousands_of_spoilt_answers_are_refused_or_read_and_memory_stays(make: 
             if number == 1000:
                 before = resident()
             try:
-                client.ask({"state": [1.0]})
+                client.infer({"state": [1.0]})
                 counts["read"] += 1
             except RemoteError:
                 counts["refused"] += 1
@@ -336,10 +336,10 @@ def test_thousands_of_spoilt_answers_are_refused_or_read_and_memory_stays(make: 
 
 
 def test_an_array_is_no_larger_than_its_bytes() -> None:
-    assert array_of(b"\0" * 8, b"<f8", [1]).shape == (1,)
-    with pytest.raises(DamagedError, match="no array of float64"):
-        array_of(b"", "<f8", [MAX_ANSWER_BYTES])
-    assert array_of(b"", "<f8", [0, 5]).size == 0
+    assert array_from_bytes(b"\0" * 8, b"<f8", [1]).shape == (1,)
+    with pytest.raises(DamagedMessageError, match="no array of float64"):
+        array_from_bytes(b"", "<f8", [MAX_ANSWER_BYTES])
+    assert array_from_bytes(b"", "<f8", [0, 5]).size == 0
 
 
 def test_no_client_unpickles() -> None:

@@ -8,32 +8,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.environment_state import joints_key, object_pose_keys, state_names, state_row
-from yamsim_cli.core.episode.engine import demonstrate
-from yamsim_cli.core.episode.payload import frames
-from yamsim_cli.core.episode.rules import EpisodeRules
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.episode_rules import EpisodeRules
+from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulators, open_episode
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.policies.evaluate.observation import ObservationRenderer, Observer
+from yamsim_cli.policies.evaluate.observation import ObservationBuilder, ObservationRenderer
 from yamsim_cli.policies.evaluate.policy_factory import policy_station
+from yamsim_cli.policies.external_policy import MappedPolicy
 from yamsim_cli.policies.lerobot import check_rows
-from yamsim_cli.policies.mapped import MappedPolicy
 
 
-class Nobody:
+class StateOnlyClient:
     """A client that is only told things."""
 
     def begin(self, seed: int) -> None: ...
 
-    def ask(self, message: object) -> dict[str, object]:
+    def infer(self, message: object) -> dict[str, object]:
         return {}
 
     def close(self) -> None: ...
@@ -70,16 +70,16 @@ def test_a_policy_is_told_what_an_export_would_hold(
 ) -> None:
     config = make_config({("rig",): rig, ("task",): task, ("grasp",): grasp})
     mapping = load_config(PolicyConfig, "policies", "lerobot_export", locations)
-    policy = MappedPolicy(Nobody(), mapping, policy_station(config), ["observation.environment_state"])
+    policy = MappedPolicy(StateOnlyClient(), mapping, policy_station(config), ["observation.environment_state"])
     assert (policy.wants, policy.images) == (("objects",), ())
     assert sorted(object_pose_keys(config)) == things
     with Simulators(Session(config, locations)) as simulators:
-        job = EpisodeJob(0, 0)
-        simulator = simulators.of(job)
-        done = demonstrate(simulator, sample(simulator, job))
-        (frame,) = frames(simulator, done.attempt, done.states[-1:])
+        job = AttemptJob(0, 0)
+        simulator = simulators.get(job)
+        done = demonstrate(simulator, sample_attempt(simulator, job))
+        (frame,) = frame_records(simulator, done.attempt, done.states[-1:])
         episode = open_episode(simulator, replace(done.attempt, start=done.states[-1].qpos), EpisodeRules())
-        seen = Observer(simulator, policy.images, policy.wants).observe(
+        seen = ObservationBuilder(simulator, policy.images, policy.wants).observe(
             episode, done.attempt, ObservationRenderer(_nothing)
         )
         told = policy.message(seen)["observation.environment_state"]
@@ -92,7 +92,7 @@ def test_a_policy_is_told_what_an_export_would_hold(
 
 def test_a_checkpoint_that_does_not_ask_is_not_told(config: RecordConfig, locations: Locations) -> None:
     mapping = load_config(PolicyConfig, "policies", "lerobot_export", locations)
-    policy = MappedPolicy(Nobody(), mapping, policy_station(config), ["observation.state"])
+    policy = MappedPolicy(StateOnlyClient(), mapping, policy_station(config), ["observation.state"])
     assert policy.wants == ()
     message = policy.message({"joints": np.zeros(7), "prompt": "do it", "time": 0.0})
     assert set(message) == {"observation.state", "task"}

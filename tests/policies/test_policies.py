@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.policies.base import InvalidActionError, read_chunk
-from yamsim_cli.policies.loading import load_policy, read_arguments, reset_policy, wanted_images, wanted_state
-from yamsim_cli.policies.policy_faults import fault_of
-from yamsim_cli.policies.remote import WireError, pack, unpack
+from yamsim_cli.policies.policy_faults import describe_fault
+from yamsim_cli.policies.policy_loading import load_policy, read_arguments, reset_policy, wanted_images, wanted_state
+from yamsim_cli.policies.policy_protocol import InvalidActionError, read_chunk
+from yamsim_cli.policies.remote_policy import MessageError, pack_message, unpack_message
 
 HERE = Path(__file__).parent
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-class Unspeakable(Exception):  # noqa: N818
+class UnprintableError(Exception):
     def __str__(self) -> str:
         raise RuntimeError
 
@@ -134,11 +134,11 @@ class Unspeakable(Exception):  # noqa: N818
         (ValueError(), "ValueError"),
         (ValueError("two\n  lines"), "ValueError: two lines"),
         (ValueError("long " * 100), "ValueError: " + ("long " * 59) + "..."),
-        (Unspeakable(), "Unspeakable: its message cannot be shown"),
+        (UnprintableError(), "UnprintableError: its message cannot be shown"),
     ],
 )
 def test_whatever_is_raised_is_one_line(error: Exception, told: str) -> None:
-    fault = fault_of(error, HERE)
+    fault = describe_fault(error, HERE)
     assert fault.text == told
     assert type(error).__name__ in fault.traceback
 
@@ -147,7 +147,7 @@ def test_messages_come_back_as_they_went() -> None:
     pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
     image = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     message = {"image": image, "T": np.eye(4), "flag": np.bool_(True), "text": "banana", "n": 3, "x": np.float32(0.5)}
-    found = unpack(pack(message))
+    found = unpack_message(pack_message(message))
     for key in ("image", "T"):
         np.testing.assert_array_equal(found[key], message[key])
         assert found[key].dtype == message[key].dtype  # type: ignore[attr-defined]
@@ -159,17 +159,17 @@ def test_messages_come_back_as_they_went() -> None:
 @pytest.mark.parametrize("data", [b"", b"\xc1", b"\x93\x01", pytest.param(b"\xd6\x02aaaa", id="other type")])
 def test_what_is_no_message_is_refused(data: bytes) -> None:
     pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
-    with pytest.raises(WireError):
-        unpack(data)
+    with pytest.raises(MessageError):
+        unpack_message(data)
 
 
 def test_objects_are_neither_sent_nor_made() -> None:
     msgpack = pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
     with pytest.raises(TypeError):
-        pack({"x": object()})
+        pack_message({"x": object()})
     for kind, shape in (("|O", [1]), ("<f8", [1 << 40]), ("|S4", [2])):
-        with pytest.raises(WireError):
-            unpack(msgpack.packb(msgpack.ExtType(1, msgpack.packb([kind, shape, b"12345678"]))))
+        with pytest.raises(MessageError):
+            unpack_message(msgpack.packb(msgpack.ExtType(1, msgpack.packb([kind, shape, b"12345678"]))))
 
 
 def test_arguments_are_keywords_and_numbers_are_numbers() -> None:

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 
 from tests.policies.sample_policies import Unsendable
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.policies.base import InvalidActionError
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
-from yamsim_cli.policies.evaluate.evaluation import evaluate, summary
-from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialRunner
-from yamsim_cli.policies.loading import load_policy
+from yamsim_cli.policies.evaluate.evaluation import evaluate, evaluation_report
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialRunner
 from yamsim_cli.policies.policy_client import RemoteError
+from yamsim_cli.policies.policy_loading import load_policy
+from yamsim_cli.policies.policy_protocol import InvalidActionError
 from yamsim_cli.policies.policy_server import PolicyServer
-from yamsim_cli.policies.remote import RemotePolicy
+from yamsim_cli.policies.remote_policy import RemotePolicy
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 
@@ -64,7 +64,7 @@ def test_a_remote_policy_does_what_it_does_here(make_config: Callable[..., Recor
         assert other.actions is not None
         np.testing.assert_array_equal(one.actions.ctrl, other.actions.ctrl)
         assert one.outcome == other.outcome
-    assert summary(there, config, ())["policy"].startswith("http://")
+    assert evaluation_report(there, config, ())["policy"].startswith("http://")
 
 
 def test_images_and_ticks_are_the_servers_policys() -> None:
@@ -134,16 +134,16 @@ def test_pictures_and_state_reach_a_policy_elsewhere(
     make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture = np.random.default_rng(0).integers(0, 255, (8, 8, 3), dtype=np.uint8)
-    render = "yamsim_cli.policies.evaluate.policy_trial.render"
+    render = "yamsim_cli.policies.evaluate.policy_trial.render_cameras"
     monkeypatch.setattr(render, lambda simulator, attempt, qpos, cameras: dict.fromkeys(cameras, picture))
     config = make_config({("episodes",): 1})
     with served("Remembering") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
         assert runner._policy.images == ("scene",)  # type: ignore[attr-defined]
-        result = runner.run(EpisodeJob(0, 0))
-        assert (result.ended, result.error) == (Ended.DONE, "")
+        result = runner.run(AttemptJob(0, 0))
+        assert (result.ended, result.error) == (TrialEnd.DONE, "")
     with served("Knowing") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
         assert runner._policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
-        assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
+        assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.DONE
 
 
 def test_clients_do_not_share_a_policy() -> None:

@@ -6,35 +6,35 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Layout, Outcome
+from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
-from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Outcome
-from yamsim_cli.core.workers.executor import LostJobError
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
+from yamsim_cli.core.workers.executors import LostJobError
+from yamsim_cli.core.workers.stop_request import StopRequest
+from yamsim_cli.recording.collect import RecordCallbacks
 from yamsim_cli.recording.recorder import RecordReport, record
+from yamsim_cli.recording.recording_output import RecordingOutput
 
 FRAMES = 1
 
 
-def payload(job: EpisodeJob) -> EpisodePayload:
+def payload(job: AttemptJob) -> AttemptPayload:
     """Every third attempt fails."""
-    attempt = Attempt(job, Layout.of({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
+    attempt = Attempt(job, Layout.from_places({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
     if job.attempt % 3 == 1:
-        return EpisodePayload(attempt, Outcome(False, Cause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
+        return AttemptPayload(attempt, Outcome(False, FailureCause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
     names = [name for k in range(FRAMES) for name in (lowdim_name(k), image_name("scene_camera", k))]
     files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
-    return EpisodePayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
+    return AttemptPayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
 
 
 @dataclass
-class Inline(Closing):
+class Inline(Closable):
     """An `Executor` that runs the newest job first when a result is requested, so that results come out of order.
 
     Attributes:
@@ -42,10 +42,10 @@ class Inline(Closing):
         lose: attempts that end every worker.
     """
 
-    make: Callable[[EpisodeJob], EpisodePayload] = payload
+    make: Callable[[AttemptJob], AttemptPayload] = payload
     lose: set[int] = field(default_factory=set)
     workers: int = 2
-    jobs: list[EpisodeJob] = field(default_factory=list)
+    jobs: list[AttemptJob] = field(default_factory=list)
     made: list[int] = field(default_factory=list)
 
     def open(self, session: object, workers: int) -> Inline:
@@ -60,11 +60,11 @@ class Inline(Closing):
     def in_flight(self) -> int:
         return len(self.jobs)
 
-    def submit(self, job: EpisodeJob) -> None:
+    def submit(self, job: AttemptJob) -> None:
         assert self.idle
         self.jobs.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[EpisodeJob, EpisodePayload]:
+    def result(self, timeout: float | None = None) -> tuple[AttemptJob, AttemptPayload]:
         job = self.jobs.pop()
         self.made.append(job.attempt)
         if job.attempt in self.lose:
@@ -85,15 +85,15 @@ class Recording:
         self.meshes: dict[str, Path | None] = {}
         self.warnings: list[str] = []
         self.locations = Locations(Locations.find({}).data, Path("/nowhere"))
-        self.stop = Stop()
+        self.stop = StopRequest()
 
     def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
         locations = replace(self.locations, meshes=self.meshes)
         return record(
             Session(self.config.model_copy(update={"workers": workers}), locations),
-            Output(self.path, mode, self.stage),
+            RecordingOutput(self.path, mode, self.stage),
             executor or Inline(),
-            Notifier(lambda done, wanted, attempts: None, self.warnings.append),
+            RecordCallbacks(lambda done, wanted, attempts: None, self.warnings.append),
             self.stop,
         )
 

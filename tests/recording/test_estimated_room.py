@@ -10,11 +10,11 @@ import pytest
 
 from yamsim_cli.api import PROGRAM, record
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_ticks
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output, open_destination
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.recording_output import RecordingOutput, open_destination
 
 # Frames of one recorded episode: `yamsim record --task TASK --n 1 --seed 0 --size 64x48 --quality fast`.
 RECORDED_FRAMES = {
@@ -57,14 +57,14 @@ def test_a_task_as_data_starts_on_a_disk_that_has_room_for_it(tmp_path: Path, mo
     disk = SimpleNamespace(f_frsize=4096, f_bavail=14_000_000 // 4096, f_files=10_000, f_favail=3_000)
     monkeypatch.setattr(os, "statvfs", lambda place: disk)
     told: list[str] = []
-    watch, config = Notifier(lambda *_: None, told.append), config_of("tower")
-    with open_destination(config, Output(tmp_path / "fits", OpenMode.NEW), watch):
+    watch, config = RecordCallbacks(lambda *_: None, told.append), config_of("tower")
+    with open_destination(config, RecordingOutput(tmp_path / "fits", OpenMode.NEW), watch):
         assert told == []
     disk.f_bavail = 8_000_000 // 4096
-    with open_destination(config, Output(tmp_path / "tight", OpenMode.NEW), watch):
+    with open_destination(config, RecordingOutput(tmp_path / "tight", OpenMode.NEW), watch):
         assert "probably" in told[0]
     disk.f_bavail = 4_000_000 // 4096
-    full = open_destination(config, Output(tmp_path / "full", OpenMode.NEW), watch)
+    full = open_destination(config, RecordingOutput(tmp_path / "full", OpenMode.NEW), watch)
     with pytest.raises(ResourceError, match="3 episodes take at least"), full:
         pass
 
@@ -82,9 +82,9 @@ def test_what_is_recorded_takes_about_the_room_that_was_estimated(
     for inodes, fits in ((2 * real, True), (real * 7 // 10, False)):
         disk = SimpleNamespace(f_frsize=4096, f_bavail=10**9, f_files=10**6, f_favail=inodes)
         told: list[str] = []
-        watch = Notifier(lambda *_: None, told.append)
+        watch = RecordCallbacks(lambda *_: None, told.append)
         config = config_of(task).model_copy(update={"episodes": 1})
         with monkeypatch.context() as patched:
             patched.setattr(os, "statvfs", lambda place, disk=disk: disk)
-            with open_destination(config, Output(tmp_path / str(inodes), OpenMode.NEW), watch):
+            with open_destination(config, RecordingOutput(tmp_path / str(inodes), OpenMode.NEW), watch):
                 assert (told == []) is fits

@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 from tests.recording.fake_episodes import Inline, Recording, payload
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-from yamsim_cli.recording.prospects import GaveUpError, no_better_start
+from yamsim_cli.recording.retry_limit import RetryLimitError, all_starts_fail
 
 Make = Callable[..., RecordConfig]
-Asked = list[tuple[Cause, int]]
+Asked = list[tuple[FailureCause, int]]
 
 
 @pytest.fixture
@@ -30,21 +30,23 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
     """What was asked of the starts, all of which are out of reach."""
     asked: Asked = []
 
-    def answer(session: Session, cause: Cause, first: int) -> bool:
+    def answer(session: Session, cause: FailureCause, first: int) -> bool:
         asked.append((cause, first))
-        return cause is Cause.UNREACHABLE
+        return cause is FailureCause.UNREACHABLE
 
-    monkeypatch.setattr("yamsim_cli.recording.recorder.no_better_start", answer)
+    monkeypatch.setattr("yamsim_cli.recording.recorder.all_starts_fail", answer)
     return asked
 
 
-def failing(cause: Cause, but: Callable[[int], bool] = lambda attempt: False) -> Callable[[EpisodeJob], EpisodePayload]:
+def failing(
+    cause: FailureCause, but: Callable[[int], bool] = lambda attempt: False
+) -> Callable[[AttemptJob], AttemptPayload]:
     """Every attempt fails for a cause, except some."""
 
-    def make(job: EpisodeJob) -> EpisodePayload:
+    def make(job: AttemptJob) -> AttemptPayload:
         if but(job.attempt):
-            return replace(payload(EpisodeJob(job.seed, 0)), attempt=Attempt(job))
-        return EpisodePayload(Attempt(job), Outcome(False, cause, f"failed for the {job.attempt}th time"))
+            return replace(payload(AttemptJob(job.seed, 0)), attempt=Attempt(job))
+        return AttemptPayload(Attempt(job), Outcome(False, cause, f"failed for the {job.attempt}th time"))
 
     return make
 
@@ -54,9 +56,9 @@ def test_ten_that_fail_in_one_way_are_enough_where_no_start_is_better(
     recording: Recording, asked: Asked, workers: int
 ) -> None:
     with pytest.raises(SimulationError) as caught:
-        recording.run(Inline(failing(Cause.UNREACHABLE)), workers=workers)
+        recording.run(Inline(failing(FailureCause.UNREACHABLE)), workers=workers)
     assert recording.causes() == ["unreachable"] * 10
-    assert asked == [(Cause.UNREACHABLE, 10)]
+    assert asked == [(FailureCause.UNREACHABLE, 10)]
     message = str(caught.value)
     assert message == (
         "task 'pickplace' cannot work as it is: its first 10 attempts all failed in one way, and 100 more would start "
@@ -67,8 +69,8 @@ def test_ten_that_fail_in_one_way_are_enough_where_no_start_is_better(
 
 def test_resuming_what_cannot_work_is_refused_before_anything_is_made(recording: Recording, asked: Asked) -> None:
     with pytest.raises(SimulationError):
-        recording.run(Inline(failing(Cause.UNREACHABLE)))
-    executor = Inline(failing(Cause.UNREACHABLE))
+        recording.run(Inline(failing(FailureCause.UNREACHABLE)))
+    executor = Inline(failing(FailureCause.UNREACHABLE))
     with pytest.raises(SimulationError, match="cannot work as it is"):
         recording.resume(executor)
     assert executor.made == []
@@ -78,22 +80,22 @@ def test_resuming_what_cannot_work_is_refused_before_anything_is_made(recording:
 def test_where_a_start_is_better_it_goes_on(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
-    def answer(session: Session, cause: Cause, first: int) -> bool:
+    def answer(session: Session, cause: FailureCause, first: int) -> bool:
         asked.append(first)
         return False
 
-    monkeypatch.setattr("yamsim_cli.recording.recorder.no_better_start", answer)
-    recording.run(Inline(failing(Cause.UNREACHABLE, but=lambda attempt: attempt >= 25)))
+    monkeypatch.setattr("yamsim_cli.recording.recorder.all_starts_fail", answer)
+    recording.run(Inline(failing(FailureCause.UNREACHABLE, but=lambda attempt: attempt >= 25)))
     assert recording.causes() == ["unreachable"] * 25 + [None] * 5
     assert asked == [10], "once is enough"
 
 
 def test_one_success_or_another_cause_among_the_first_is_hope(recording: Recording, asked: Asked) -> None:
-    recording.run(Inline(failing(Cause.UNREACHABLE, but=lambda attempt: attempt % 20 == 4)))
+    recording.run(Inline(failing(FailureCause.UNREACHABLE, but=lambda attempt: attempt % 20 == 4)))
     assert recording.causes().count("unreachable") > 40
 
-    def mixed(job: EpisodeJob) -> EpisodePayload:
-        cause = Cause.SLIPPED if job.attempt == 5 else Cause.UNREACHABLE
+    def mixed(job: AttemptJob) -> AttemptPayload:
+        cause = FailureCause.SLIPPED if job.attempt == 5 else FailureCause.UNREACHABLE
         return failing(cause, but=lambda attempt: attempt >= 50)(job)
 
     recording.path = recording.path.with_name("mixed")
@@ -106,8 +108,8 @@ def test_one_success_or_another_cause_among_the_first_is_hope(recording: Recordi
 def test_what_physics_decides_is_believed_after_a_hundred(recording: Recording, asked: Asked, workers: int) -> None:
     recording.config = recording.config.model_copy(update={"episodes": 500})
 
-    def mixed(job: EpisodeJob) -> EpisodePayload:
-        return failing(Cause.OFF_TARGET if job.attempt % 4 else Cause.DROPPED)(job)
+    def mixed(job: AttemptJob) -> AttemptPayload:
+        return failing(FailureCause.OFF_TARGET if job.attempt % 4 else FailureCause.DROPPED)(job)
 
     with pytest.raises(SimulationError) as caught:
         recording.run(Inline(mixed), workers=workers)
@@ -119,8 +121,8 @@ def test_what_physics_decides_is_believed_after_a_hundred(recording: Recording, 
 
 @pytest.mark.parametrize("workers", [1, 8])
 def test_a_task_that_works_too_rarely_is_given_up_with_what_there_is(recording: Recording, workers: int) -> None:
-    with pytest.raises(GaveUpError) as caught:
-        recording.run(Inline(failing(Cause.SLIPPED, but=lambda attempt: attempt % 30 == 0)), workers=workers)
+    with pytest.raises(RetryLimitError) as caught:
+        recording.run(Inline(failing(FailureCause.SLIPPED, but=lambda attempt: attempt % 30 == 0)), workers=workers)
     assert len(recording.causes()) == 100
     message = str(caught.value)
     assert message.startswith(
@@ -135,7 +137,7 @@ def test_a_task_that_works_too_rarely_is_given_up_with_what_there_is(recording: 
 def test_a_lone_episode_is_given_as_many_attempts(recording: Recording) -> None:
     """With 20 attempts, one recording of 87 of a task that works one time in five would be given up."""
     recording.config = recording.config.model_copy(update={"episodes": 1})
-    report = recording.run(Inline(failing(Cause.SLIPPED, but=lambda attempt: attempt == 60)))
+    report = recording.run(Inline(failing(FailureCause.SLIPPED, but=lambda attempt: attempt == 60)))
     assert (report.episodes, report.attempts) == (1, 61)
 
 
@@ -146,18 +148,22 @@ FARTHER_AND_FARTHER = {("task", "starts", role, "x"): [0.55, 1.00] for role in (
 @pytest.mark.parametrize(
     ("changes", "cause", "wanted"),
     [
-        (FAR, Cause.UNREACHABLE, True),
-        (FARTHER_AND_FARTHER, Cause.UNREACHABLE, False),
-        ({}, Cause.UNREACHABLE, False),
-        pytest.param({("rig",): "bimanual", ("arm",): "left", **FAR}, Cause.UNREACHABLE, True, marks=pytest.mark.slow),
+        (FAR, FailureCause.UNREACHABLE, True),
+        (FARTHER_AND_FARTHER, FailureCause.UNREACHABLE, False),
+        ({}, FailureCause.UNREACHABLE, False),
         pytest.param(
-            {("rig",): "russet", ("task",): "handover", **FAR}, Cause.UNREACHABLE, True, marks=pytest.mark.slow
+            {("rig",): "bimanual", ("arm",): "left", **FAR}, FailureCause.UNREACHABLE, True, marks=pytest.mark.slow
         ),
-        ({("rig",): "russet", ("task",): "handover"}, Cause.UNREACHABLE, False),
-        pytest.param({("task", "starts", "target", "apart"): 0.9}, Cause.NO_LAYOUT, True, marks=pytest.mark.slow),
-        ({("task", "starts", "target", "apart"): 0.1}, Cause.NO_LAYOUT, False),
+        pytest.param(
+            {("rig",): "russet", ("task",): "handover", **FAR}, FailureCause.UNREACHABLE, True, marks=pytest.mark.slow
+        ),
+        ({("rig",): "russet", ("task",): "handover"}, FailureCause.UNREACHABLE, False),
+        pytest.param(
+            {("task", "starts", "target", "apart"): 0.9}, FailureCause.NO_LAYOUT, True, marks=pytest.mark.slow
+        ),
+        ({("task", "starts", "target", "apart"): 0.1}, FailureCause.NO_LAYOUT, False),
         # Which is for physics to say.
-        (FAR, Cause.SLIPPED, False),
+        (FAR, FailureCause.SLIPPED, False),
     ],
 )
 def test_starts_tell_whether_anything_is_in_reach(
@@ -165,8 +171,8 @@ def test_starts_tell_whether_anything_is_in_reach(
     locations: Locations,
     monkeypatch: pytest.MonkeyPatch,
     changes: dict[tuple[str, ...], object],
-    cause: Cause,
+    cause: FailureCause,
     wanted: bool,
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.recording.prospects.MORE_STARTS", 20)
-    assert no_better_start(Session(make_config(changes), locations), cause, 10) is wanted
+    monkeypatch.setattr("yamsim_cli.recording.retry_limit.MORE_STARTS", 20)
+    assert all_starts_fail(Session(make_config(changes), locations), cause, 10) is wanted

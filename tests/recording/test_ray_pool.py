@@ -8,21 +8,21 @@ from typing import Any
 
 import pytest
 
-from tests.core.workers.toy_runners import Toy
+from tests.core.workers.toy_runners import ToyRunner
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError, SimulationError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError, run_all
-from yamsim_cli.recording.executors import RayCluster
+from yamsim_cli.core.workers.executors import LostJobError, WorkerBugError, run_all
+from yamsim_cli.recording.executor_factories import RayExecutorFactory
 from yamsim_cli.recording.ray_pool import RayPool
 
 
 def test_without_ray_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ResourceError, match=r"^--executor ray needs the package ray: pip install 'yamsim\[ray\]'$"):
-        RayPool[int, object](Toy, 1)
+        RayPool[int, object](ToyRunner, 1)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def open_pool(cluster: Any) -> Any:
     made, _ = cluster
 
     def open_(workers: int = 2, **options: Any) -> RayPool[int | str, Any]:
-        return RayPool(Toy, workers, address=made.address, **options)
+        return RayPool(ToyRunner, workers, address=made.address, **options)
 
     return open_
 
@@ -81,8 +81,8 @@ class TestOnACluster:
     ) -> None:
         """As one does whose meshes, or whose yamsim, are not the recorder's."""
         noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
-        with RayCluster(cluster[0].address).open(Session(noted, locations), 1) as executor:
-            executor.submit(EpisodeJob(0, 0))
+        with RayExecutorFactory(cluster[0].address).open(Session(noted, locations), 1) as executor:
+            executor.submit(AttemptJob(0, 0))
             with pytest.raises(
                 ResourceError, match=r"^a worker on \S+ would show other meshes .*: i2rt_yam_crank: full 0"
             ):
@@ -117,4 +117,4 @@ class TestOnACluster:
     def test_no_cluster_at_the_address_is_said(self, address: str) -> None:
         pytest.importorskip("ray")
         with pytest.raises(ResourceError, match=rf"^no Ray cluster at {address}: .*refused; start one with `ray start"):
-            RayPool[int, object](Toy, 1, address=address)
+            RayPool[int, object](ToyRunner, 1, address=address)

@@ -15,10 +15,10 @@ import pytest
 from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.layout import CONFIG
+from yamsim_cli.core.dataset.dataset_paths import CONFIG
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 from yamsim_cli.core.dataset.writing.ledger import Ledger
-from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import PartialJobError, ResourceError
 
 CALLS = ("open", "write", "pwrite", "fsync", "ftruncate", "rename", "replace", "mkdir", "unlink", "rmdir")

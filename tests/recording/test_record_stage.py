@@ -13,11 +13,11 @@ from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Inline, Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
-from yamsim_cli.core.dataset.writing import stage as stage_module
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing import staged_writer as stage_module
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import InterruptedJobError, PartialJobError, ResourceError
-from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.workers.stop_request import StopRequest
 
 Make = Callable[..., RecordConfig]
 
@@ -74,7 +74,7 @@ def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -
 
     def blocked() -> None:
         target.reached.wait(30)
-        stop.ask()
+        stop.request()
 
     waiter = threading.Thread(target=blocked)
     waiter.start()
@@ -83,7 +83,7 @@ def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -
         with pytest.raises(InterruptedJobError):
             recording.run()
     waiter.join()
-    recording.stop = Stop()
+    recording.stop = StopRequest()
 
 
 def test_what_passes_through_a_stage_is_the_same(recording: Recording, undisturbed: dict[str, bytes]) -> None:

@@ -18,20 +18,20 @@ from tests.meshes import box
 from tests.programs import session_of
 from tests.recording.fake_episodes import Inline, Recording
 from tests.stand_in_meshes import stand_ins
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.episode.runner import EpisodeRunner
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.errors import ConfigError, ResourceError
-from yamsim_cli.core.files.documents.document import load_yaml
+from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.files.resources import Locations, Meshes
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.scene.build import noting_meshes
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.executor import InlineExecutor
-from yamsim_cli.recording.executors import pack, unpack, unpacked_runner
+from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.core.workers.executors import InlineExecutor
+from yamsim_cli.recording.executor_factories import pack_session, unpack_session, unpacked_runner
 
 Make = Callable[..., RecordConfig]
 ARM, YCB, SMALL, OBJECTS = "i2rt_yam_crank", "ycb", "ycb_small", "ycb_objects"
@@ -134,7 +134,7 @@ def test_of_another_configuration_its_keys_are_named_first(
 def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
     """What it says of them was so for that dataset."""
     there = replace(Locations.find({}), meshes=meshes)
-    recording.config = noting_meshes(Session(recording.config, there)).config
+    recording.config = state_meshes(Session(recording.config, there)).config
     recording.run()
     assert load_yaml(recording.path / "config.yaml").data["meshes"] == {ARM: "primitives", YCB: "primitives"}
 
@@ -154,7 +154,7 @@ class TestOfAnEarlierVersion:
     @pytest.fixture
     def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
         with monkeypatch.context() as patch:
-            patch.setattr("yamsim_cli.recording.recorder.noting_meshes", lambda session: session)
+            patch.setattr("yamsim_cli.recording.recorder.state_meshes", lambda session: session)
             recording.run()
         assert says_nothing(recording.path)
         return recording
@@ -190,7 +190,7 @@ class WithOther:
 
     def open(self, session: Session, workers: int) -> InlineExecutor:
         session = replace(session, locations=replace(session.locations, meshes=self.meshes))
-        factory = functools.partial(EpisodeRunner, session, render=True)
+        factory = functools.partial(AttemptRunner, session, render=True)
         return InlineExecutor(factory)
 
 
@@ -229,17 +229,17 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
     """The files of a set differ from cast to cast, and the recording states those of all things."""
     session = session_of(tmp_path, FRUIT)
     meshes = stand_ins(tmp_path / "meshes", session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
-    session = noting_meshes(replace(session, locations=replace(session.locations, meshes=meshes)))
+    session = state_meshes(replace(session, locations=replace(session.locations, meshes=meshes)))
     said = session.config.meshes
     assert said is not None and said[OBJECTS].startswith("full ")
-    EpisodeRunner(session, render=True).close()
+    AttemptRunner(session, render=True).close()
     # A worker that lacks one of the meshes, even if the first cast does not use it, is refused.
     for mesh in ("012_strawberry", "018_plum", "015_peach"):
         other = stand_ins(tmp_path / mesh, session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
         assert other[OBJECTS] is not None
         (other[OBJECTS] / f"{mesh}.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
         with pytest.raises(ResourceError, match=f"would show other meshes than the recorder: {OBJECTS}: full"):
-            EpisodeRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
+            AttemptRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
 
 
 def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfig) -> None:
@@ -253,8 +253,8 @@ def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfi
     locations = Locations((tmp_path / "mine", tmp_path / "built_in", tmp_path / "nowhere"), tmp_path / "cache")
 
     locations = replace(locations, meshes={"set": tmp_path / "set", "missing": None})
-    packed = pickle.loads(pickle.dumps(pack(Session(config, locations))))
-    unpacked = unpack(packed, tmp_path / "there")
+    packed = pickle.loads(pickle.dumps(pack_session(Session(config, locations))))
+    unpacked = unpack_session(packed, tmp_path / "there")
     assert unpacked.config == config
     there = unpacked.locations
     assert there.file("robot_models/arm/arm.xml").read_text() == "mine"
@@ -268,6 +268,6 @@ def test_a_runner_needs_nothing_but_its_packed(
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     config = make_config({("image", "size_px"): [16, 16]})
-    with unpacked_runner(pack(Session(config, locations))) as runner:
-        assert planned(runner._simulators.of(EpisodeJob(0, 0)), 0).states
+    with unpacked_runner(pack_session(Session(config, locations))) as runner:
+        assert planned(runner._simulators.get(AttemptJob(0, 0)), 0).states
     assert list(tmp_path.iterdir()) == [], "something is left on the node"

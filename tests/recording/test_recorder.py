@@ -12,13 +12,13 @@ import pytest
 
 from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Inline, Recording, payload
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.expert.skills.program import typical_ticks
-from yamsim_cli.core.files.mounts import Mount
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.files.filesystem_mounts import Mount
+from yamsim_cli.core.workers.stop_request import StopRequest
 
 Make = Callable[..., RecordConfig]
 
@@ -99,7 +99,7 @@ def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> 
     with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes are whole"):
         recording.resume(Inline(lose={2}))
     with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
-        recording.resume(Inline(lambda job: EpisodePayload(Attempt(job), Outcome(False, Cause.DROPPED))))
+        recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
 
 
 def test_a_damaged_episode_is_made_again_and_the_user_told(recording: Recording, undisturbed: dict[str, bytes]) -> None:
@@ -162,7 +162,7 @@ def test_a_stop_before_a_lost_line_is_told_again_loses_nothing(
     recording.run()
     spoil(recording, 1, 4)
 
-    def interrupted(job: EpisodeJob) -> EpisodePayload:
+    def interrupted(job: AttemptJob) -> AttemptPayload:
         if job.attempt == 4:
             raise KeyboardInterrupt
         return payload(job)
@@ -194,7 +194,7 @@ def test_an_attempt_that_must_have_succeeded_and_fails_now_is_named(recording: R
     shutil.rmtree(recording.path / "ep_000001")
     for _ in range(2):
         with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
-            recording.resume(Inline(lambda job: EpisodePayload(Attempt(job), Outcome(False, Cause.DROPPED))))
+            recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
         with pytest.raises(PartialJobError, match="attempt 2 cannot be made again"):
             recording.resume(Inline(lose={2}))
 
@@ -202,8 +202,8 @@ def test_an_attempt_that_must_have_succeeded_and_fails_now_is_named(recording: R
 def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
     recording: Recording, undisturbed: dict[str, bytes]
 ) -> None:
-    def stopping(job: EpisodeJob) -> EpisodePayload:
-        recording.stop.ask()
+    def stopping(job: AttemptJob) -> AttemptPayload:
+        recording.stop.request()
         return payload(job)
 
     executor = Inline(stopping)
@@ -213,23 +213,23 @@ def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
         recording.run(executor, workers=3)
     assert sorted(executor.made) == [0, 1, 2]
     assert (recording.path / "manifest.json").is_file()
-    recording.stop = Stop()
+    recording.stop = StopRequest()
     recording.resume()
     assert tree(recording.path) == undisturbed
 
 
 def test_a_wish_to_stop_does_not_wait_for_ever(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    def hang(job: EpisodeJob) -> EpisodePayload:
-        recording.stop.ask()
+    def hang(job: AttemptJob) -> AttemptPayload:
+        recording.stop.request()
         raise TimeoutError
 
-    monkeypatch.setattr(Stop, "waited", 61.0)
+    monkeypatch.setattr(StopRequest, "seconds_since_request", 61.0)
     with pytest.raises(InterruptedJobError):
         recording.run(Inline(hang))
 
 
 def test_ctrl_c_ends_it_at_once_and_loses_nothing(recording: Recording, undisturbed: dict[str, bytes]) -> None:
-    def interrupted(job: EpisodeJob) -> EpisodePayload:
+    def interrupted(job: AttemptJob) -> AttemptPayload:
         if job.attempt == 3:
             raise KeyboardInterrupt
         return payload(job)
@@ -263,7 +263,7 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(
 @pytest.mark.parametrize("wrist", [False, True])
 def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool) -> None:
     mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
-    monkeypatch.setattr("yamsim_cli.recording.destination.network_mount", lambda path, mounts: mount)
+    monkeypatch.setattr("yamsim_cli.recording.recording_output.network_mount", lambda path, mounts: mount)
     recording.config = recording.config.model_copy(update={"wrist": wrist})
     recording.run()
     (warning,) = recording.warnings
@@ -279,7 +279,7 @@ def test_locks_that_do_not_reach_others_are_told_apart(recording: Recording, mon
     mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
     recording.path.mkdir()
     (recording.path / ".lock").write_text('{"pid": 1, "host": "elsewhere"}')
-    monkeypatch.setattr("yamsim_cli.recording.destination.network_mount", lambda path, mounts: mount)
+    monkeypatch.setattr("yamsim_cli.recording.recording_output.network_mount", lambda path, mounts: mount)
     with pytest.raises(ResourceError, match="by process 1 on elsewhere"):
         recording.run()
     monkeypatch.undo()

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.dataset.making import made, write_dataset
-from yamsim_cli.core.config.pictures import ImageConfig
-from yamsim_cli.core.dataset.disk_faults import explain, reason
+from yamsim_cli.core.config.rendering import ImageConfig
+from yamsim_cli.core.dataset.disk_errors import describe_disk_error, explain_disk_error
 from yamsim_cli.core.dataset.records import Manifest, from_json
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.recording.space import EpisodeSize, check_space, files_per_episode
+from yamsim_cli.recording.disk_space import EpisodeSize, check_space, files_per_episode
 
 SIZE = EpisodeSize(least=1_000_000, likely=4_000_000, least_inodes=100, inodes=120)
 
@@ -57,15 +57,15 @@ def test_what_may_not_fit_is_a_warning(disk: SimpleNamespace) -> None:
 
 def test_every_image_takes_whole_blocks() -> None:
     tiny = ImageConfig(size_px=(16, 16), jpeg_quality=85)
-    size = EpisodeSize.expected((57, 57), 2, tiny, block=4096)
+    size = EpisodeSize.estimate((57, 57), 2, tiny, block=4096)
     assert size.inodes == 57 * 3 + 6
     assert size.least >= 57 * 3 * 4096
-    assert size.least < EpisodeSize.expected((57, 57), 2, tiny, block=65536).least
+    assert size.least < EpisodeSize.estimate((57, 57), 2, tiny, block=65536).least
 
 
 def test_ground_truth_is_counted() -> None:
     image = ImageConfig(size_px=(640, 480), jpeg_quality=85)
-    plain, truth = (EpisodeSize.expected((57, 57), 2, image, 4096, truth=truth) for truth in (False, True))
+    plain, truth = (EpisodeSize.estimate((57, 57), 2, image, 4096, truth=truth) for truth in (False, True))
     assert files_per_episode(57, 2, truth=False) == 57 * 3
     # Depth and segmentation of each camera; its numbers; the labels; and the folders of them all.
     assert truth.inodes - plain.inodes == 57 * 4 + 3 + 7
@@ -75,11 +75,11 @@ def test_ground_truth_is_counted() -> None:
 
 
 def test_episodes_that_are_there_teach_what_the_next_will_take(tmp_path: Path, disk: SimpleNamespace) -> None:
-    guess = EpisodeSize.expected((57, 57), 1, ImageConfig(size_px=(640, 480), jpeg_quality=85), block=4096)
-    assert guess.learned([], 4096) == guess
+    guess = EpisodeSize.estimate((57, 57), 1, ImageConfig(size_px=(640, 480), jpeg_quality=85), block=4096)
+    assert guess.from_recorded([], 4096) == guess
     dataset = write_dataset(tmp_path / "dataset")
     manifest = from_json(Manifest, (dataset / "manifest.json").read_bytes(), "manifest")
-    known = guess.learned(manifest.episodes, 4096)
+    known = guess.from_recorded(manifest.episodes, 4096)
     real = sum(len(data) for data in made(0).files.values())
     assert real < known.likely < real + 119 * 4096
     assert 0.7 * known.likely < known.least < known.likely
@@ -87,7 +87,7 @@ def test_episodes_that_are_there_teach_what_the_next_will_take(tmp_path: Path, d
 
 def test_of_a_program_the_lower_bound_is_refused_and_the_likely_size_warned_of(disk: SimpleNamespace) -> None:
     image = ImageConfig(size_px=(64, 48), jpeg_quality=85)
-    size = EpisodeSize.expected((40, 80), 2, image, block=4096)
+    size = EpisodeSize.estimate((40, 80), 2, image, block=4096)
     assert (size.least_inodes, size.inodes) == (40 * 3 + 6, 80 * 3 + 6)
     disk.f_bavail, disk.f_favail = 10**6, 126
     assert "246 files" in (check_space(Path("/d"), 1, size) or "")
@@ -98,7 +98,7 @@ def test_of_a_program_the_lower_bound_is_refused_and_the_likely_size_warned_of(d
 
 def test_a_typical_picture_takes_more_at_a_higher_quality() -> None:
     sizes = [
-        EpisodeSize.expected((57, 57), 1, ImageConfig(size_px=(640, 480), jpeg_quality=quality), 4096)
+        EpisodeSize.estimate((57, 57), 1, ImageConfig(size_px=(640, 480), jpeg_quality=quality), 4096)
         for quality in (20, 50, 85, 100)
     ]
     assert [size.likely for size in sizes] == sorted({size.likely for size in sizes})
@@ -108,9 +108,11 @@ def test_a_typical_picture_takes_more_at_a_higher_quality() -> None:
 @pytest.mark.parametrize(("inodes", "what"), [(0, "no inodes left on the device"), (7, "no space left on the device")])
 def test_a_full_disk_says_of_what(disk: SimpleNamespace, inodes: int, what: str) -> None:
     disk.f_favail = inodes
-    assert what in reason(OSError(28, "No space left on device"), Path("/d"))
+    assert what in describe_disk_error(OSError(28, "No space left on device"), Path("/d"))
 
 
 def test_an_error_names_its_file_or_at_least_the_dataset() -> None:
-    assert explain(OSError(5, "Input/output error", "/d/x"), Path("/d")).startswith("/d/x: Input/output error: ")
-    assert explain(OSError(1, "Odd"), Path("/d")) == "/d: Odd"
+    assert explain_disk_error(OSError(5, "Input/output error", "/d/x"), Path("/d")).startswith(
+        "/d/x: Input/output error: "
+    )
+    assert explain_disk_error(OSError(1, "Odd"), Path("/d")) == "/d: Odd"

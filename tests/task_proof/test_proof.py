@@ -8,18 +8,18 @@ from pathlib import Path
 import pytest
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
-from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.execution import demonstrate
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.task_proof.catalog import task_there, tasks_there
-from yamsim_cli.task_proof.proof import (
+from yamsim_cli.task_validation.task_catalog import task_entries, task_entry
+from yamsim_cli.task_validation.validation import (
+    check_holding_still,
     check_near_misses,
     check_open_fingers,
     check_reach,
-    check_still,
-    prove,
-    require_proof,
+    require_passed,
+    validate_task,
 )
 
 
@@ -79,34 +79,34 @@ def test_the_share_in_reach_is_measured(simulators: Simulators, tmp_path: Path) 
 
 
 def test_nothing_and_open_fingers_reach_nothing(simulators: Simulators) -> None:
-    assert check_still(simulators, 0, 1).ok
+    assert check_holding_still(simulators, 0, 1).ok
     assert check_open_fingers(simulators, 0, 1).ok
 
 
 def test_a_goal_that_nothing_is_needed_for_has_no_start(tmp_path: Path) -> None:
     lying = changed({("goal",): {"upright": {"thing": "cube"}}})
     with Simulators(session_of(tmp_path, lying)) as simulators:
-        check = check_still(simulators, 0, 1)
+        check = check_holding_still(simulators, 0, 1)
     assert check.ok is False and check.detail == "no attempt had a start"
 
 
 @pytest.mark.slow
 def test_a_proof_has_everything(tmp_path: Path) -> None:
-    report = prove(session_of(tmp_path, ONTO_PLATE, n=2), 0.5, lambda done, wanted: None)
+    report = validate_task(session_of(tmp_path, ONTO_PLATE, n=2), 0.5, lambda done, wanted: None)
     assert report["ok"] and report["success_rate"] == 1.0 and report["n"] == 2
     names = [check["name"] for check in report["checks"]]
     assert names == ["program", "expert", "reach", "hold_still", "open_fingers", "near_misses"]
-    require_proof(report)
+    require_passed(report)
 
 
 def test_a_failed_proof_is_an_error() -> None:
     failed = {"name": "reach", "ok": False, "detail": "of each region: cube 10%"}
     with pytest.raises(SimulationError, match="task 'small': reach: of each region: cube 10%"):
-        require_proof({"task": "small", "checks": [{"name": "expert", "ok": True, "detail": ""}, failed]})
+        require_passed({"task": "small", "checks": [{"name": "expert", "ok": True, "detail": ""}, failed]})
 
 
 def test_tasks_are_listed_with_what_they_are(locations: Locations) -> None:
-    items = {item["name"]: item for item in tasks_there(locations)}
+    items = {item["name"]: item for item in task_entries(locations)}
     assert items["tower"]["skills"] == ["pick", "place"] and items["tower"]["goal"] == ["stacked"]
     assert items["pickplace"]["things"] == {"object": ["banana"], "target": ["plate"]}
-    assert task_there("tower", locations)["counts"] == {"cube": 3}
+    assert task_entry("tower", locations)["counts"] == {"cube": 3}

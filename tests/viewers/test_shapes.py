@@ -10,9 +10,9 @@ import pytest
 
 pytest.importorskip("viser", reason="yamsim[view] is not installed")
 
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.bodies_page import serve_page
-from yamsim_cli.viewers.shapes import add_bodies
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.scene_nodes import add_bodies
+from yamsim_cli.viewers.scene_page import serve_page
 
 GEOMS = {
     "sphere": "0.1",

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("viser", reason="yamsim[view] is not installed")
 
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.viewers.teleop_page import TargetFields, heading_of
+from yamsim_cli.viewers.teleop_page import TargetFields, hand_heading
 
 
 class Field:
@@ -139,5 +139,5 @@ def test_a_target_that_became_another_is_shown(fields: TargetFields, page: Page)
 def test_a_heading_turns_the_hand_about_the_vertical(fields: TargetFields, page: Page) -> None:
     page.heading.typed(30.0)
     target = fields.take(T_HOME)
-    assert np.degrees(heading_of(target)) == pytest.approx(30.0)
+    assert np.degrees(hand_heading(target)) == pytest.approx(30.0)
     assert np.array_equal(target[:3, 3], T_HOME[:3, 3])

@@ -18,19 +18,19 @@ os.environ.setdefault("MUJOCO_GL", "off")
 import mujoco
 import numpy as np
 
+from yamsim_cli.core.attempt_data import ActionSequence, AttemptJob, StepState
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.episode.engine import demonstrate, repeat
-from yamsim_cli.core.episode.rules import REPEATED_RULES
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
+from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.geometry.sheets import crossings
-from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles
+from yamsim_cli.core.scene.cloth import add_cloth, flat_points, grid_edges, grid_triangles
 from yamsim_cli.core.sim.cloth import ClothGrips
-from yamsim_cli.core.types import Actions, EpisodeJob, StepState
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 # A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
 _STEPS, _STEP, _LET_GO = 300, 0.004, 225
@@ -53,10 +53,10 @@ class Sheet:
     def see(self, points: Array) -> None:
         """Look at the points (n, 3)."""
         began = time.process_time()
-        ends = edges(*self.grid)
+        ends = grid_edges(*self.grid)
         lengths = [np.linalg.norm(at[ends[:, 0]] - at[ends[:, 1]], axis=1) for at in (points, self.rest)]
         self.stretch = max(self.stretch, float((lengths[0] / lengths[1]).max()) - 1)
-        self.crossings = max(self.crossings, crossings(points, ends, triangles(*self.grid)))
+        self.crossings = max(self.crossings, count_self_intersections(points, ends, grid_triangles(*self.grid)))
         self.seconds += time.process_time() - began
 
 
@@ -81,13 +81,13 @@ class _Watching:
 def fold(task: str, count: int, first: int, spoilt: int) -> None:
     """Attempts of a task's expert; of the first ones also without closing fingers, and let go half-way."""
     watching = _Watching()
-    opener = Opener(os.environ, lambda text: None, str)
+    opener = SessionOpener(os.environ, lambda text: None, str)
     with Simulators(opener.open("default", renders=False, task=task)) as simulators:
         for number in range(first, first + count):
             watching.sheets.clear()
-            job, began = EpisodeJob(0, number), time.process_time()
-            simulator = simulators.of(job)
-            done = demonstrate(simulator, sample(simulator, job))
+            job, began = AttemptJob(0, number), time.process_time()
+            simulator = simulators.get(job)
+            done = demonstrate(simulator, sample_attempt(simulator, job))
             took = time.process_time() - began - sum(sheet.seconds for sheet in watching.sheets.values())
             outcome, sheets = done.outcome, list(watching.sheets.values())
             print(
@@ -101,14 +101,14 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
                 print(f"   the expert's fingers do not close: {stuck.cause or 'folded'}", flush=True)
                 for what, share in (("the same motion, fingers open", 0.0), ("let go half-way", 0.5)):
                     opened = _opened(simulator, done.states, share)
-                    spoilt_one = repeat(simulator, done.attempt, opened, REPEATED_RULES).outcome
+                    spoilt_one = run_actions(simulator, done.attempt, opened, REPLAY_RULES).outcome
                     said = "; ".join(measure.detail for measure in spoilt_one.measures if measure.detail)
                     print(f"   {what}: {spoilt_one.cause or 'folded'}, {said}", flush=True)
 
 
-def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> Actions:
+def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> ActionSequence:
     """An episode's actions, with fingers open after a share of what is held, or throughout for 0."""
-    acting = Actions(
+    acting = ActionSequence(
         *(np.concatenate([getattr(s.actions, key) for s in states]) for key in ("ctrl", "magnet", "joints"))
     )
     held, ctrl = np.flatnonzero(acting.magnet.any(axis=1)), acting.ctrl.copy()
@@ -122,7 +122,7 @@ def shake(name: str, count: int) -> None:
     """A cloth over a table: dropped as it may be turned, or pulled at a point in three directions and let go."""
     item = load_config(ObjectConfig, "objects", name, Locations.find(os.environ))
     assert item.cloth is not None, "give a cloth"
-    spec, rest = mujoco.MjSpec(), rest_points(item.cloth)
+    spec, rest = mujoco.MjSpec(), flat_points(item.cloth)
     spec.option.timestep, spec.option.integrator = _STEP, mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 0.05], pos=[0, 0, -0.05], condim=4)
@@ -172,7 +172,7 @@ def _shaken(
         mujoco.mj_step(model, data)
         fastest = max(fastest, float(np.abs(data.qvel).max()))
         if step % 10 == 0:
-            ends, at = edges(*sheet.grid), sheet.rest + data.qpos.reshape(-1, 3)
+            ends, at = grid_edges(*sheet.grid), sheet.rest + data.qpos.reshape(-1, 3)
             lengths = [np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1) for x in (at, sheet.rest)]
             sheet.stretch = max(sheet.stretch, float((lengths[0] / lengths[1]).max()) - 1)
     sheet.see(sheet.rest + data.qpos.reshape(-1, 3))

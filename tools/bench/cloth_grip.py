@@ -15,10 +15,10 @@ import numpy as np
 
 from tests.hands import hand
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.scene.cloth import add_cloth, rest_points
+from yamsim_cli.core.scene.cloth import add_cloth, flat_points
 
 _CLOTH = "soft_napkin"
 _STEP = 0.004
@@ -65,7 +65,7 @@ def slip(gripper: str, setting: Setting) -> float:
     assert found.cloth is not None
     cloth = found.cloth.model_copy(update={"grid": (setting.grid, setting.grid), "friction": setting.friction})
     model = _model(gripper, found.model_copy(update={"cloth": cloth}), setting)
-    data, rest = mujoco.MjData(model), rest_points(cloth)
+    data, rest = mujoco.MjData(model), flat_points(cloth)
     fingers = [model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
     points = np.arange(model.nq - 3 * len(rest), model.nq).reshape(-1, 3)
     data.qpos[fingers] = _LYING if setting.tips is not None else _UPRIGHT

@@ -30,8 +30,8 @@ def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.objects.importing.from_file import import_directly
-    from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
+    from yamsim_cli.objects.importing.file_import import import_directly
+    from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
     file = folder / "cabinet.sdf"
     file.write_text(cabinet_sdf())
@@ -47,7 +47,7 @@ def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
         ("seed",): seed,
     }
     config = load_config(RecordConfig, "record", "default", where, {k: ("--x", v) for k, v in overrides.items()})
-    return DrivenScene(Session(config, where), _Nowhere())  # type: ignore[arg-type]
+    return TeleopScene(Session(config, where), _Nowhere())  # type: ignore[arg-type]
 
 
 def steps(session: Any, seconds: float) -> None:

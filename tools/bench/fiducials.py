@@ -33,10 +33,10 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.photos.fiducials.locate import locate, locate_together
-from yamsim_cli.photos.fiducials.sighting import BoardStatus, Sighting
-from yamsim_cli.photos.overlay.arm_poses import find_arms
-from yamsim_cli.photos.overlay.lenses import Lens
+from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus
+from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_together
+from yamsim_cli.photos.overlay.photo_arm_poses import find_arms
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.photos import Photo
 
 # Poses that are off by more than this are wrong.
@@ -47,7 +47,7 @@ TILTS = ((0, 15), (15, 30), (30, 45), (45, 60), (60, 75))
 
 
 @dataclass(frozen=True)
-class Case:
+class PhotoCase:
     """What one table row is made of: where the camera stands, and what spoils the photo.
 
     Attributes:
@@ -86,40 +86,40 @@ class Trial:
     sigma_mm: float | None = None
 
 
-def cases() -> dict[str, list[Case]]:
+def cases() -> dict[str, list[PhotoCase]]:
     """Table -> rows."""
     hard = {
-        "as above": Case("as above", 0.8),
-        "noise sigma 20": Case("", 0.8, spoil=(("noise", 20.0),)),
-        "JPEG quality 50": Case("", 0.8, spoil=(("jpeg", 50),)),
-        "light x 0.1": Case("", 0.8, spoil=(("light", 0.1),)),
-        "blur sigma 1.5 px": Case("", 0.8, spoil=(("blur", 1.5),)),
-        "blur sigma 2.5 px": Case("", 0.8, spoil=(("blur", 2.5),)),
-        "5 px of motion": Case("", 0.8, spoil=(("motion", 5.0),)),
-        "9 px of motion": Case("", 0.8, spoil=(("motion", 9.0),)),
-        "4 of 9 markers hidden": Case("", 0.8, hidden=4),
-        "8 of 9 markers hidden": Case("", 0.8, hidden=8),
-        "blur sigma 4 px": Case("", 0.8, spoil=(("blur", 4.0),)),
-        "12 px of motion": Case("", 0.8, spoil=(("motion", 12.0),)),
-        "half covered": Case("", 0.8, damage=half_covered),
-        "glare over a third": Case("", 0.8, damage=glaring),
-        "a crease of 4 degrees": Case("", 0.8, damage=creased),
-        "light from 25 to 100 %": Case("", 0.8, damage=unevenly_lit),
-        "one of two prints at 97 %": Case("", (0.6, 1.2), second_print=0.97),
-        "distortion k1 = -0.3, k2 = 0.1": Case("", 0.8, distortion=(-0.3, 0.1, 0.001, -0.001)),
+        "as above": PhotoCase("as above", 0.8),
+        "noise sigma 20": PhotoCase("", 0.8, spoil=(("noise", 20.0),)),
+        "JPEG quality 50": PhotoCase("", 0.8, spoil=(("jpeg", 50),)),
+        "light x 0.1": PhotoCase("", 0.8, spoil=(("light", 0.1),)),
+        "blur sigma 1.5 px": PhotoCase("", 0.8, spoil=(("blur", 1.5),)),
+        "blur sigma 2.5 px": PhotoCase("", 0.8, spoil=(("blur", 2.5),)),
+        "5 px of motion": PhotoCase("", 0.8, spoil=(("motion", 5.0),)),
+        "9 px of motion": PhotoCase("", 0.8, spoil=(("motion", 9.0),)),
+        "4 of 9 markers hidden": PhotoCase("", 0.8, hidden=4),
+        "8 of 9 markers hidden": PhotoCase("", 0.8, hidden=8),
+        "blur sigma 4 px": PhotoCase("", 0.8, spoil=(("blur", 4.0),)),
+        "12 px of motion": PhotoCase("", 0.8, spoil=(("motion", 12.0),)),
+        "half covered": PhotoCase("", 0.8, damage=half_covered),
+        "glare over a third": PhotoCase("", 0.8, damage=glaring),
+        "a crease of 4 degrees": PhotoCase("", 0.8, damage=creased),
+        "light from 25 to 100 %": PhotoCase("", 0.8, damage=unevenly_lit),
+        "one of two prints at 97 %": PhotoCase("", (0.6, 1.2), second_print=0.97),
+        "distortion k1 = -0.3, k2 = 0.1": PhotoCase("", 0.8, distortion=(-0.3, 0.1, 0.001, -0.001)),
     }
     return {
-        "range, tilt 0-60 deg": [Case(f"{distance} m", distance) for distance in RANGES],
+        "range, tilt 0-60 deg": [PhotoCase(f"{distance} m", distance) for distance in RANGES],
         "tilt, at 0.8 m": [
-            Case(f"{low}-{high} deg", 0.8, (math.radians(low), math.radians(high))) for low, high in TILTS
+            PhotoCase(f"{low}-{high} deg", 0.8, (math.radians(low), math.radians(high))) for low, high in TILTS
         ],
-        "both boards of russet, margin trusted": [Case(f"{d} m, together", d, both=True) for d in (0.8, 1.0, 1.2)],
+        "both boards of russet, margin trusted": [PhotoCase(f"{d} m, together", d, both=True) for d in (0.8, 1.0, 1.2)],
         "spoilt photos, at 0.8 m": [replace(case, name=name) for name, case in hard.items()],
-        "anything up to 1.2 m": [Case("0.3-1.2 m, tilt 0-75 deg", (0.3, 1.2), (0.0, math.radians(75)), times=10)],
+        "anything up to 1.2 m": [PhotoCase("0.3-1.2 m, tilt 0-75 deg", (0.3, 1.2), (0.0, math.radians(75)), times=10)],
     }
 
 
-def run(case: Case, poses: int, seed: int) -> list[Trial]:
+def run(case: PhotoCase, poses: int, seed: int) -> list[Trial]:
     """Take and analyse `poses` photos for one row; in a process of its own."""
     cv2.setNumThreads(1)
     camera = CameraModel(CAMERA.width, CAMERA.height, CAMERA.K, case.distortion)
@@ -147,7 +147,7 @@ def _as_printed(rig: RigConfig, second: float) -> RigConfig:
     return rig.model_copy(update={"arms": type(rig.arms)([rig.arms[0], arm])})
 
 
-def _one(case: Case, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
+def _one(case: PhotoCase, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
     which, distance = int(rng.integers(len(photographer.boards))), _distance(case, rng)
     T_cam = shot_of(photographer, rng, distance, case.tilt, which)
     placed = photographer.boards[which]
@@ -160,17 +160,17 @@ def _one(case: Case, photographer: Photographer, rng: np.random.Generator) -> li
         image = covered(image, photographer.camera, placed.board, truth, hidden)
     photo = spoilt(image, rng, **dict(case.spoil))  # type: ignore[arg-type]
     began = time.process_time()
-    (seen,), _ = locate(photo, photographer.camera, [placed.board])
+    (seen,), _ = locate_boards(photo, photographer.camera, [placed.board])
     return [_trial(case, distance, seen, truth, time.process_time() - began)]
 
 
-def _each(case: Case, said: RigConfig, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
+def _each(case: PhotoCase, said: RigConfig, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
     """Both boards as `yamsim overlay` takes them, by what the rig says of their prints."""
     distance = _distance(case, rng)
     T_cam = shot_of(photographer, rng, distance, case.tilt)
     photo = spoilt(photographer.take(), rng)
     began = time.process_time()
-    lens = Lens.known(photographer.camera, "file")
+    lens = PhotoCamera.from_calibration(photographer.camera, "file")
     arms = find_arms(said, Photo(Path("photo.png")), photo, lens, trust_margin=False).arms
     took = time.process_time() - began
     return [
@@ -180,16 +180,16 @@ def _each(case: Case, said: RigConfig, photographer: Photographer, rng: np.rando
     ]
 
 
-def _distance(case: Case, rng: np.random.Generator) -> float:
+def _distance(case: PhotoCase, rng: np.random.Generator) -> float:
     return case.distance if isinstance(case.distance, float) else float(rng.uniform(*case.distance))
 
 
-def _both(case: Case, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
+def _both(case: PhotoCase, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
     distance = _distance(case, rng)
     T_cam = shot_of(photographer, rng, distance, case.tilt)
     photo = spoilt(photographer.take(), rng)
     began = time.process_time()
-    seen, _ = locate(photo, photographer.camera, [placed.board for placed in photographer.boards])
+    seen, _ = locate_boards(photo, photographer.camera, [placed.board for placed in photographer.boards])
     if all(one.status is BoardStatus.OK for one in seen):
         seen = locate_together(photo, photographer.camera, seen, [b.T_in_world for b in photographer.boards]) or seen
     took = time.process_time() - began
@@ -199,7 +199,7 @@ def _both(case: Case, photographer: Photographer, rng: np.random.Generator) -> l
     ]
 
 
-def _trial(case: Case, distance: float, seen: Sighting, truth: Array, seconds: float) -> Trial:
+def _trial(case: PhotoCase, distance: float, seen: BoardDetection, truth: Array, seconds: float) -> Trial:
     trial = Trial(case.name, distance, str(seen.status), len(seen.markers), seconds * 1000)
     T = seen.T_board_in_cam
     if T is None:
@@ -213,7 +213,7 @@ def _trial(case: Case, distance: float, seen: Sighting, truth: Array, seconds: f
     )
 
 
-def table(title: str, rows: Iterable[tuple[Case, list[Trial]]]) -> Table:
+def table(title: str, rows: Iterable[tuple[PhotoCase, list[Trial]]]) -> Table:
     """Median, 95 % and maximum of every row."""
     result = Table(title=title, title_justify="left", show_edge=False)
     for column in ("", "boards", "found", "wrong", "mm", "deg", "px", "ms"):

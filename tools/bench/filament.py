@@ -23,8 +23,8 @@ from tests.truth_photos import Photographer, shot_of, spoilt
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.photos.fiducials.locate import locate
-from yamsim_cli.photos.fiducials.sighting import Sighting
+from yamsim_cli.photos.fiducials.board_detection import BoardDetection
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 # Poses off by more than this are wrong, degrees and mm.
 WRONG = (3.0, 15.0)
@@ -69,7 +69,7 @@ class Filament:
         return self._picture.copy()
 
 
-def off(seen: Sighting, truth: Array) -> tuple[float, float]:
+def off(seen: BoardDetection, truth: Array) -> tuple[float, float]:
     """Errors of a pose: degrees and mm."""
     T = seen.T_board_in_cam
     assert T is not None
@@ -106,7 +106,7 @@ def main() -> None:
             if options.keep:
                 cv2.imwrite(str(options.keep / f"{k:03d}.png"), photo)
             began = time.thread_time()
-            seen, _ = locate(photo, camera, [one.board for one in placed], T_rig)
+            seen, _ = locate_boards(photo, camera, [one.board for one in placed], T_rig)
             times.append(time.thread_time() - began)
             for n, (one, sighting) in enumerate(zip(placed, seen, strict=True)):
                 truth = inverse(T_cam) @ one.T_in_world

@@ -9,15 +9,15 @@ import numpy as np
 
 from tests.attempts import all_actions
 from tools.bench.setting import Stopwatch
-from yamsim_cli.core.episode.engine import Simulated, repeat
-from yamsim_cli.core.episode.payload import frames
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.writing import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg
 
 
-def floor_seconds(simulator: Simulator, done: Simulated, place: Path) -> dict[str, float]:
+def floor_seconds(simulator: Simulator, done: SimulatedAttempt, place: Path) -> dict[str, float]:
     """Part -> seconds for one episode.
 
     Args:
@@ -26,12 +26,14 @@ def floor_seconds(simulator: Simulator, done: Simulated, place: Path) -> dict[st
     config, scene = simulator.config, simulator.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))
     with physics:
-        repeat(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
+        run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     data = mujoco.MjData(scene.model)
     width, height = config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
     files = {}
-    for k, (state, frame) in enumerate(zip(done.states, frames(simulator, done.attempt, done.states), strict=True)):
+    for k, (state, frame) in enumerate(
+        zip(done.states, frame_records(simulator, done.attempt, done.states), strict=True)
+    ):
         data.qpos[:] = state.qpos
         mujoco.mj_forward(scene.model, data)
         for camera in scene.cameras:

@@ -18,9 +18,9 @@ import numpy as np
 
 from tests.rig_scenes import STEP, new_scene, plant, rig_scene, swings
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.real.gap.figures import gap_of
+from yamsim_cli.real.gap.gap_figures import measure_gap
 
 _FINE = 0.0005
 # Of 16 bits over 25 rad. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
@@ -29,7 +29,7 @@ _SECONDS = 15.0
 
 
 @dataclass(frozen=True)
-class Planted:
+class TruePlantDifference:
     """How a plant differs: the delay of its commands, s, and by what factor friction is another one, of each joint."""
 
     delay: float
@@ -42,7 +42,7 @@ def jittered(rng: np.random.Generator) -> Array:
     return np.round(times, 6)
 
 
-def real(scene: CompiledScene, times: Array, commands: Array, planted: Planted) -> Motion:
+def real(scene: CompiledScene, times: Array, commands: Array, planted: TruePlantDifference) -> RecordedMotion:
     """What a plant measured as it was told `commands` (n, dof)."""
     arm, data = scene.arm, mujoco.MjData(scene.model)
     own = scene.model.dof_frictionloss[arm.joint_dof].copy()
@@ -58,7 +58,7 @@ def real(scene: CompiledScene, times: Array, commands: Array, planted: Planted) 
             mujoco.mj_step(scene.model, data)
         joints[k] = data.qpos[arm.joint_qpos]
     scene.model.dof_frictionloss[arm.joint_dof] = own
-    return Motion("plant", times, (ArmMotion("", np.round(joints / _CAN_STEP) * _CAN_STEP, commands),))
+    return RecordedMotion("plant", times, (ArmMotion("", np.round(joints / _CAN_STEP) * _CAN_STEP, commands),))
 
 
 def delays(plants: int, frictions: tuple[float, float]) -> dict[str, float]:
@@ -68,9 +68,13 @@ def delays(plants: int, frictions: tuple[float, float]) -> dict[str, float]:
     for seed in range(plants):
         rng = np.random.default_rng([11, seed])
         times = jittered(rng)
-        planted = Planted(rng.uniform(0, 0.06), rng.uniform(*frictions, 6))
-        gap = gap_of(model, real(fine, times, swings(times, seed=seed), planted))
-        off += [1000 * (joint.beyond.delay - planted.delay) for joint in gap.joints if joint.beyond.delay is not None]
+        planted = TruePlantDifference(rng.uniform(0, 0.06), rng.uniform(*frictions, 6))
+        gap = measure_gap(model, real(fine, times, swings(times, seed=seed), planted))
+        off += [
+            1000 * (joint.measured_vs_simulated.delay - planted.delay)
+            for joint in gap.joints
+            if joint.measured_vs_simulated.delay is not None
+        ]
         sizes.append(gap.error.rms * 1000)
     spread = np.percentile(np.abs(off), [50, 95, 100])
     return {
@@ -88,7 +92,7 @@ def perfect(plants: int) -> float:
     for seed in range(plants):
         steps = np.random.default_rng([12, seed]).integers(3, 8, round(_SECONDS / 0.01))
         times = np.round(np.concatenate([[0], np.cumsum(steps)]) * STEP, 6)
-        worst = max(worst, gap_of(rig_scene(), plant(rig_scene(), times, [swings(times, seed=seed)])).error.max)
+        worst = max(worst, measure_gap(rig_scene(), plant(rig_scene(), times, [swings(times, seed=seed)])).error.max)
     return worst * 1000
 
 
@@ -97,7 +101,7 @@ def cost() -> float:
     times = np.arange(0, 60, 0.01)
     motion = plant(rig_scene(), times, [swings(times)])
     began = time.perf_counter()
-    gap_of(rig_scene(), motion)
+    measure_gap(rig_scene(), motion)
     return time.perf_counter() - began
 
 

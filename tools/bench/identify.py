@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.planted_arms import Planted, drive, random_plant
+from tests.planted_arms import TrueParameters, drive, random_plant
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
@@ -27,7 +27,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.real.identify.excitation import Excitation, excite
-from yamsim_cli.real.identify.identify import Identified, identify
+from yamsim_cli.real.identify.identification import IdentificationResult, identify
 
 # Name -> how far a value may be off, as a share of the true one, or in its own unit.
 _GOALS = {
@@ -49,18 +49,18 @@ class _Row:
     told: bool
 
 
-def _true(planted: Planted, name: str, joint: int) -> float:
+def _true(planted: TrueParameters, name: str, joint: int) -> float:
     field = name.partition("_")[0]
     found = getattr(planted, field)
     return float(found if field == "delay" else found[joint])
 
 
-def _rows(planted: Planted, found: Identified, joints: tuple[str, ...]) -> list[_Row]:
+def _rows(planted: TrueParameters, found: IdentificationResult, joints: tuple[str, ...]) -> list[_Row]:
     rows = []
     for each in found.estimates:
         true = _true(planted, each.name, joints.index(each.joint) if each.joint else 0)
         error = abs(each.value - true) / (true if _GOALS[each.name][1] else 1.0)
-        rows.append(_Row(each.name, each.joint, error, each.low <= true <= each.high, each.told))
+        rows.append(_Row(each.name, each.joint, error, each.low <= true <= each.high, each.is_determined))
     return rows
 
 
@@ -111,7 +111,7 @@ def main() -> None:
     where = Locations.find(os.environ)
     rig = load_config(RigConfig, "rigs", options.rig, where)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
-    opened = rig.arms[0].robot.fingers.opened if rig.arms[0].robot.fingers else 0.0
+    opened = rig.arms[0].robot.fingers.initial_opening if rig.arms[0].robot.fingers else 0.0
     if options.bad:
         motion = excite(rig, 0, scene, where, 30.0, 0)
         refused = [_refused(rig, motion, opened, number) for number in range(options.bad)]
@@ -130,16 +130,16 @@ def main() -> None:
         found = identify(rig, [log], [], "planted")[0]
         here = _rows(planted, found, rig.arms[0].robot.joint_names)
         rows += here
-        falls.append(found.gap.fallen)
+        falls.append(found.gap.reduction)
         _tell(number, planted, found, here, time.perf_counter() - begun)
     if rows:
         _table(rows, falls)
 
 
-def _tell(number: int, planted: Planted, found: Identified, rows: list[_Row], spent: float) -> None:
+def _tell(number: int, planted: TrueParameters, found: IdentificationResult, rows: list[_Row], spent: float) -> None:
     missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in rows if r.told and r.error > _GOALS[r.name][0]]
     outside = [f"{r.joint} {r.name}" for r in rows if not r.inside]
-    gap = f"gap {1000 * found.gap.before:.1f} -> {1000 * found.gap.after:.2f} mrad"
+    gap = f"gap {1000 * found.gap.rms_before:.1f} -> {1000 * found.gap.rms_after:.2f} mrad"
     sys.stdout.write(
         f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
         f"outside: {', '.join(outside)}\n"

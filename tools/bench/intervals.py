@@ -22,24 +22,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.random_views import Lens, View, random_camera, random_view
+from tests.random_views import LensSpread, RandomView, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, rotation_vector
-from yamsim_cli.photos.overlay.arm_poses import PhotoResult, find_arms
-from yamsim_cli.photos.overlay.lenses import Lens as PhotoLens
-from yamsim_cli.photos.overlay.lenses import unknown_lens
+from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera as PhotoLens
+from yamsim_cli.photos.overlay.photo_cameras import unknown_lens
 from yamsim_cli.photos.overlay.photos import Photo
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
-PINHOLE = Lens()
+PINHOLE = LensSpread()
 # A calibrated camera is off by about what its file says.
 FOCAL_SIGMA = 0.003
 
 
 @dataclass(frozen=True)
-class Case:
+class IntervalCase:
     """What one table row is made of.
 
     Attributes:
@@ -48,17 +48,17 @@ class Case:
     """
 
     name: str
-    lens: Lens = PINHOLE
+    lens: LensSpread = PINHOLE
     photos: int = 1
     given: bool = False
 
 
 CASES = (
-    Case("no camera given"),
-    Case("a real lens: centre 2 % of the width off, k1 0.1 (sigmas)", Lens(0.02, 0.1)),
-    Case("the same, 4 photos together", Lens(0.02, 0.1), photos=4),
-    Case("a worse one than is expected: centre 4 %, k1 0.2", Lens(0.04, 0.2)),
-    Case("camera given, to 0.3 %", given=True),
+    IntervalCase("no camera given"),
+    IntervalCase("a real lens: centre 2 % of the width off, k1 0.1 (sigmas)", LensSpread(0.02, 0.1)),
+    IntervalCase("the same, 4 photos together", LensSpread(0.02, 0.1), photos=4),
+    IntervalCase("a worse one than is expected: centre 4 %, k1 0.2", LensSpread(0.04, 0.2)),
+    IntervalCase("camera given, to 0.3 %", given=True),
 )
 
 
@@ -92,14 +92,14 @@ class Outcome:
     margin_off: float | None = None
 
 
-def run(case: Case, views: int, seed: int) -> list[Outcome]:
+def run(case: IntervalCase, views: int, seed: int) -> list[Outcome]:
     """Take and analyse `views` photos for one row; in a process of its own."""
     cv2.setNumThreads(1)
     rig = load_config(RigConfig, "rigs", "russet", Locations.find(os.environ))
     return [outcome for k in range(views // case.photos) for outcome in outcomes(case, rig, seed, k)]
 
 
-def outcomes(case: Case, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
+def outcomes(case: IntervalCase, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
     """All boards' outcomes in the k-th call's photos."""
     rng = np.random.default_rng([seed, k, *case.name.encode()])
     camera = random_camera(rng, case.lens)
@@ -108,7 +108,7 @@ def outcomes(case: Case, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
     if case.given:
         focal = camera.focal * math.exp(rng.normal() * FOCAL_SIGMA)
         K = ((focal, 0.0, camera.K[0][2]), (0.0, focal, camera.K[1][2]), camera.K[2])
-        lens = PhotoLens.known(replace(camera, K=K, focal_sigma=FOCAL_SIGMA), "file")
+        lens = PhotoLens.from_calibration(replace(camera, K=K, focal_sigma=FOCAL_SIGMA), "file")
     else:
         lens = unknown_lens((np.dstack([grey] * 3) for grey in photos), photos[0].shape[:2], rig)
     found = []
@@ -118,7 +118,7 @@ def outcomes(case: Case, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
     return found
 
 
-def _outcome(case: Case, k: int, rig: RigConfig, view: View, result: PhotoResult, arm: int) -> Outcome:
+def _outcome(case: IntervalCase, k: int, rig: RigConfig, view: RandomView, result: RigInPhoto, arm: int) -> Outcome:
     camera, focal, seen = view.camera, result.lens.focal, result.arms[arm].sighting
     assert seen is not None
     outcome = Outcome(

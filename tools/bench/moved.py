@@ -16,23 +16,23 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.rig_photos import JOINTS, Studio, looking
+from tests.rig_photos import JOINTS, RigPhotographer, looking
 from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
-from yamsim_cli.core.images.image_files import grey_of
-from yamsim_cli.photos.overlay.arm_poses import PhotoResult, find_arms
-from yamsim_cli.photos.overlay.lenses import Lens
-from yamsim_cli.photos.overlay.moves import Moved, Stillness, find_moves
+from yamsim_cli.core.images.image_files import to_grey
+from yamsim_cli.photos.overlay.move_detection import MovedBody, MoveReport, find_moves
+from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.photos import Photo
 
 PHOTOS = 16
 
 
 @dataclass(frozen=True)
-class Row:
+class MoveCase:
     """What is moved half-way through a series: the second arm's base, or the camera, m and rad."""
 
     name: str
@@ -41,21 +41,21 @@ class Row:
     turn: float = 0.0
 
     @property
-    def what(self) -> Moved | None:
+    def what(self) -> MovedBody | None:
         if self.base:
-            return Moved.BASE
-        return Moved.CAMERA if self.camera or self.turn else None
+            return MovedBody.BASE
+        return MovedBody.CAMERA if self.camera or self.turn else None
 
 
 ROWS = [
-    Row("nothing"),
-    *(Row(f"base by {mm:g} mm", base=mm / 1000) for mm in (0.5, 1, 2, 3)),
-    *(Row(f"camera by {mm:g} mm", camera=mm / 1000) for mm in (0.5, 1, 3)),
-    *(Row(f"camera by {deg:g} degrees", turn=math.radians(deg)) for deg in (0.1, 0.2, 0.5)),
+    MoveCase("nothing"),
+    *(MoveCase(f"base by {mm:g} mm", base=mm / 1000) for mm in (0.5, 1, 2, 3)),
+    *(MoveCase(f"camera by {mm:g} mm", camera=mm / 1000) for mm in (0.5, 1, 3)),
+    *(MoveCase(f"camera by {deg:g} degrees", turn=math.radians(deg)) for deg in (0.1, 0.2, 0.5)),
 ]
 
 
-def series(row: Row, studios: tuple[Studio, Studio], seed: int) -> Stillness:
+def series(row: MoveCase, studios: tuple[RigPhotographer, RigPhotographer], seed: int) -> MoveReport:
     """What is told of a series of photos with such a move before its middle."""
     rng = np.random.default_rng(seed)
     place = np.array((0.75, 0.0, 0.55)) + rng.uniform(-0.1, 0.1, 3)
@@ -63,7 +63,7 @@ def series(row: Row, studios: tuple[Studio, Studio], seed: int) -> Stillness:
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     moved = T_cam @ pose(row.camera * direction, rotation_from_vector(row.turn * direction))
-    results: list[PhotoResult] = []
+    results: list[RigInPhoto] = []
     for number in range(PHOTOS):
         after = number >= PHOTOS // 2
         T = moved if after else T_cam
@@ -74,7 +74,11 @@ def series(row: Row, studios: tuple[Studio, Studio], seed: int) -> Stillness:
         shot = studios[bool(row.base and after)].shoot(T, joints, seed=1000 * seed + number)
         photo = Photo(Path(f"{number:03d}.png"))
         before = results[-1] if results else None
-        results.append(find_arms(studios[0].rig, photo, grey_of(shot.image), Lens.known(CAMERA, "file"), False, before))
+        results.append(
+            find_arms(
+                studios[0].rig, photo, to_grey(shot.image), PhotoCamera.from_calibration(CAMERA, "file"), False, before
+            )
+        )
     return find_moves(results)
 
 
@@ -88,15 +92,15 @@ def main() -> None:
     table = Table(title=f"Moves in series of {PHOTOS} photos", title_justify="left", show_edge=False)
     for column in ("moved", "series", "told as such, at its photo", "told otherwise", "off by, mm", "off by, degrees"):
         table.add_column(column, justify="right" if table.columns else "left")
-    with Studio(rig, locations, CAMERA) as still:
+    with RigPhotographer(rig, locations, CAMERA) as still:
         for row in ROWS:
             wide = rig.model_copy(update={"margin": rig.margin + row.base})
-            with Studio(wide, locations, CAMERA) as grown:
+            with RigPhotographer(wide, locations, CAMERA) as grown:
                 _add(table, row, (still, grown), options.series * (1 if row.what else 2))
     Console(width=110).print(table)
 
 
-def _add(table: Table, row: Row, studios: tuple[Studio, Studio], count: int) -> None:
+def _add(table: Table, row: MoveCase, studios: tuple[RigPhotographer, RigPhotographer], count: int) -> None:
     right, otherwise, shifts, turns = 0, 0, [], []
     for seed in range(count):
         moves = series(row, studios, seed).moves

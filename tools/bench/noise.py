@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 from tests.clients.served_robot import ServedRobot, served_robot
 from yamsim_cli.camera_reader import CameraReader
-from yamsim_cli.real.serve.sockets import CAMERA_SOCKET
+from yamsim_cli.real.serve.socket_servers import CAMERA_SOCKET
 
 _ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
 _HANDSHAKE = b"portal_handshake"

@@ -9,19 +9,19 @@ import numpy as np
 from tests.attempts import planned
 from tests.board_photos import facing, photograph
 from tools.bench.setting import median_seconds, setting
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.expert.planning.ik import IkSolver
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.jpeg import encode_jpeg
+from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.robot import bare_arm
-from yamsim_cli.core.types import Attempt, EpisodeJob
-from yamsim_cli.photos.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 _CAMERA = CameraModel.pinhole(640, 480, 600.0)
 _QUALITIES = {"fast": 20, "balanced": 20, "high": 5}
@@ -45,8 +45,8 @@ def measure_parts(episodes: int) -> dict[str, float]:
 
 def _ik_seconds(joints: list[Array]) -> float:
     using = setting("fast")
-    solver = IkSolver(bare_arm(using.config.rig.arms[0]), np.eye(4))
-    solver.hold(np.eye(4))
+    solver = IkSolver(kinematic_model(using.config.rig.arms[0]), np.eye(4))
+    solver.set_held_frame(np.eye(4))
     targets = [solver.pose_of(there) for there in joints]
     return median_seconds(lambda k: solver.solve(targets[k], joints[k - 5], 100), len(targets) - 1)
 
@@ -54,9 +54,9 @@ def _ik_seconds(joints: list[Array]) -> float:
 def _rendering(quality: str, qpos: Array, repetitions: int) -> dict[str, float]:
     using = setting(quality)
     with Simulator(using) as simulator:
-        cameras, attempt = simulator.scene.cameras[:1], Attempt(EpisodeJob(0, 0))
-        (image,) = render(simulator, attempt, qpos, cameras).values()
-        seconds = median_seconds(lambda _: render(simulator, attempt, qpos, cameras), repetitions)
+        cameras, attempt = simulator.scene.cameras[:1], Attempt(AttemptJob(0, 0))
+        (image,) = render_cameras(simulator, attempt, qpos, cameras).values()
+        seconds = median_seconds(lambda _: render_cameras(simulator, attempt, qpos, cameras), repetitions)
         figures = {f"draw a frame, {quality}": seconds}
     if quality == "balanced":
         figures["encode a frame"] = median_seconds(lambda _: encode_jpeg(image, using.config.image.jpeg_quality), 50)
@@ -68,4 +68,4 @@ def _locate_seconds() -> float:
     assert rig.arms[0].board is not None
     board = rig.arms[0].board.board
     photo = photograph(_CAMERA, [(board, facing(0.02, 0.03, 0.8))])
-    return median_seconds(lambda _: locate(photo, _CAMERA, [board]), 10)
+    return median_seconds(lambda _: locate_boards(photo, _CAMERA, [board]), 10)

@@ -19,16 +19,16 @@ from tools.bench.floor import floor_seconds
 from tools.bench.pictures import Image, ssim
 from tools.bench.plain import PlainPipeline, plain_setting
 from tools.bench.setting import Stopwatch, setting
-from yamsim_cli.core.dataset.writing.opening import OpenMode
-from yamsim_cli.core.episode.engine import Simulated
-from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.episode.attempt_payload import render_cameras
+from yamsim_cli.core.episode.execution import SimulatedAttempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
-from yamsim_cli.recording.executors import LocalProcesses
+from yamsim_cli.core.workers.stop_request import StopRequest
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
 from yamsim_cli.recording.recorder import record
+from yamsim_cli.recording.recording_output import RecordingOutput
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -79,10 +79,10 @@ class PipelineFigures:
     qualities: dict[str, QualityFigures]
 
 
-def first_successes(count: int) -> list[Simulated]:
+def first_successes(count: int) -> list[SimulatedAttempt]:
     """The first episodes of the recording's seed, in physics alone."""
     using = setting("fast")
-    found: list[Simulated] = []
+    found: list[SimulatedAttempt] = []
     with Simulator(using) as simulator:
         for attempt in itertools.count():
             done = planned(simulator, using.config.seed, attempt)
@@ -136,7 +136,7 @@ def alone(work: Callable[P, T], *args: P.args, threads: str | None = "0", **kwar
             os.environ["LP_NUM_THREADS"] = before
 
 
-def _plain(episodes: Sequence[Simulated]) -> tuple[float, list[Image]]:
+def _plain(episodes: Sequence[SimulatedAttempt]) -> tuple[float, list[Image]]:
     using = plain_setting()
     images: list[Image] = []
     seconds = []
@@ -151,14 +151,14 @@ def _plain(episodes: Sequence[Simulated]) -> tuple[float, list[Image]]:
     return statistics.median(seconds), images
 
 
-def _rendered(quality: str, episodes: Sequence[Simulated]) -> list[Image]:
+def _rendered(quality: str, episodes: Sequence[SimulatedAttempt]) -> list[Image]:
     """Some of a quality's pictures of the scene camera."""
     with Simulator(setting(quality)) as simulator:
         return [
             image
             for done in episodes
             for state in done.states[::_COMPARED]
-            for image in render(simulator, done.attempt, state.qpos, simulator.scene.cameras[:1]).values()
+            for image in render_cameras(simulator, done.attempt, state.qpos, simulator.scene.cameras[:1]).values()
         ]
 
 
@@ -166,7 +166,7 @@ def _likeness(ours: Sequence[Image], theirs: Sequence[Image]) -> float:
     return statistics.mean(ssim(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-def _floor(quality: str, episodes: Sequence[Simulated]) -> dict[str, float]:
+def _floor(quality: str, episodes: Sequence[SimulatedAttempt]) -> dict[str, float]:
     with Simulator(setting(quality)) as simulator:
         parts = []
         for done in (episodes[0], *episodes):
@@ -186,7 +186,7 @@ def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
 
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=_PLACE) as place:
-        output = Output(Path(place, "dataset"), OpenMode.NEW)
-        watch = Notifier(progress, lambda warning: None)
-        record(session, output, LocalProcesses(), watch, Stop())
+        output = RecordingOutput(Path(place, "dataset"), OpenMode.NEW)
+        watch = RecordCallbacks(progress, lambda warning: None)
+        record(session, output, ProcessExecutorFactory(), watch, StopRequest())
     return (came[-1] - came[workers - 1]) / episodes, came[0] - began

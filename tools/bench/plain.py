@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from tests.attempts import all_actions
 from tools.bench.setting import setting
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.attempt_data import ActionSequence
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import Simulated
-from yamsim_cli.core.episode.grasps import attach
+from yamsim_cli.core.episode.execution import SimulatedAttempt
+from yamsim_cli.core.episode.grasps import set_weld_pose
+from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.scene.robot import bare_arm
-from yamsim_cli.core.types import Actions
 
 # Source: MuJoCo 4's XML reference, visual/quality and visual/global, and light/castshadow. Nothing reflects there.
 DEFAULTS = RenderConfig(
@@ -58,18 +58,18 @@ class PlainPipeline:
     def __init__(self, using: Session, scene: CompiledScene) -> None:
         self._config = using.config
         self._scene = scene
-        self._arm = mink.Configuration(bare_arm(using.config.rig.arms[0]))
+        self._arm = mink.Configuration(kinematic_model(using.config.rig.arms[0]))
         self._task = mink.FrameTask("pinch_site", "site", position_cost=1.0, orientation_cost=1.0)
         width, height = using.config.image.size_px
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
 
-    def make(self, done: Simulated, out: Path) -> list[NDArray[np.uint8]]:
+    def make(self, done: SimulatedAttempt, out: Path) -> list[NDArray[np.uint8]]:
         """Solve, simulate, render and write one episode into `out`; the pictures as they were rendered."""
         start, actions = done.states[0].qpos, all_actions(done.states)
         self._solve(start[self._scene.arm.joint_qpos], actions)
         return self._simulate_and_render(start, actions, out)
 
-    def _solve(self, start: NDArray[np.float64], actions: Actions) -> None:
+    def _solve(self, start: NDArray[np.float64], actions: ActionSequence) -> None:
         """Inverse kinematics to where the actions lead, tick by tick."""
         joints = start
         for wanted in actions.joints[:, 0, :6]:
@@ -84,19 +84,21 @@ class PlainPipeline:
                     break
             joints = self._arm.q
 
-    def _simulate_and_render(self, start: NDArray[np.float64], actions: Actions, out: Path) -> list[NDArray[np.uint8]]:
+    def _simulate_and_render(
+        self, start: NDArray[np.float64], actions: ActionSequence, out: Path
+    ) -> list[NDArray[np.uint8]]:
         timing = self._config.task.timing
         scene, model = self._scene, self._scene.model
         (out / "rgb").mkdir(parents=True)
         (out / "lowdim").mkdir()
-        carried = model.body(self._config.task.typical_cast.one("object")).id
+        carried = model.body(self._config.task.typical_roles.object_of("object")).id
         data = mujoco.MjData(model)
         scene.reset(data, start)
         images = []
         for tick, ctrl in enumerate(actions.ctrl):
             if actions.magnet[tick, 0] and not data.eq_active[scene.arm.weld]:
                 mujoco.mj_kinematics(model, data)
-                attach(model, scene.arm, data, carried)
+                set_weld_pose(model, scene.arm, data, carried)
             data.eq_active[scene.arm.weld] = actions.magnet[tick, 0]
             data.ctrl[:] = ctrl
             if tick % timing.ticks_per_frame == 0:

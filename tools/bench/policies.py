@@ -21,7 +21,7 @@ from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.act import ActClient
 from yamsim_cli.policies.evaluate.policy_factory import _CONFIGS
-from yamsim_cli.policies.mapped import MappedPolicy, PolicyClient, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyClient, PolicyStation
 from yamsim_cli.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 
 QUESTIONS = 300

@@ -23,7 +23,7 @@ from tests.damaged_photos import Damage, bowed, creased, enlarged_print, twisted
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
-from yamsim_cli.photos.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 BOARD = Board("one", 217, 3, 3, "DICT_6X6_250", 0.02923077, 0.002923077)
@@ -67,7 +67,7 @@ def trial(seed: int, damage: Damage | None) -> Trial:
     """Locate the board in the photo of a seed."""
     photo, T = photo_of(seed, damage)
     began = time.process_time()
-    (seen,), _ = locate(photo, CAMERA, [BOARD])
+    (seen,), _ = locate_boards(photo, CAMERA, [BOARD])
     ms = 1000 * (time.process_time() - began)
     if seen.T_board_in_cam is None:
         return Trial(str(seen.status), ms)

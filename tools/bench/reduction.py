@@ -25,10 +25,10 @@ def main() -> None:
 
     from tests.silhouettes import Silhouettes, overlap
     from yamsim_cli.core.files.resources import Locations
-    from yamsim_cli.core.geometry.deviation import deviation
     from yamsim_cli.core.geometry.stl import read_stl
+    from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
     from yamsim_cli.core.scene.assets import AssetStore, Reduction, load_lock
-    from yamsim_cli.core.scene.assets.reduction import cleared, collapsed
+    from yamsim_cli.core.scene.assets.mesh_reduction import collapse_edges, remove_slivers
 
     where = Locations.find(os.environ)
     store = AssetStore(where.assets)
@@ -44,11 +44,11 @@ def main() -> None:
             outlines = camera.of(*source)
             print(f"{file}: {len(faces)} faces")
             for slivers in SLIVERS_MM:
-                low, high, best = 40, len(cleared(source, slivers)[1]), "nothing fits"
+                low, high, best = 40, len(remove_slivers(source, slivers)[1]), "nothing fits"
                 while high - low > max(16, 0.02 * low):
                     middle = (low + high) // 2
-                    reduced = collapsed(source, Reduction(faces=middle, slivers_mm=slivers))
-                    far = deviation(source, reduced, 1.0, SAMPLES)
+                    reduced = collapse_edges(source, Reduction(faces=middle, slivers_mm=slivers))
+                    far = hausdorff_distance(source, reduced, 1.0, SAMPLES)
                     same = overlap(outlines, camera.of(*reduced)) if far <= FARTHEST_MM else 0.0
                     if same >= LEAST_OVERLAP:
                         high, best = min(middle, len(reduced[1])), f"{len(reduced[1])} faces, {far:.3f} mm, {same:.4f}"

@@ -57,11 +57,11 @@ def setting(quality: str) -> Session:
     config = load_config(RecordConfig, "record", "default", where, {("render",): ("--quality", quality)})
     # Only once MuJoCo may be imported.
     from yamsim_cli.core.scene.blueprint import recording_blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
 
     lock, store = load_lock(where), AssetStore(where.assets)
     meshes: dict[str, Path | None] = {}
-    for name in mesh_sets(recording_blueprint(config)):
+    for name in visual_mesh_sets(recording_blueprint(config)):
         reduced = find_reduced(store, lock.sets[name]) if config.render.reduced_meshes else None
         meshes[name] = reduced.directory if reduced else store.resolve(lock.sets[name])
     return Session(config, replace(where, meshes=meshes))

@@ -16,7 +16,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.photos.fiducials.locate import locate
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 
@@ -42,7 +42,7 @@ def main() -> None:
             rng = np.random.default_rng([options.seed, n, k])
             photo = stranger(rng, kind, boards[int(rng.integers(len(boards)))])
             began = time.process_time()
-            seen, _ = locate(photo, CAMERA, boards, T_rig)
+            seen, _ = locate_boards(photo, CAMERA, boards, T_rig)
             times.append(time.process_time() - began)
             if any(one.T_board_in_cam is not None for one in seen):
                 wrong.append(k)

@@ -24,9 +24,9 @@ from tools.bench.setting import use_gl
 
 def imported(file: Path, folder: Path, **wishes: Any) -> Any:
     from yamsim_cli.core.files.resources import Locations
-    from yamsim_cli.objects.importing.from_file import import_file
-    from yamsim_cli.objects.make import ImportOptions
-    from yamsim_cli.objects.readers.read import UnitOptions
+    from yamsim_cli.objects.building import ImportOptions
+    from yamsim_cli.objects.importing.file_import import import_file
+    from yamsim_cli.objects.readers.object_reader import UnitOptions
 
     where = replace(Locations.find(os.environ), assets=folder / "assets")
     plain = file.suffix in (".obj", ".ply", ".stl")
@@ -40,7 +40,7 @@ def scene(config: Any, meshes: Any, *, peg: bool = False, ball: bool = False) ->
     """A mug on a floor, or on a peg, and a ball that falls into it."""
     import mujoco
 
-    from yamsim_cli.core.scene.things.thing import add_object
+    from yamsim_cli.core.scene.objects.scene_object import add_object
 
     spec = mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

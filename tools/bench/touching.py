@@ -17,15 +17,20 @@ from rich.table import Table
 
 from tests.mugs import mug_mesh
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.objects.certify.physics_checks import hollow_of
-from yamsim_cli.objects.certify.subject import Subject, compiled, grounded_spec, read_subject
-from yamsim_cli.objects.importing.from_file import import_file
-from yamsim_cli.objects.make import ImportOptions
-from yamsim_cli.objects.readers.read import UnitOptions
+from yamsim_cli.objects.building import ImportOptions
+from yamsim_cli.objects.certify.physics_checks import find_hollow
+from yamsim_cli.objects.certify.tested_object import (
+    TestedObject,
+    compile_or_raise,
+    object_on_ground_spec,
+    read_tested_object,
+)
+from yamsim_cli.objects.importing.file_import import import_file
+from yamsim_cli.objects.readers.object_reader import UnitOptions
 
 _SECONDS = 1.0
 _SHIPPED = ("025_mug", "024_bowl", "kitchen_cup", "kitchen_bowl", "kitchen_plate", "kitchen_pot", "kitchen_dish_rack")
@@ -41,7 +46,7 @@ def main() -> None:
         own = Locations(where.data, Path(folder))
         for name in _SHIPPED:
             item = load_config(ObjectConfig, "objects", name, where)
-            table.add_row(name, "primitives", *_measured(read_subject(item, {}, where)))
+            table.add_row(name, "primitives", *_measured(read_tested_object(item, {}, where)))
         file = Path(folder) / "mug.stl"
         file.write_bytes(stl_bytes(*mug_mesh()))
         for kind in ("hull", "sdf", "primitives", "decompose"):
@@ -49,21 +54,21 @@ def main() -> None:
                 options = ImportOptions(f"mug_{kind}", 0.3, None, kind, None, None)  # type: ignore[arg-type]
                 config = import_file(file, UnitOptions("m", "z"), options, own, Path(folder) / f"{kind}.yaml").config
                 meshes = {config.mesh.set: own.assets / config.mesh.set}
-                table.add_row("a mug of 5,748 faces", kind, *_measured(read_subject(config, meshes, own)))
+                table.add_row("a mug of 5,748 faces", kind, *_measured(read_tested_object(config, meshes, own)))
             except YamsimError as error:
                 table.add_row("a mug of 5,748 faces", kind, "", "", "", str(error)[:60])
     Console(width=110).print(table)
 
 
-def _measured(looked: Subject) -> tuple[str, str, str, str]:
-    spec = grounded_spec(looked)
-    found = hollow_of(looked) if looked.looks else None
+def _measured(looked: TestedObject) -> tuple[str, str, str, str]:
+    spec = object_on_ground_spec(looked)
+    found = find_hollow(looked) if looked.visual_surfaces else None
     place = found.place if found else (0.0, 0.0)
     top = float(looked.collision_points[:, 2].max())
     body = spec.worldbody.add_body(name="ball", pos=[*place, top + 0.02])
     body.add_freejoint()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], density=1000, solref=[0.004, 1], priority=1)
-    model = compiled(spec)
+    model = compile_or_raise(spec)
     data = mujoco.MjData(model)
     data.qpos[model.joint(looked.item.name).qposadr[0] + 2] = looked.item.rest_height
     steps = round(_SECONDS / model.opt.timestep)

@@ -11,18 +11,18 @@ import typer
 
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, file_size
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Offline, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, print_report, progress_bar
-from yamsim_cli.terminal.tables import Listing
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report, progress_bar
+from yamsim_cli.terminal.tables import ItemTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.scene.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
-    from yamsim_cli.objects.certify.run import Certified
-    from yamsim_cli.objects.importing.from_file import ImportedFile
-    from yamsim_cli.objects.importing.ycb import ImportedObject
-    from yamsim_cli.objects.make import ImportOptions
-    from yamsim_cli.objects.readers.read import UnitOptions
+    from yamsim_cli.objects.building import ImportOptions
+    from yamsim_cli.objects.certify.certify import CertificationResult
+    from yamsim_cli.objects.importing.file_import import ImportedObjectFile
+    from yamsim_cli.objects.importing.ycb_import import ImportedYcbObject
+    from yamsim_cli.objects.readers.object_reader import UnitOptions
 
 app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
@@ -118,7 +118,7 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
     """Every object that has a config, and the state of its certificate."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.things.thing import ObjectConfig
+    from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
 
     where = opener.locations()
@@ -131,7 +131,7 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
             continue
         state = find_certificate(where.assets, item, lock)
         path = state.path and str(state.path)
-        found.append({"name": name, "certificate": state.standing.value, "failed": list(state.failed), "path": path})
+        found.append({"name": name, "certificate": state.status.value, "failed": list(state.failed), "path": path})
     return found
 
 
@@ -154,12 +154,12 @@ def _fetch_with_progress(
             try:
                 reduced[assets.name] = make_reduced(store, assets, fetched.directory, lock.notices[assets.notice], made)
             except ResourceError as error:
-                note(f"No reduced meshes of {assets.name}: {error}")
+                print_note(f"No reduced meshes of {assets.name}: {error}")
     return report, reduced
 
 
-def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> Listing:
-    table = Listing([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
+def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
+    table = ItemTable([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
         table.add_row(*(_shown(column, item[column]) for column in columns))
     return table
@@ -188,12 +188,12 @@ def certify_object(
     Example: yamsim assets certify kitchen_bowl --html bowl.html
     """
     if html:
-        require_free("--html", html, overwrite=overwrite)
+        require_unused("--html", html, overwrite=overwrite)
         opener.use_gl(opener.locations())
     else:
         opener.skip_gl()
     certified = _certify(thing)
-    found = certified.plain()
+    found = certified.to_json_data()
     if html:
         from yamsim_cli.objects.certify.report import write_page
 
@@ -201,26 +201,26 @@ def certify_object(
         found["html"] = str(html)
     print_report(found, lambda: _certificate_table(found["checks"]), json)
     if html and not json:
-        note(f"The page is in {html}.")
+        print_note(f"The page is in {html}.")
     if not certified.ok:
         raise ResourceError(_failure(certified))
 
 
-def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> Listing:
-    table = Listing(["check", "", "figures"], numbers_from=3)
+def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
+    table = ItemTable(["check", "", "figures"], numbers_from=3)
     for check in checks:
         figures = ", ".join(f"{name} {value}" for name, value in check["figures"].items())
         table.add_row(check["code"], _VERDICTS[check["ok"]], "; ".join(filter(None, (check["note"], figures))))
     return table
 
 
-def _certify(thing: str) -> Certified:
+def _certify(thing: str) -> CertificationResult:
     """Certify an object by its name or file, and store the certificate."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.things.thing import ObjectConfig
+    from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.assets import load_lock
     from yamsim_cli.core.scene.certificates import store_certificate
-    from yamsim_cli.objects.certify.run import certify
+    from yamsim_cli.objects.certify.certify import certify
 
     where = opener.locations()
     item = load_config(ObjectConfig, "objects", thing, where)
@@ -228,13 +228,13 @@ def _certify(thing: str) -> Certified:
     with progress_bar(f"certifying {item.name}", "checks") as advance:
         certified = certify(item, where.meshes, where, advance)
     made_with = {"yamsim": __version__, "mujoco": version("mujoco")}
-    store_certificate(where.assets, item, load_lock(where), certified.plain(), made_with)
+    store_certificate(where.assets, item, load_lock(where), certified.to_json_data(), made_with)
     return certified
 
 
-def _failure(certified: Certified) -> str:
+def _failure(certified: CertificationResult) -> str:
     """One line on the first check that failed, and the number of other failures."""
-    from yamsim_cli.objects.certify.run import CHECKS
+    from yamsim_cli.objects.certify.certify import CHECKS
 
     code = certified.failed[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
@@ -294,12 +294,12 @@ def import_object(
     else:
         if mass is not None and density is not None:
             raise UsageError("--mass and --density: give one of them")
-        from yamsim_cli.objects.importing.from_file import name_of
-        from yamsim_cli.objects.make import ImportOptions
-        from yamsim_cli.objects.readers.read import UnitOptions
+        from yamsim_cli.objects.building import ImportOptions
+        from yamsim_cli.objects.importing.file_import import object_name_of
+        from yamsim_cli.objects.readers.object_reader import UnitOptions
 
         file = Path(source)
-        wishes = ImportOptions(name or name_of(file), mass, density, collision, base, friction)
+        wishes = ImportOptions(name or object_name_of(file), mass, density, collision, base, friction)
         item, lines = _import_file(file, UnitOptions(unit, up, scale), wishes, out)
     certified = None
     if certify:
@@ -314,12 +314,12 @@ def import_object(
     if certified is not None:
         if not certified.ok:
             raise ResourceError(f"{item['path']} is written, but its certificate failed: {_failure(certified)}")
-        note("Certificate: passed")
+        print_note("Certificate: passed")
 
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """The import of a YCB object as JSON has it, and in words."""
-    from yamsim_cli.objects.importing.ycb import import_ycb
+    from yamsim_cli.objects.importing.ycb_import import import_ycb
 
     made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
     item = _ycb_item(made)
@@ -332,21 +332,23 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
 
 
 def _import_file(
-    file: Path, told: UnitOptions, wishes: ImportOptions, out: Path | None
+    file: Path, units: UnitOptions, options: ImportOptions, out: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
     """The import of a file as JSON has it, and in words; guesses are noted on stderr."""
-    from yamsim_cli.objects.importing.from_file import import_file
+    from yamsim_cli.objects.importing.file_import import import_file
 
     with progress_bar(f"importing {file.name}", "%") as advance:
         imported = import_file(
-            file, told, wishes, opener.locations(), out, lambda done: advance(round(100 * done), 100)
+            file, units, options, opener.locations(), out, lambda done: advance(round(100 * done), 100)
         )
     made = imported.made
     for text in made.notes:
-        note(f"{file.name}: {text}")
-    if made.guessed:
-        kind = "evenly filled" if made.closed else "as a sheet 2 mm thick, since its surface encloses nothing"
-        note(f"{file.name}: {made.mass * 1000:.3g} g is a guess, {kind} with 1,000 kg/m3: give --mass or --density")
+        print_note(f"{file.name}: {text}")
+    if made.mass_is_guessed:
+        kind = "evenly filled" if made.is_closed else "as a sheet 2 mm thick, since its surface encloses nothing"
+        print_note(
+            f"{file.name}: {made.mass * 1000:.3g} g is a guess, {kind} with 1,000 kg/m3: give --mass or --density"
+        )
     item = _file_item(imported)
     collision = item["collision"]
     near = "" if collision["p99_mm"] is None else f", 99 % within {collision['p99_mm']:.1f} mm of the surface"
@@ -359,7 +361,7 @@ def _import_file(
     ]
 
 
-def _ycb_item(made: ImportedObject) -> dict[str, Any]:
+def _ycb_item(made: ImportedYcbObject) -> dict[str, Any]:
     fit, data = made.description.fit, made.description.data
     return {
         "name": data["name"],
@@ -372,7 +374,7 @@ def _ycb_item(made: ImportedObject) -> dict[str, Any]:
     }
 
 
-def _file_item(imported: ImportedFile) -> dict[str, Any]:
+def _file_item(imported: ImportedObjectFile) -> dict[str, Any]:
     config, made = imported.config, imported.made
     fits = [part.fit for part in made.collision if part.fit is not None]
     return {
@@ -380,8 +382,8 @@ def _file_item(imported: ImportedFile) -> dict[str, Any]:
         "path": str(imported.path),
         "set": config.mesh.set,
         "mass_kg": round(made.mass, 6),
-        "mass_is_a_guess": made.guessed,
-        "closed": made.closed,
+        "mass_is_a_guess": made.mass_is_guessed,
+        "closed": made.is_closed,
         "collision": {
             "kind": made.collision[0].kind,
             "parts": sum(len(part.parts) for part in made.collision),
@@ -391,5 +393,5 @@ def _file_item(imported: ImportedFile) -> dict[str, Any]:
         "textures": sum(mesh.texture is not None for mesh in config.all_meshes),
         "links": [link.name for link in config.links],
         "width_mm": None if config.grasp is None else round(2000 * config.grasp.opening, 1),
-        "carries": config.carries,
+        "carries": config.can_support,
     }

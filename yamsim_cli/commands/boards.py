@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line
 
 if TYPE_CHECKING:
-    from yamsim_cli.photos.board_sheet import Sheet
+    from yamsim_cli.photos.board_sheet import PrintedPage
 
 
 class PaperSize(StrEnum):
@@ -51,7 +51,7 @@ def boards(
         raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")
 
     for path in dict.fromkeys(_file(out, name) for name in owned):
-        require_free("--out", path, overwrite=overwrite)
+        require_unused("--out", path, overwrite=overwrite)
     sheets = {name: board_sheet(config.board, name, PAPERS[paper]) for name, config in owned.items()}
     files = _files(sheets, out)
     write_outputs(files)
@@ -77,7 +77,7 @@ def _file(out: Path, arm: str) -> Path:
     return out if out.suffix.lower() == ".pdf" else out.with_name(f"{out.stem}_{arm}{out.suffix}")
 
 
-def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
+def _files(sheets: dict[str, PrintedPage], out: Path) -> dict[Path, bytes]:
     """File to write -> its bytes."""
     from yamsim_cli.photos.board_sheet import pdf_bytes, png_bytes
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import Rename
-from yamsim_cli.flags.session import Grasp, Json, Margin, Offline, Revision, Rig, Robot, opener
+from yamsim_cli.flags.output_files import Rename
+from yamsim_cli.flags.session_options import Grasp, Json, Margin, Offline, Revision, Rig, Robot, opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line
 
 
@@ -52,8 +52,8 @@ def compose_xml(
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start, write_scene
 
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None
@@ -64,10 +64,10 @@ def compose_xml(
         config = opener.config(
             "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed, grasp=grasp
         )
-        config, home = task_start(Session(config, where))
+        config, home = first_attempt_start(Session(config, where))
         blueprint = task_blueprint(config, boards=boards, background=background)
-    where = opener.find_meshes(where, mesh_sets(blueprint))
-    spec, model = at_home(blueprint, where, home)
+    where = opener.find_meshes(where, visual_mesh_sets(blueprint))
+    spec, model = compose_at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)
     note_moved(target, report.moved_aside)

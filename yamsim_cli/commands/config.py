@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session_options import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_table
-from yamsim_cli.terminal.tables import Facts
+from yamsim_cli.terminal.tables import FactTable
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
@@ -36,7 +36,7 @@ def list_configs(json: Json = False) -> None:
     if json:
         print_json({"items": items})
         return
-    print_table(Facts((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
+    print_table(FactTable((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
     for root in where.data:
         print_line(f"Configs are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
@@ -46,9 +46,9 @@ def _named(context: typer.Context, name: str) -> str:
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name
-    from yamsim_cli.core.config.loader import model_of
+    from yamsim_cli.core.config.loader import config_model
 
-    model_of(kind)
+    config_model(kind)
     raise typer.BadParameter(f"say which one; valid: {', '.join(opener.locations().config_names(kind)) or 'none'}")
 
 
@@ -64,10 +64,10 @@ def show(
 
     Example: yamsim config show tasks pickplace
     """
-    from yamsim_cli.core.config.loader import load_config, model_of
-    from yamsim_cli.core.files.documents.document import dump_yaml
+    from yamsim_cli.core.config.loader import config_model, load_config
+    from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 
-    data: dict[str, Any] = load_config(model_of(kind), kind, name, opener.locations()).model_dump(mode="json")
+    data: dict[str, Any] = load_config(config_model(kind), kind, name, opener.locations()).model_dump(mode="json")
     if json:
         print_json(data)
     else:
@@ -87,16 +87,16 @@ def validate(
 
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
-    from yamsim_cli.core.config.loader import KINDS, model_of, validate_file
-    from yamsim_cli.core.expert.skills.checked import check_config
+    from yamsim_cli.core.config.loader import KINDS, config_model, validate_file
+    from yamsim_cli.core.expert.skills.program_checks import check_task_config
 
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(KINDS)}")
-    model, where = model_of(guessed), opener.locations()
-    parts = model.within(file)
+    model, where = config_model(guessed), opener.locations()
+    parts = model.paths_in_file(file)
     for part in parts:
-        validate_file(model, part, where, check=check_config)
+        validate_file(model, part, where, check=check_task_config)
     if json:
         print_json({"valid": True, "kind": guessed, "path": str(file), "parts": list(map(str, parts))})
     else:
@@ -110,6 +110,6 @@ def schema(kind: Kind, json: Json = False) -> None:
 
     Example: yamsim config schema rigs > rig.schema.json
     """
-    from yamsim_cli.core.config.loader import schema_of
+    from yamsim_cli.core.config.loader import config_json_schema
 
-    print_json(schema_of(kind))
+    print_json(config_json_schema(kind))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session_options import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_text
 
 if TYPE_CHECKING:
@@ -29,10 +29,10 @@ def doctor(
 
     Example: yamsim doctor --out /data/episodes
     """
-    from yamsim_cli.doctor import examine, faults
+    from yamsim_cli.doctor import failed_checks, run_health_checks
 
-    checks = examine(os.environ, opener.locations(), out, (lambda check: None) if json else _print)
-    found = faults(checks)
+    checks = run_health_checks(os.environ, opener.locations(), out, (lambda check: None) if json else _print)
+    found = failed_checks(checks)
     if json:
         print_json({"ok": not found, "checks": [asdict(check) for check in checks]})
     if found:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import ReportFile, VideoTrials, require_free_reports, write_json_report
-from yamsim_cli.flags.session import opener, session_settings
-from yamsim_cli.terminal.console import note, print_report, progress_bar
-from yamsim_cli.terminal.trial_tables import evaluation_table, film, films_at
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
+from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.terminal.console import print_note, print_report, progress_bar
+from yamsim_cli.terminal.trial_tables import evaluation_table, film_with_progress, open_films
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.policies.evaluate.choice import PolicyChoice
     from yamsim_cli.policies.evaluate.evaluation import Evaluation
+    from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 
 
 def evaluate(
@@ -124,21 +124,21 @@ def evaluate(
     """
     if video_all and video is None:
         raise UsageError("--video-all is for videos: give --video")
-    require_free_reports(out, html, overwrite=overwrite)
-    from yamsim_cli.policies.chunks import Chunking, read_latency
-    from yamsim_cli.policies.loading import read_arguments, sees_images
+    require_unused_reports(out, html, overwrite=overwrite)
+    from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
+    from yamsim_cli.policies.policy_loading import read_arguments, sees_images
 
-    arguments, chunking = read_arguments(policy_arg or []), Chunking(execute, ensemble, read_latency(latency))
+    arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     others = compare or []
     renders = video is not None or any(sees_images(name) for name in (policy, *others))
     session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
-    from yamsim_cli.core.episode.rules import EndRule
+    from yamsim_cli.core.episode.episode_rules import EndRule
     from yamsim_cli.core.episode.trials import require_success
     from yamsim_cli.policies.evaluate import evaluation
-    from yamsim_cli.policies.evaluate.choice import PolicyChoice
+    from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 
-    films = films_at(video, session.config, overwrite=overwrite) if video else None
+    films = open_films(video, session.config, overwrite=overwrite) if video else None
     known = _read_reports(others, session)
     choice = PolicyChoice(
         policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
@@ -148,21 +148,22 @@ def evaluate(
         known.get(name) or _evaluate(session, choice.compared_with(name), trial_timeout)[1] for name in others
     ]
     if others:
-        from yamsim_cli.policies.evaluate.compare import compare as compare_reports
+        from yamsim_cli.policies.evaluate.compare import compare_reports as compare_reports
 
         report["compared"] = [compare_reports(report, other) for other in compared_reports]
     if films:
-        report["videos"] = film(
-            films, lambda shown: evaluation.film(found, video_trials, films, session, shown, successes=video_all)
+        report["videos"] = film_with_progress(
+            films,
+            lambda shown: evaluation.film_evaluation(found, video_trials, films, session, shown, successes=video_all),
         )
     write_json_report(report, out)
     if html is not None:
         from yamsim_cli.datasets.summarize import write_leaderboard
 
         write_leaderboard([report, *compared_reports], report.get("compared", []), html)
-        note(f"The page is in {html}.")
+        print_note(f"The page is in {html}.")
     print_report(report, lambda: evaluation_table(report), json)
-    evaluation.require_run(report)
+    evaluation.require_measured(report)
     require_success(report["stats"], min_success)
 
 
@@ -172,12 +173,12 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     Raises:
         UsageError: a file is no report, or a report of other trials.
     """
-    from yamsim_cli.core.episode.trials import what_ran
-    from yamsim_cli.policies.evaluate.compare import read_report, require_same
+    from yamsim_cli.core.episode.trials import describe_run
+    from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():
-        require_same(what_ran(session.config), report)
+        require_same_trials(describe_run(session.config), report)
     return reports
 
 
@@ -188,4 +189,4 @@ def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> t
 
     with progress_bar("trials", "trials") as advance:
         found = evaluation.evaluate(session, choice, advance, trial_timeout)
-    return found, evaluation.summary(found, session.config, THRESHOLDS)
+    return found, evaluation.evaluation_report(found, session.config, THRESHOLDS)

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import ResourceError, UsageError, counted
-from yamsim_cli.flags.outputs import Rename
-from yamsim_cli.flags.session import Json, Offline, opener
-from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
+from yamsim_cli.core.errors import ResourceError, UsageError, count_noun
+from yamsim_cli.flags.output_files import Rename
+from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.export.export_source import ActionSource, RealSource, SimulatedSource
+    from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
-    from yamsim_cli.export.source import ActionSource, RealSource, Source
-    from yamsim_cli.export.target import Exported
 
 _MAX_FPS = 500  # frames a second: physics takes as many steps
 
@@ -84,7 +84,7 @@ def raiden(
 
     Example: yamsim export raiden dataset/ real_layout/
     """
-    from yamsim_cli.core.dataset.real import is_real
+    from yamsim_cli.core.dataset.imported_records import is_real
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
@@ -102,7 +102,7 @@ def raiden(
 
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
-) -> Exported:
+) -> ExportResult:
     """Export a simulation, whose pictures may be rendered anew."""
     where = opener.locations()
     if options.renders:
@@ -111,8 +111,8 @@ def _simulated_raiden(
         opener.skip_gl()
 
     from yamsim_cli.core.config.session import Session
+    from yamsim_cli.export.export_source import open_source
     from yamsim_cli.export.raiden import export_raiden
-    from yamsim_cli.export.source import open_source
 
     source = open_source(dataset, episodes, where)
     if options.renders:
@@ -128,12 +128,12 @@ def _real_raiden(
     actions: ActionSource | None,
     episodes: str | None,
     overwrite: bool,
-) -> Exported:
+) -> ExportResult:
     """Export real recordings, without rendering."""
     opener.skip_gl()
 
+    from yamsim_cli.export.export_source import open_real_source
     from yamsim_cli.export.raiden import export_real_raiden
-    from yamsim_cli.export.source import open_real_source
 
     where = opener.locations()
     source = open_real_source(dataset, episodes, where, options.fps)
@@ -164,8 +164,8 @@ def lerobot(
     """
     source = _source(dataset, episodes, fps)
 
+    from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
-    from yamsim_cli.export.source import RealSource
 
     with progress_bar("exporting", "episodes") as advance:
         if isinstance(source, RealSource):
@@ -242,20 +242,20 @@ def _rate(text: str) -> float | None:
     return rate
 
 
-def _with_renderer(where: Locations) -> Locations:
+def _with_renderer(locations: Locations) -> Locations:
     """The locations, once an OpenGL backend is chosen; the error names flags that need none."""
     try:
-        return opener.use_gl(where, workers=True)
+        return opener.use_gl(locations, workers=True)
     except ResourceError as error:
         raise ResourceError(f"{error}; or draw nothing, with --pictures nearest or --fps source") from None
 
 
-def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> Source | RealSource:
+def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
     """The chosen episodes, simulated or real, for an export that renders nothing."""
     opener.skip_gl()
 
-    from yamsim_cli.core.dataset.real import is_real
-    from yamsim_cli.export.source import open_real_source, open_source
+    from yamsim_cli.core.dataset.imported_records import is_real
+    from yamsim_cli.export.export_source import open_real_source, open_source
 
     where = opener.locations()
     if is_real(dataset):
@@ -272,13 +272,13 @@ def _require_real(flag: str, value: object, dataset: Path) -> None:
         )
 
 
-def _print(done: Exported, json: bool) -> None:
+def _print(done: ExportResult, json: bool) -> None:
     for line in done.notes:
-        note(line)
+        print_note(line)
     note_moved(done.path, done.moved_aside)
     if json:
         moved = str(done.moved_aside) if done.moved_aside else None
         report = {"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved}
         print_json(report | {"notes": list(done.notes)})
     else:
-        print_line(f"{counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')} in {done.path}")
+        print_line(f"{count_noun(done.episodes, 'episode')}, {count_noun(done.frames, 'frame')} in {done.path}")

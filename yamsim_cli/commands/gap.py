@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import Overwrite, ReportFile, require_free_reports, write_json_report
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
-from yamsim_cli.terminal.console import note, print_report, progress_bar
+from yamsim_cli.flags.output_files import Overwrite, ReportFile, require_unused_reports, write_json_report
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Robot, opener
+from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.files.resources import Locations
-    from yamsim_cli.core.motion import Motion
-    from yamsim_cli.gap_photos.compare import PhotoRequest
-    from yamsim_cli.real.gap.figures import Gap
+    from yamsim_cli.core.recorded_motion import RecordedMotion
+    from yamsim_cli.gap_photos.photo_comparison import PhotoRequest
+    from yamsim_cli.real.gap.gap_figures import MotionGap
     from yamsim_cli.real.gap.gap_page import CaptionedJpeg
 
 
@@ -76,7 +76,7 @@ def gap(
         raise UsageError(f"--from {begin:g} and --to {end:g}: nothing lies between; give --from below --to")
     if (camera or episode_camera) and not pictures:
         raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
-    require_free_reports(out, html, overwrite=overwrite)
+    require_unused_reports(out, html, overwrite=overwrite)
     where = opener.locations()
     settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
@@ -91,15 +91,15 @@ def gap(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.real.gap.report import report_of, require_small
+    from yamsim_cli.real.gap.report import build_report, require_gap_below
 
     motions, problems = _read(recordings, settings, where, mapping)
     gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
-    report = report_of(gaps, settings.name)
+    report = build_report(gaps, settings.name)
     report["problems"] = problems
     shown: list[CaptionedJpeg] = []
     if pictures:
-        from yamsim_cli.gap_photos.compare import PhotoRequest
+        from yamsim_cli.gap_photos.photo_comparison import PhotoRequest
 
         request = PhotoRequest(pictures, model, episode_camera)
         report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
@@ -108,27 +108,27 @@ def gap(
 
         write_gap_page(report, gaps, shown, html)
         report["html"] = str(html)
-        note(f"The page is in {html}.")
+        print_note(f"The page is in {html}.")
     write_json_report(report, out)
     from yamsim_cli.terminal.gap_table import gap_tables
 
     print_report(report, lambda: gap_tables(report), json)
-    require_small(report, fail_above)
+    require_gap_below(report, fail_above)
 
 
 def _read(
-    recordings: Sequence[Path], rig: RigConfig, where: Locations, mapping: str | None
-) -> tuple[list[Motion], list[dict[str, Any]]]:
+    recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
+) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
     """The recorded motions, and their faults as JSON has them, which are noted on stderr."""
-    from yamsim_cli.real.recordings.faults import find_faults, require_units
-    from yamsim_cli.real.recordings.reading import read_motions
+    from yamsim_cli.real.recordings.motion_faults import find_faults, require_units
+    from yamsim_cli.real.recordings.motion_reading import read_motions
 
-    motions = read_motions(recordings, rig, where, mapping)
+    motions = read_motions(recordings, rig, locations, mapping)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, rig)]
     for name, problem in problems:
         require_units(name, [problem])
     for name, problem in problems:
-        note(f"{name}: {problem.text}")
+        print_note(f"{name}: {problem.text}")
     return motions, [
         {"recording": name, "fault": str(problem.fault), "time_s": problem.time, "text": problem.text}
         for name, problem in problems
@@ -141,51 +141,51 @@ def _rig(
     robot: list[str] | None,
     margin: float | None,
     recording: Path,
-    where: Locations,
+    locations: Locations,
 ) -> RigConfig:
     """The named rig; without a name, the one that a dataset was recorded with."""
-    from yamsim_cli.core.dataset.layout import CONFIG
+    from yamsim_cli.core.dataset.dataset_paths import CONFIG
+    from yamsim_cli.core.dataset.imported_records import is_real, real_config
     from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.dataset.real import is_real, real_config
 
     datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
     if name is None and recording.is_dir() and datasets:
         if margin is not None or revision is not None or robot:
             raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
-        return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], where).rig
-    return opener.rig(name or "single", where, margin, revision, robot)
+        return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], locations).rig
+    return opener.rig(name or "single", locations, margin, revision, robot)
 
 
 def _gaps(
-    motions: Sequence[Motion],
+    motions: Sequence[RecordedMotion],
     rig: RigConfig,
     surroundings: SceneConfig,
-    where: Locations,
+    locations: Locations,
     part: tuple[float, float],
-) -> list[Gap]:
+) -> list[MotionGap]:
     from yamsim_cli.core.scene.build import build_rig_scene
-    from yamsim_cli.real.gap.figures import gap_of
+    from yamsim_cli.real.gap.gap_figures import measure_gap
 
-    scene = build_rig_scene(rig, surroundings, where)
+    scene = build_rig_scene(rig, surroundings, locations)
     gaps = []
     with progress_bar("gap", "recordings") as advance:
         for k, motion in enumerate(motions):
             advance(k, len(motions))
-            gaps.append(gap_of(scene, motion, *part))
+            gaps.append(measure_gap(scene, motion, *part))
         advance(len(motions), len(motions))
     return gaps
 
 
 def _photos(
-    gaps: Sequence[Gap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, where: Locations
+    gaps: Sequence[MotionGap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, locations: Locations
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
     """The figures of the recordings' photos as plain data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.scene.compose import rig_mesh_sets
-    from yamsim_cli.gap_photos.compare import compare_photos
+    from yamsim_cli.gap_photos.photo_comparison import compare_photos
 
-    quality = load_config(RenderConfig, "quality", "fast", where)
-    where = opener.find_meshes(where, rig_mesh_sets(rig))
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    locations = opener.find_meshes(locations, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
-        return compare_photos(gaps, rig, request, surroundings, quality, where, advance)
+        return compare_photos(gaps, rig, request, surroundings, quality, locations, advance)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import SimulationError, UsageError
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, print_table, progress_bar
-from yamsim_cli.terminal.tables import Listing
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_note, print_table, progress_bar
+from yamsim_cli.terminal.tables import ItemTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.real.identify.excitation import Excitation
-    from yamsim_cli.real.identify.identify import Identified
+    from yamsim_cli.real.identify.identification import IdentificationResult
 
 
 def excite(
@@ -49,7 +49,7 @@ def excite(
         if file is not None and file.suffix != ".csv":
             raise UsageError(f"{flag} {file}: motions and logs are written as .csv")
         if file is not None:
-            require_free(flag, file, overwrite=overwrite)
+            require_unused(flag, file, overwrite=overwrite)
     opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
@@ -84,7 +84,7 @@ def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any
         "seconds": float(found.times[-1]),
         "commands": len(found.times),
         "start_rad": _start(found),
-        "half_width_rad": found.box.half.tolist(),
+        "half_width_rad": found.box.half_range.tolist(),
         "share_of_speed": found.speed,
         "share_of_torque": found.torque,
     }
@@ -135,12 +135,12 @@ def identify(
         raise UsageError(f"--out {out}: the file of a revision ends in .yaml")
     sides = [each.side for each in settings.arms if arm in (None, each.side)]
     for file in {out, *(_file(out, side, len(sides)) for side in sides)}:
-        require_free("--out", file, overwrite=overwrite)
+        require_unused("--out", file, overwrite=overwrite)
     name = _revision_name(out)
     opener.skip_gl()
 
-    from yamsim_cli.real.identify.identify import identify as run
-    from yamsim_cli.real.recordings.reading import read_motions
+    from yamsim_cli.real.identify.identification import identify as run
+    from yamsim_cli.real.recordings.motion_reading import read_motions
 
     motions = read_motions(recordings, settings, where)
     others = read_motions(held_out, settings, where) if held_out else []
@@ -153,10 +153,10 @@ def identify(
         for one, file in zip(found, files, strict=True):
             _print_arm(one, file)
     for one in found:
-        if one.gap.fallen <= 0:
+        if one.gap.reduction <= 0:
             raise SimulationError(
                 f"{one.side or one.arm}: on {one.gap.source}, which was held out, the gap did not fall: "
-                f"{1000 * one.gap.before:.2f} mrad before, {1000 * one.gap.after:.2f} after; record a log of a "
+                f"{1000 * one.gap.rms_before:.2f} mrad before, {1000 * one.gap.rms_after:.2f} after; record a log of a "
                 "motion of `yamsim excite`"
             )
 
@@ -166,15 +166,15 @@ def _revision_name(out: Path) -> str:
     return name if name[:1].isalpha() else f"arm_{name}"
 
 
-def _write(found: Sequence[Identified], out: Path) -> list[Path]:
-    from yamsim_cli.core.files.documents.document import dump_yaml
+def _write(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
+    from yamsim_cli.core.files.documents.yaml_document import dump_yaml
     from yamsim_cli.core.files.writing import write_outputs
 
     files = [_file(out, one.side, len(found)) for one in found]
     revisions = {
         file: dump_yaml(one.dynamics.model_dump(mode="json", exclude_defaults=True)).encode()
         for one, file in zip(found, files, strict=True)
-        if one.gap.fallen > 0
+        if one.gap.reduction > 0
     }
     if revisions:
         write_outputs(revisions)
@@ -186,7 +186,7 @@ def _file(out: Path, side: str, arms: int) -> Path:
     return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 
-def _plain(found: Sequence[Identified], rig: str, files: Sequence[Path]) -> dict[str, Any]:
+def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
     """The JSON report: of two arms each under its side, and their joints also together."""
     arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
@@ -204,37 +204,37 @@ def _plain(found: Sequence[Identified], rig: str, files: Sequence[Path]) -> dict
     return data | {"arms": dict(zip(sides, arms, strict=True))}
 
 
-def _plain_arm(one: Identified) -> dict[str, Any]:
-    common = {each.name: each.plain() for each in one.estimates if not each.joint}
+def _plain_arm(one: IdentificationResult) -> dict[str, Any]:
+    common = {each.name: each.to_json_data() for each in one.estimates if not each.joint}
     joints: dict[str, dict[str, Any]] = {}
     for each in one.estimates:
         if each.joint:
-            joints.setdefault(each.joint, dict(common))[each.name] = each.plain()
+            joints.setdefault(each.joint, dict(common))[each.name] = each.to_json_data()
     return {
         "arm": one.arm,
         "revision": one.dynamics.revision,
         "base": one.dynamics.base,
         **common,
         "joints": joints,
-        "params": [{"joint": each.joint, "name": each.name, **each.plain()} for each in one.estimates],
-        "cannot_tell": one.cannot_tell,
+        "params": [{"joint": each.joint, "name": each.name, **each.to_json_data()} for each in one.estimates],
+        "cannot_tell": one.undetermined,
         "fitted_rms_rad": one.fitted_rms,
-        "held_out": one.gap.plain(),
+        "held_out": one.gap.to_json_data(),
     }
 
 
-def _print_arm(one: Identified, file: Path) -> None:
-    table = Listing(("joint", "parameter", "value", "from", "to", "model"), numbers_from=2, numbers_to=6)
+def _print_arm(one: IdentificationResult, file: Path) -> None:
+    table = ItemTable(("joint", "parameter", "value", "from", "to", "model"), numbers_from=2, numbers_to=6)
     for each in one.estimates:
-        figures = [f"{number:.4g}" for number in (each.value, each.low, each.high, each.before)]
+        figures = [f"{number:.4g}" for number in (each.value, each.low, each.high, each.model_value)]
         table.add_row(each.joint or "all", each.name, *figures)
     print_table(table)
     gap = one.gap
     print_line(
-        f"Held out ({gap.source}, {gap.seconds:.0f} s): {1000 * gap.before:.2f} mrad with the model, "
-        f"{1000 * gap.after:.2f} with {one.dynamics.revision}: {gap.fallen:.0%} less"
+        f"Held out ({gap.source}, {gap.seconds:.0f} s): {1000 * gap.rms_before:.2f} mrad with the model, "
+        f"{1000 * gap.rms_after:.2f} with {one.dynamics.revision}: {gap.reduction:.0%} less"
     )
-    for sentence in one.cannot_tell:
-        note(sentence)
-    if gap.fallen > 0:
+    for sentence in one.undetermined:
+        print_note(sentence)
+    if gap.reduction > 0:
         print_line(f"{file}: give it to other commands as --robot {file}")

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import counted
-from yamsim_cli.flags.outputs import Rename, open_mode
-from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
+from yamsim_cli.core.errors import count_noun
+from yamsim_cli.flags.output_files import Rename, open_mode
+from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 
 def import_recording(
@@ -69,13 +69,13 @@ def import_recording(
     with progress_bar("import", "episodes") as advance:
         report = import_recordings(request, where, advance)
     if json:
-        print_json(report.plain())
+        print_json(report.to_json_data())
         return
     note_moved(out, report.moved_aside)
     for episode, problems in report.problems.items():
         for problem in problems:
-            note(f"{episode}: {problem}")
+            print_note(f"{episode}: {problem}")
     kept = f", {report.kept} were there before" if report.kept else ""
     print_line(
-        f"{report.path}: {counted(report.episodes, 'episode')}, {counted(report.frames, 'frame')}{kept}, source: real"
+        f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, source: real"
     )

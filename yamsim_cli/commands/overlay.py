@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
@@ -84,13 +84,13 @@ def overlay(
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     if video is not None:
-        require_free("--video", video, overwrite=overwrite)
+        require_unused("--video", video, overwrite=overwrite)
     where = opener.locations()
     settings = _rig(rig, revision, episode or [], margin, where)
 
     from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
@@ -99,10 +99,10 @@ def overlay(
     opener.use_gl(where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.photos.fiducials.sighting import PoseLimits
-    from yamsim_cli.photos.overlay.joint_files import load_stands
-    from yamsim_cli.photos.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.photos.fiducials.board_detection import PoseLimits
+    from yamsim_cli.photos.overlay.joint_files import load_postures
+    from yamsim_cli.photos.overlay.overlay_run import OverlayRequest, photo_jobs, run_overlays
     from yamsim_cli.photos.overlay.photos import Photo, find_photos, recorded_photos
 
     photos = (
@@ -110,9 +110,9 @@ def overlay(
         if episode
         else [Photo(path) for path in find_photos(img or [])]
     )
-    stands = load_stands(joints, settings) if joints else None
+    stands = load_postures(joints, settings) if joints else None
     request = OverlayRequest(
-        photo_jobs(photos[::every], out, stands=stands, write_masks=mask, mask_images=mask_image),
+        photo_jobs(photos[::every], out, postures=stands, write_masks=mask, mask_images=mask_image),
         out,
         model,
         trust_margin=trust_margin,
@@ -125,22 +125,22 @@ def overlay(
         min_iou=min_iou,
         fail_if_moved=fail_if_moved,
     )
-    require_free("--out", request.files, overwrite=overwrite)
-    where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
+    require_unused("--out", request.files, overwrite=overwrite)
+    where = opener.find_meshes(where, visual_mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)
     if json:
-        print_json(report.plain())
+        print_json(report.to_json_data())
     else:
         _print(report)
     report.check()
 
 
 def _rig(
-    name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, where: Locations
+    name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
     """The named rig; without a name, the one that the recordings' dataset was recorded with."""
-    from yamsim_cli.core.dataset.layout import CONFIG
+    from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.reader import recorded_rig
 
     datasets = {path.resolve() if (path / CONFIG).is_file() else path.resolve().parent for path in recordings}
@@ -153,12 +153,12 @@ def _rig(
             raise UsageError(
                 f"--revision {revision}: an episode's arms are those it was recorded with; give --rig with it"
             )
-        return recorded_rig(datasets.pop(), where)
-    return opener.rig(name or "single", where, margin, revision)
+        return recorded_rig(datasets.pop(), locations)
+    return opener.rig(name or "single", locations, margin, revision)
 
 
 def _print(report: OverlayReport) -> None:
-    from yamsim_cli.photos.overlay.moves import describe
+    from yamsim_cli.photos.overlay.move_detection import describe_move
     from yamsim_cli.photos.overlay.overlay_report import captions
 
     for result in report.results:
@@ -167,11 +167,11 @@ def _print(report: OverlayReport) -> None:
         for arm in result.arms:
             # For a photo in which no arm has a pose, the error that follows says why.
             if result.bases and not arm.located and arm.sighting:
-                note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
+                print_note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
         for text in result.notes:
-            note(f"{result.path}: {text}")
+            print_note(f"{result.path}: {text}")
     for move in report.stillness.moves:
-        print_line(describe(move))
+        print_line(describe_move(move))
     if not report.stillness.unknown and not report.stillness.moves:
         print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

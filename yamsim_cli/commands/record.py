@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import Rename, open_mode
-from yamsim_cli.flags.session import opener, session_settings
-from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, progress_bar
-from yamsim_cli.terminal.signals import stoppable
+from yamsim_cli.core.errors import UsageError, count_noun
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.output_files import Rename, open_mode
+from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
+from yamsim_cli.terminal.signals import stop_on_signal
 
 if TYPE_CHECKING:
-    from yamsim_cli.recording.executors import Executors
+    from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
 _STOPPING = "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
@@ -83,28 +83,30 @@ def record(
     mode = open_mode(resume=resume, overwrite=overwrite)
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
-    from yamsim_cli.recording.collect import Notifier
-    from yamsim_cli.recording.destination import Output
+    from yamsim_cli.recording.collect import RecordCallbacks
     from yamsim_cli.recording.recorder import record as run
+    from yamsim_cli.recording.recording_output import RecordingOutput
 
     executors = _executors(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
-        watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
-        report = run(session, Output(out, mode, stage), executors, watch, stop)
+    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING) as stop:
+        watch = RecordCallbacks(
+            lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
+        )
+        report = run(session, RecordingOutput(out, mode, stage), executors, watch, stop)
     _print(report, json)
 
 
-def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:
-    from yamsim_cli.recording.executors import LocalProcesses, RayCluster
+def _executors(kind: str, address: str | None, attempt_timeout: float) -> ExecutorFactory:
+    from yamsim_cli.recording.executor_factories import ProcessExecutorFactory, RayExecutorFactory
 
     if kind == "process":
         if address is not None:
             raise UsageError("--address is of a Ray cluster; give --executor ray with it")
-        return LocalProcesses(attempt_timeout)
+        return ProcessExecutorFactory(attempt_timeout)
     # By default, Ray reports its use over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
-    return RayCluster(address, rendering, attempt_timeout)
+    return RayExecutorFactory(address, rendering, attempt_timeout)
 
 
 def _print(report: RecordReport, json: bool) -> None:
@@ -121,6 +123,6 @@ def _print(report: RecordReport, json: bool) -> None:
         )
     else:
         print_line(
-            f"{counted(report.episodes, 'episode')} from {counted(report.attempts, 'attempt')} in {report.path} "
+            f"{count_noun(report.episodes, 'episode')} from {count_noun(report.attempts, 'attempt')} in {report.path} "
             f"({report.seconds:.1f} s)"
         )

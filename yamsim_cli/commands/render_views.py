@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Offline, Quality, Revision, RigName, Robot, opener
-from yamsim_cli.opener import parse_size
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Quality, Revision, RigName, Robot, opener
+from yamsim_cli.session_opener import parse_size
 from yamsim_cli.terminal.console import print_json, print_line
 
 
@@ -34,11 +34,11 @@ def render_views(
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.viewers.show.views import picture_names
+    from yamsim_cli.viewers.show.rig_views import picture_names
 
-    require_free("--out", [out / name for name in picture_names()], overwrite=overwrite)
+    require_unused("--out", [out / name for name in picture_names()], overwrite=overwrite)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     # A bad name is refused before OpenGL is tried, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
@@ -46,12 +46,12 @@ def render_views(
     render = load_config(RenderConfig, "quality", quality or "auto", where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.viewers.show.views import render_views as run
-    from yamsim_cli.viewers.show.views import set_up_views, write_views
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.viewers.show.rig_views import render_views as run
+    from yamsim_cli.viewers.show.rig_views import set_up_views, write_views
 
     blueprint = Blueprint(settings, scene)
-    where = opener.find_meshes(where, mesh_sets(blueprint), render)
+    where = opener.find_meshes(where, visual_mesh_sets(blueprint), render)
     files = write_views(run(set_up_views(blueprint, where, render, pixels)), out)
     if json:
         print_json({"files": [str(file) for file in files]})

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.outputs import Rename
-from yamsim_cli.flags.session import Json, Offline, opener
-from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
-from yamsim_cli.opener import parse_size
-from yamsim_cli.terminal.console import note, note_moved, print_json, print_line, print_now
-from yamsim_cli.terminal.signals import noted_signals
+from yamsim_cli.flags.output_files import Rename
+from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.viewer_options import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.session_opener import parse_size
+from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, print_result_now
+from yamsim_cli.terminal.signals import defer_signals
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import RecordedEpisode, StoredEpisode
     from yamsim_cli.core.files.resources import Locations
-    from yamsim_cli.viewers.address import PageAddress
+    from yamsim_cli.viewers.page_address import PageAddress
 
 # The report on actions that cannot be repeated.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
@@ -81,7 +81,7 @@ def replay(
 
 def _film(
     stored: RecordedEpisode,
-    where: Locations,
+    locations: Locations,
     video: Path,
     cameras: list[str],
     render: bool,
@@ -91,16 +91,16 @@ def _film(
 ) -> dict[str, Any]:
     """Make the video, and return its report."""
     if render:
-        opener.use_gl(where)
+        opener.use_gl(locations)
     else:
         opener.skip_gl()
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, shown_again
+    from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, session_with_wrist_camera
 
     if render and isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(shown_again(_session(stored, where), size))
+        session = opener.with_meshes(session_with_wrist_camera(_session(stored, locations), size))
         film = film_rendered(stored, session, cameras, video, period, overwrite=overwrite)
     else:
         film = film_recorded(stored, cameras, video, period, overwrite=overwrite)
@@ -117,67 +117,69 @@ def _film(
     }
 
 
-def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
+def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
     """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real recording, its arms alone."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.viewers.show.replay import play, play_real
+    from yamsim_cli.viewers.show.replay import play_real, play_simulated
 
     physics = _NO_PHYSICS
 
     def ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses"
-        print_now({"episode": str(stored.directory), "url": url} | physics, line, json)
+        print_result_now({"episode": str(stored.directory), "url": url} | physics, line, json)
         if not json:
             _print_physics(physics)
             sys.stdout.flush()
 
     if isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(_session(stored, where))
+        session = opener.with_meshes(_session(stored, locations))
         # A server or a window that is interrupted while it starts cannot be closed.
-        with noted_signals() as stopped:
-            physics = _physics(stored, where)
-            play(stored, session, speed, page, ready, stopped)
+        with defer_signals() as stopped:
+            physics = _physics(stored, locations)
+            play_simulated(stored, session, speed, page, ready, stopped)
         return
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.dataset.real import real_config
+    from yamsim_cli.core.dataset.imported_records import real_config
     from yamsim_cli.core.scene.blueprint import Blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.real.recordings.reading import read_episode
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.real.recordings.motion_reading import read_episode
 
-    blueprint = Blueprint(real_config(stored.dataset, where).rig, load_config(SceneConfig, "scenes", "studio", where))
+    blueprint = Blueprint(
+        real_config(stored.dataset, locations).rig, load_config(SceneConfig, "scenes", "studio", locations)
+    )
     motion = read_episode(stored, blueprint.rig)
-    where = opener.find_meshes(where, mesh_sets(blueprint))
-    with noted_signals() as stopped:
-        play_real(stored, motion, blueprint, where, speed, page, ready, stopped)
+    locations = opener.find_meshes(locations, visual_mesh_sets(blueprint))
+    with defer_signals() as stopped:
+        play_real(stored, motion, blueprint, locations, speed, page, ready, stopped)
 
 
-def _session(stored: StoredEpisode, where: Locations) -> Session:
+def _session(stored: StoredEpisode, locations: Locations) -> Session:
     """The session of the episode's dataset, without meshes."""
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import dataset_config
 
-    return Session(dataset_config(stored.dataset, where), where)
+    return Session(dataset_config(stored.dataset, locations), locations)
 
 
-def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
+def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
     """The distance between recorded states and those of the actions repeated in physics; null without such actions."""
-    from yamsim_cli.datasets.verify import repeat_episode
+    from yamsim_cli.datasets.verify import reproduce_episode
 
     try:
-        found = repeat_episode(stored, _session(stored, where))
+        found = reproduce_episode(stored, _session(stored, locations))
     except DatasetError as error:
-        note(f"Its actions were not repeated: {error}.")
+        print_note(f"Its actions were not repeated: {error}.")
         found = None
     if found is None:
         return dict(_NO_PHYSICS)
-    return {"max_error": found.max_error, "first_divergence": found.first and asdict(found.first)}
+    return {"max_error": found.max_error, "first_divergence": found.first_difference and asdict(found.first_difference)}
 
 
 def _print_physics(report: dict[str, Any]) -> None:
     if (first := report["first_divergence"]) is not None:
         since = "" if first["frame"] is None else f", from frame {first['frame']} on, {first['quantity']} first"
-        note(f"Its actions, repeated in physics, lead up to {report['max_error']:.3g} away{since}.")
+        print_note(f"Its actions, repeated in physics, lead up to {report['max_error']:.3g} away{since}.")
     elif report["max_error"] is not None:
         print_line("its actions, repeated in physics, lead to the same states, bit for bit")

@@ -11,9 +11,9 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.console import note, print_json, print_line, print_report
-from yamsim_cli.terminal.tables import Listing, print_item, print_items
+from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report
+from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
 
 app = typer.Typer(
     help="List and show arms, grippers and stations, and make and check your own arm.", no_args_is_help=True
@@ -35,13 +35,13 @@ def list_robots(json: Json = False) -> None:
 
     Example: yamsim robots list
     """
-    from yamsim_cli.robot_catalog import robots_there
+    from yamsim_cli.robot_catalog import robot_entries
 
-    items = robots_there(opener.locations())
+    items = robot_entries(opener.locations())
     print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _row, json)
     for item in items:
         if "fault" in item and not json:
-            note(f"{item['name']} is not valid: {item['fault']}")
+            print_note(f"{item['name']} is not valid: {item['fault']}")
 
 
 @app.command()
@@ -53,9 +53,9 @@ def show(
 
     Example: yamsim robots show yam_ultra
     """
-    from yamsim_cli.robot_catalog import robot_there
+    from yamsim_cli.robot_catalog import robot_entry
 
-    print_item(robot_there(name, opener.locations()), json, {"meshes": _mesh_states})
+    print_item(robot_entry(name, opener.locations()), json, {"meshes": _mesh_states})
 
 
 @app.command()
@@ -68,12 +68,12 @@ def new(
 
     Example: yamsim robots new my_arm --data my_data
     """
-    from yamsim_cli.robot_catalog import new_robot
+    from yamsim_cli.robot_catalog import write_robot_template
 
     where = _locations(data)
     if len(where.data) < 2:
         raise UsageError("no folder for the arm: give --data DIR, or set YAMSIM_DATA_DIR to a folder of yours")
-    paths = new_robot(name, where.data[0], where)
+    paths = write_robot_template(name, where.data[0], where)
     if json:
         print_json({"paths": [str(path) for path in paths]})
     else:
@@ -104,8 +104,8 @@ def check(
     require_checked(name, found)
 
 
-def _check_table(found: Sequence[Mapping[str, Any]]) -> Listing:
-    table = Listing(["gripper", "", "found"], numbers_from=3)
+def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
+    table = ItemTable(["gripper", "", "found"], numbers_from=3)
     for one in found:
         table.add_row(one["gripper"], _VERDICTS[one["ok"]], one["detail"])
     return table
@@ -120,10 +120,10 @@ def _locations(data: Path | None) -> Locations:
 def _row(item: Mapping[str, Any]) -> list[str]:
     goes_with = ", ".join(item["goes_with"])
     source = "NOT VALID, see below" if "fault" in item else item["source"] or ""
-    return [item["kind"], item["name"], _of(item), goes_with, source, _meshes(item)]
+    return [item["kind"], item["name"], _family_and_revision(item), goes_with, source, _meshes(item)]
 
 
-def _of(item: Mapping[str, Any]) -> str:
+def _family_and_revision(item: Mapping[str, Any]) -> str:
     """The family and revision of an arm; empty for grippers and stations."""
     if item.get("family") is None:
         return ""

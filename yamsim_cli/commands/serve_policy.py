@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.flags.session import Json
-from yamsim_cli.terminal.console import note, print_now
+from yamsim_cli.flags.session_options import Json
+from yamsim_cli.terminal.console import print_note, print_result_now
 
 
 def serve_policy(
@@ -24,13 +24,13 @@ def serve_policy(
 
     Example: yamsim serve-policy --policy my_policy.py:MyPolicy --port 8080
     """
-    from yamsim_cli.policies.loading import load_policy
+    from yamsim_cli.policies.policy_loading import load_policy
     from yamsim_cli.policies.policy_server import LOOPBACK, PolicyServer
 
     # A policy that cannot be loaded is refused before a client connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:
-            note(f"Anyone who reaches {server.url} can use the policy: there is no password.")
-        print_now({"url": server.url}, f"{server.url}  (Ctrl-C ends)", json)
+            print_note(f"Anyone who reaches {server.url} can use the policy: there is no password.")
+        print_result_now({"url": server.url}, f"{server.url}  (Ctrl-C ends)", json)
         server.serve_forever()

@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.session import opener, session_settings
-from yamsim_cli.real.serve.sockets import default_folder
-from yamsim_cli.terminal.console import note, print_json, print_line
-from yamsim_cli.terminal.signals import stoppable
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.real.serve.socket_servers import default_folder
+from yamsim_cli.terminal.console import print_json, print_line, print_note
+from yamsim_cli.terminal.signals import stop_on_signal
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.real.serve.arms import Served
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
-    from yamsim_cli.real.serve.loop import Port
-    from yamsim_cli.real.serve.pictures import PictureProcess
     from yamsim_cli.real.serve.policy_robot import PolicyRobot
+    from yamsim_cli.real.serve.realtime_loop import PolledServer
+    from yamsim_cli.real.serve.render_process import RenderProcess
+    from yamsim_cli.real.serve.served_arms import ServedArms
 
 # Two frames of 130 bits at 1 Mbit/s and the adapter's path through USB: with seven motors 4 ms, the 250 Hz that the
 # maker's SDK is made for.
@@ -95,20 +95,20 @@ def serve_robot(
 
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
-    from yamsim_cli.real.motors.bus import parse_fault
+    from yamsim_cli.real.motors.motor_bus import parse_fault
 
     faults = [parse_fault(text) for text in fault or ()]
     rig = rig or "yam_v1+linear_4310"
     settings = session_settings(locals())
     session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
-    from yamsim_cli.real.serve.arms import STARTS, policy_robot, serve_arms
-    from yamsim_cli.real.serve.loop import ServeLoop
+    from yamsim_cli.real.serve.realtime_loop import ServeLoop
+    from yamsim_cli.real.serve.served_arms import STARTS, make_policy_robot, serve_arms
 
     if start not in STARTS:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
     served = serve_arms(session, channel or (), faults, start)
-    with ExitStack() as stack, stoppable("Ending.") as stop:
+    with ExitStack() as stack, stop_on_signal("Ending.") as stop:
         where = _bus_folder(folder)
         sockets = _sockets(stack, served, None if kernel else where)
         ports = _portals(stack, served, host, portal)
@@ -119,9 +119,9 @@ def serve_robot(
             if cameras:
                 ports.append(_camera_server(stack, where, source))
             if chiral is not None:
-                driven = policy_robot(session, served, source)
+                driven = make_policy_robot(session, served, source)
                 ports.append(_chiral(stack, driven, host, chiral))
-        note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
+        print_note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
@@ -131,7 +131,7 @@ def serve_robot(
                 follower.tick()
 
         loop = ServeLoop(served.plant, sockets, gap * 1e-6, ports, drive)
-        loop.run(lambda: stop.asked, float("inf") if seconds is None else seconds)
+        loop.run(lambda: stop.is_requested, float("inf") if seconds is None else seconds)
         pace = loop.pace
     if json:
         print_json({"channels": [bus.channel for bus in served.plant.buses], **asdict(pace)})
@@ -142,7 +142,7 @@ def serve_robot(
     )
 
 
-def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[UnixBus | KernelBus]:
+def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
     """A socket for each bus, in a folder; without one, the kernel's."""
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
@@ -151,46 +151,46 @@ def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[Unix
         one = KernelBus(bus.channel) if folder is None else UnixBus(folder, bus.channel)
         stack.callback(one.close)
         sockets.append(one)
-        note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
+        print_note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
     return sockets
 
 
-def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> list[Port]:
+def _portals(stack: ExitStack, served: ServedArms, host: str, port: int | None) -> list[PolledServer]:
     from yamsim_cli.real.serve.portal import PortalServer
 
-    ports: list[Port] = []
+    ports: list[PolledServer] = []
     for k, follower in enumerate(served.followers if port is not None else ()):
         server = PortalServer(follower, host, port + k if port else 0)
         stack.callback(server.close)
         ports.append(server)
-        note(f"{host}:{server.port}: calls by portal for the {served.sides[k]} arm")
+        print_note(f"{host}:{server.port}: calls by portal for the {served.sides[k]} arm")
     return ports
 
 
-def _pictures(stack: ExitStack, session: Session, served: Served, fps: float) -> PictureProcess:
-    from yamsim_cli.real.serve.arms import served_cameras
-    from yamsim_cli.real.serve.pictures import PictureProcess
+def _pictures(stack: ExitStack, session: Session, served: ServedArms, fps: float) -> RenderProcess:
+    from yamsim_cli.real.serve.render_process import RenderProcess
+    from yamsim_cli.real.serve.served_arms import served_cameras
 
-    source = PictureProcess(session, served_cameras(session.config), fps, served.state, time.time_ns)
+    source = RenderProcess(session, served_cameras(session.config), fps, served.state, time.time_ns)
     stack.callback(source.close)
     return source
 
 
-def _camera_server(stack: ExitStack, folder: Path, source: PictureProcess) -> Port:
+def _camera_server(stack: ExitStack, folder: Path, source: RenderProcess) -> PolledServer:
     from yamsim_cli.real.serve.cameras import CameraServer
 
     server = CameraServer(folder, source)
     stack.callback(server.close)
-    note(f"{server.path}: pictures of {', '.join(source.cameras)}")
+    print_note(f"{server.path}: pictures of {', '.join(source.cameras)}")
     return server
 
 
-def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> Port:
+def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> PolledServer:
     from yamsim_cli.real.serve.chiral import ChiralServer
 
     server = ChiralServer(robot, host, port)
     stack.callback(server.close)
-    note(f"{host}:{server.port}: chiral, for raiden's policies")
+    print_note(f"{host}:{server.port}: chiral, for raiden's policies")
     return server
 
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, opener
-from yamsim_cli.terminal.console import note, print_report, progress_bar
+from yamsim_cli.flags.output_files import Overwrite, require_unused
+from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 
 def summarize(
@@ -36,16 +36,16 @@ def summarize(
         if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
-        require_free("--html", html, overwrite=overwrite)
+        require_unused("--html", html, overwrite=overwrite)
 
-    from yamsim_cli.core.machine import usable_cores
+    from yamsim_cli.core.cpu_limits import usable_cores
     from yamsim_cli.core.statistics import THRESHOLDS
-    from yamsim_cli.datasets.summarize import survey_dataset
-    from yamsim_cli.datasets.summary import summarize as count
+    from yamsim_cli.datasets.check_summary import summarize as count
+    from yamsim_cli.datasets.summarize import check_dataset
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        survey = survey_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
+        survey = check_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
     report = count(survey, thresholds)
     if html:
         from yamsim_cli.datasets.summarize import write_report
@@ -56,7 +56,7 @@ def summarize(
 
     print_report(report, lambda: summary_tables(report), json)
     if html and not json:
-        note(f"The report is in {html}.")
+        print_note(f"The report is in {html}.")
     if report["errors"] or (strict and report["warnings"]):
         raise DatasetError(_verdict(dataset, report, strict))
 

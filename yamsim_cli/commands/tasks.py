@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import Rename, VideoTrials
-from yamsim_cli.flags.session import ConfigOption, Json, Offline, Rig, Seed, Workers, opener
+from yamsim_cli.flags.output_files import Rename, VideoTrials
+from yamsim_cli.flags.session_options import ConfigOption, Json, Offline, Rig, Seed, Workers, opener
 from yamsim_cli.terminal.console import print_json, print_line, print_report, progress_bar
-from yamsim_cli.terminal.tables import Listing, print_item, print_items
-from yamsim_cli.terminal.trial_tables import film, films_at
+from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
+from yamsim_cli.terminal.trial_tables import film_with_progress, open_films
 
 app = typer.Typer(help="List and show tasks, and make and check your own.", no_args_is_help=True)
 
@@ -26,9 +26,9 @@ def list_tasks(json: Json = False) -> None:
 
     Example: yamsim tasks list
     """
-    from yamsim_cli.task_proof.catalog import tasks_there
+    from yamsim_cli.task_validation.task_catalog import task_entries
 
-    print_items(tasks_there(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
+    print_items(task_entries(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
 
 
 @app.command()
@@ -40,9 +40,9 @@ def show(
 
     Example: yamsim tasks show tower
     """
-    from yamsim_cli.task_proof.catalog import task_there
+    from yamsim_cli.task_validation.task_catalog import task_entry
 
-    print_item(task_there(name, opener.locations()), json)
+    print_item(task_entry(name, opener.locations()), json)
 
 
 @app.command()
@@ -55,9 +55,9 @@ def new(
 
     Example: yamsim tasks new my_task
     """
-    from yamsim_cli.task_proof.catalog import new_task
+    from yamsim_cli.task_validation.task_catalog import write_task_template
 
-    path = new_task(name, folder)
+    path = write_task_template(name, folder)
     if json:
         print_json({"path": str(path)})
     else:
@@ -93,21 +93,23 @@ def check(
         raise UsageError("--overwrite is for videos: give --video")
     session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
-    from yamsim_cli.task_proof.proof import prove, require_proof
+    from yamsim_cli.task_validation.validation import require_passed, validate_task
 
-    films = films_at(video, session.config, overwrite=overwrite) if video else None
+    films = open_films(video, session.config, overwrite=overwrite) if video else None
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
-        report = prove(session, least, advance)
+        report = validate_task(session, least, advance)
     if films:
         from yamsim_cli.core.episode.trials import film_trials
 
-        report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
+        report["videos"] = film_with_progress(
+            films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)
+        )
     print_report(report, lambda: _table(report), json)
-    require_proof(report)
+    require_passed(report)
 
 
-def _table(report: Mapping[str, Any]) -> Listing:
-    table = Listing(["check", "", "found"], numbers_from=3)
+def _table(report: Mapping[str, Any]) -> ItemTable:
+    table = ItemTable(["check", "", "found"], numbers_from=3)
     for check in report["checks"]:
         table.add_row(check["name"].replace("_", " "), _VERDICTS[check["ok"]], check["detail"])
     for trial in report["trials"]:

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import Rename, open_mode
-from yamsim_cli.flags.session import opener, session_settings
-from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
-from yamsim_cli.terminal.console import note, print_json, print_line
-from yamsim_cli.terminal.signals import stoppable
+from yamsim_cli.core.errors import UsageError, count_noun
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.output_files import Rename, open_mode
+from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.viewer_options import Host, Port, page_address, quiet_page
+from yamsim_cli.terminal.console import print_json, print_line, print_note
+from yamsim_cli.terminal.signals import stop_on_signal
 
 if TYPE_CHECKING:
-    from yamsim_cli.viewers.teleop.loop import TeleopReport
+    from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
 _ENDING = "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 
@@ -69,8 +69,8 @@ def teleop(
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
     quiet_page()
 
-    from yamsim_cli.viewers.teleop.loop import check_page, open_teleop, run_page, run_stream
-    from yamsim_cli.viewers.teleop.stream import read_stream
+    from yamsim_cli.viewers.teleop.command_stream import read_stream
+    from yamsim_cli.viewers.teleop.teleop_session import check_page, open_teleop, run_page, run_stream
 
     commands = None if stream is None else read_stream(stream, session.config)
     page = None if commands else page_address(port, host)
@@ -79,12 +79,12 @@ def teleop(
 
     def ready(url: str) -> None:
         # Standard output is for the report.
-        note(f"{url}  (Ctrl-C ends)")
+        print_note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
     with (
-        stoppable(_ENDING) as stop,
-        open_teleop(session, out, mode, note, time_limit=time_limit) as driven,
+        stop_on_signal(_ENDING) as stop,
+        open_teleop(session, out, mode, print_note, time_limit=time_limit) as driven,
     ):
         if page is None:
             assert commands is not None
@@ -106,7 +106,9 @@ def _print(report: TeleopReport, json: bool) -> None:
             f"{jitter.ticks} ticks at {jitter.rate_hz:.2f} Hz, off by {jitter.p50:.2f} ms (median), "
             f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most), {jitter.late} late, {jitter.lost:.0f} ms lost"
         )
-    print_line(f"{counted(report.episodes, 'episode')} from {counted(report.attempts, 'attempt')} in {report.path}")
+    print_line(
+        f"{count_noun(report.episodes, 'episode')} from {count_noun(report.attempts, 'attempt')} in {report.path}"
+    )
 
 
 def _summary(report: TeleopReport) -> dict[str, Any]:

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.flags import session as flags
-from yamsim_cli.flags.outputs import ReportFile, VideoTrials, require_free_reports, write_json_report
-from yamsim_cli.flags.session import opener, session_settings
-from yamsim_cli.terminal.console import note, print_report, progress_bar
-from yamsim_cli.terminal.trial_tables import film, films_at, trials_table
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
+from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.terminal.console import print_note, print_report, progress_bar
+from yamsim_cli.terminal.trial_tables import film_with_progress, open_films, trials_table
 
 # `yamsim pickplace batch` is another name of `yamsim trials`.
 pickplace = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
@@ -57,23 +57,25 @@ def trials(
 
     Example: yamsim trials --task tower --n 200 --seed 2 --json
     """
-    require_free_reports(out, html, overwrite=overwrite)
+    require_unused_reports(out, html, overwrite=overwrite)
     session = opener.open(config, renders=video is not None, **session_settings(locals()))
 
     from yamsim_cli.core.episode.trials import film_trials, require_success, run_batch
     from yamsim_cli.core.statistics import THRESHOLDS
 
-    films = films_at(video, session.config, overwrite=overwrite) if video else None
+    films = open_films(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
         report = run_batch(session, THRESHOLDS, advance)
     if films:
-        report["videos"] = film(films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown))
+        report["videos"] = film_with_progress(
+            films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)
+        )
     write_json_report(report, out)
     if html:
         from yamsim_cli.datasets.summarize import write_trials_page
 
         write_trials_page(report, session.config, html)
         report["html"] = str(html)
-        note(f"The page is in {html}.")
+        print_note(f"The page is in {html}.")
     print_report(report, lambda: trials_table(report), json)
     require_success(report, min_success)

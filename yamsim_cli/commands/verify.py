@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.session import Json, Offline, opener
+from yamsim_cli.flags.session_options import Json, Offline, opener
 from yamsim_cli.terminal.console import print_report, progress_bar
-from yamsim_cli.terminal.tables import Facts
+from yamsim_cli.terminal.tables import FactTable
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -75,7 +75,7 @@ def verify(
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report
-    print_report(report, lambda: Facts(_rows(report)), json)
+    print_report(report, lambda: FactTable(_rows(report)), json)
     if report["agree"] < report["episodes"]:
         raise DatasetError(_verdict(report))
 

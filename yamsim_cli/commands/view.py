@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Rig, Robot, Seed, Task, opener
-from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
-from yamsim_cli.terminal.console import print_now
-from yamsim_cli.terminal.signals import noted_signals
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Rig, Robot, Seed, Task, opener
+from yamsim_cli.flags.viewer_options import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.terminal.console import print_result_now
+from yamsim_cli.terminal.signals import defer_signals
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.viewers.viewed_scene import LiveRig
@@ -71,45 +71,45 @@ def view(
     pictures = page is not None and _can_render(where)
     prepare_viewer(page)
 
-    from yamsim_cli.viewers.show.view import view_rig
+    from yamsim_cli.viewers.show.viewer import view_rig
 
     def ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
-        print_now({"url": url}, line, json)
+        print_result_now({"url": url}, line, json)
 
     # A server or a window that is interrupted while it starts cannot be closed.
-    with noted_signals() as stopped:
+    with defer_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
         view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
-def _can_render(where: Locations) -> bool:
+def _can_render(locations: Locations) -> bool:
     """Whether cameras' pictures can be rendered here; if so, an OpenGL backend is chosen."""
     try:
-        opener.use_gl(where)
+        opener.use_gl(locations)
     except ResourceError:
         return False
     return True
 
 
 def _live(
-    settings: RigConfig | RecordConfig, where: Locations, *, boards: bool, pictures: bool
+    settings: RigConfig | RecordConfig, locations: Locations, *, boards: bool, pictures: bool
 ) -> tuple[LiveRig, Viewpoint | None]:
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.viewers.show.view import live_rig, live_task, task_viewpoint
+    from yamsim_cli.core.scene.compose import visual_mesh_sets
+    from yamsim_cli.viewers.show.viewer import make_live_rig, make_live_task, task_viewpoint
 
-    quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", where) if pictures else None
+    quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", locations) if pictures else None
     if isinstance(settings, RecordConfig):
-        where = opener.find_meshes(where, mesh_sets(task_blueprint(settings)))
-        return live_task(Session(settings, where), boards=boards, quality=quality), task_viewpoint(settings)
+        locations = opener.find_meshes(locations, visual_mesh_sets(task_blueprint(settings)))
+        return make_live_task(Session(settings, locations), boards=boards, quality=quality), task_viewpoint(settings)
     assert isinstance(settings, RigConfig)
-    scene = load_config(SceneConfig, "scenes", "studio", where)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
     blueprint = Blueprint(settings, scene, boards=boards)
-    return live_rig(blueprint, opener.find_meshes(where, mesh_sets(blueprint)), quality), None
+    return make_live_rig(blueprint, opener.find_meshes(locations, visual_mesh_sets(blueprint)), quality), None

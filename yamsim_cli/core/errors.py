@@ -59,12 +59,12 @@ class InterruptedJobError(YamsimError):
     exit_code = 130
 
 
-def counted(number: int, noun: str) -> str:
+def count_noun(number: int, noun: str) -> str:
     """A number with its noun: ``"1 episode"``, ``"2 episodes"``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
-def ranges(numbers: Iterable[int]) -> str:
+def join_ranges(numbers: Iterable[int]) -> str:
     """Ordered numbers with runs joined: ``"0-4, 7, 9-10"``."""
     runs: list[list[int]] = []
     for number in numbers:

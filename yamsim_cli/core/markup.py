@@ -34,7 +34,7 @@ class Markup(str):
 Child = str | int | float | None | Iterable["Child"]
 
 
-def tag(name: str, /, *children: Child, **attributes: object) -> Markup:
+def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
     """An element.
 
     Args:
@@ -48,37 +48,37 @@ def tag(name: str, /, *children: Child, **attributes: object) -> Markup:
     )
     if name in _VOID:
         return Markup(f"<{name}{written}>")
-    return Markup(f"<{name}{written}>{join(children)}</{name}>")
+    return Markup(f"<{name}{written}>{join_markup(children)}</{name}>")
 
 
-def join(children: Iterable[Child]) -> Markup:
+def join_markup(children: Iterable[Child]) -> Markup:
     """Children one after the other."""
     return Markup("".join(map(_child, children)))
 
 
-def document(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
+def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
     """A whole page.
 
     Args:
         title: title of the browser's tab.
         kicker: the kind of page, above the heading.
-        made: the foot of the page, see `made_line`.
+        made: the foot of the page, see `page_footer`.
     """
     head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="referrer", content="no-referrer"),
-        tag("title", title),
+        html_tag("meta", charset="utf-8"),
+        html_tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        html_tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        html_tag("meta", name="referrer", content="no-referrer"),
+        html_tag("title", title),
         # The style sheet is the project's own, and must not be escaped.
         Markup(f"<style>{_STYLE.read_text(encoding='utf-8')}</style>"),
     ]
-    top = [tag("p", kicker, class_="kicker"), tag("h1", heading)]
-    main = tag("main", top, body, tag("footer", made))
-    return "<!doctype html>\n" + tag("html", tag("head", head), tag("body", main), lang="en") + "\n"
+    top = [html_tag("p", kicker, class_="kicker"), html_tag("h1", heading)]
+    main = html_tag("main", top, body, html_tag("footer", made))
+    return "<!doctype html>\n" + html_tag("html", html_tag("head", head), html_tag("body", main), lang="en") + "\n"
 
 
-def made_line() -> str:
+def page_footer() -> str:
     """The foot of a page: yamsim's version, and the date."""
     return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
 
@@ -94,7 +94,7 @@ def write_page(text: str, path: Path) -> None:
 
 def section(title: str, *children: Child) -> Markup:
     """A section with its heading."""
-    return tag("section", tag("h2", title), children)
+    return html_tag("section", html_tag("h2", title), children)
 
 
 def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Markup | None = None) -> Markup | None:
@@ -103,52 +103,60 @@ def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Marku
     Args:
         kind: the grid's class in the style sheet: `columns`, `plans` or `strips`.
     """
-    return section(title, legend, tag("div", figures, class_=kind)) if figures else None
+    return section(title, legend, html_tag("div", figures, class_=kind)) if figures else None
 
 
 def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
     """The large figures at the top of a page, each a value and its label."""
-    return tag("div", [tag("div", tag("b", value), tag("span", label)) for value, label in figures], class_="figures")
+    return html_tag(
+        "div",
+        [html_tag("div", html_tag("b", value), html_tag("span", label)) for value, label in figures],
+        class_="figures",
+    )
 
 
 def verdict(text: str, kind: str) -> Markup:
     """One line on the whole page's subject; `kind` is `fine`, `warning` or `error`."""
-    return tag("p", tag("span", text), class_=f"verdict {kind}")
+    return html_tag("p", html_tag("span", text), class_=f"verdict {kind}")
 
 
 def captioned(title: str, picture: Markup, caption: str) -> Markup:
     """A plot with its title and caption."""
-    return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
+    return html_tag("figure", html_tag("h3", title), picture, html_tag("figcaption", caption))
 
 
-def jpeg(data: bytes, alt: str, width: int | None = None) -> Markup:
+def jpeg_image(data: bytes, alt: str, width: int | None = None) -> Markup:
     """A JPEG file as an image within the page; `width` in px."""
-    return tag("img", src=f"data:image/jpeg;base64,{base64.b64encode(data).decode()}", alt=alt, width=width)
+    return html_tag("img", src=f"data:image/jpeg;base64,{base64.b64encode(data).decode()}", alt=alt, width=width)
 
 
 def captioned_jpeg(caption: str, data: bytes, width: int) -> Markup:
     """A JPEG file with its caption; `width` in px."""
-    return tag("figure", jpeg(data, caption, width), tag("figcaption", caption))
+    return html_tag("figure", jpeg_image(data, caption, width), html_tag("figcaption", caption))
 
 
 def legend(entries: Iterable[tuple[str | None, str]]) -> Markup:
     """A legend of pairs: a mark's class in the style sheet, None for the usual dot, and what the mark means."""
-    return tag("div", [tag("span", tag("i", class_=kind), text) for kind, text in entries], class_="legend")
+    return html_tag(
+        "div", [html_tag("span", html_tag("i", class_=kind), text) for kind, text in entries], class_="legend"
+    )
 
 
 def header_row(headings: Iterable[str]) -> Markup:
     """A table's row of column headings."""
-    return tag("tr", [tag("th", text, scope="col") for text in headings])
+    return html_tag("tr", [html_tag("th", text, scope="col") for text in headings])
 
 
-def rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
+def table_rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
     """A table's rows, whose first cells are their headings."""
-    return [tag("tr", tag("th", row[0], scope="row"), [tag("td", cell) for cell in row[1:]]) for row in cells]
+    return [
+        html_tag("tr", html_tag("th", row[0], scope="row"), [html_tag("td", cell) for cell in row[1:]]) for row in cells
+    ]
 
 
-def table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
+def html_table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
     """A table with column headings, see `rows`."""
-    return tag("table", tag("thead", header_row(headings)), tag("tbody", rows(cells)))
+    return html_tag("table", html_tag("thead", header_row(headings)), html_tag("tbody", table_rows(cells)))
 
 
 def percent(rate: float, digits: int = 1) -> str:
@@ -163,7 +171,7 @@ def _child(child: Child) -> str:
         return child
     if isinstance(child, str | int | float):
         return html.escape(_text(child))
-    return join(child)
+    return join_markup(child)
 
 
 def _text(value: object) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .markup import Markup, join, percent, tag
+from .markup import Markup, html_tag, join_markup, percent
 from .statistics import Coverage
 
 _WIDTH = 460.0  # px
@@ -42,13 +42,13 @@ class PixelScale:
         span = self.high - self.low
         return self.start + (value - self.low) / span * (self.end - self.start) if span else (self.start + self.end) / 2
 
-    def ticks(self, most: int) -> list[float]:
-        """Round values between `low` and `high`, about `most` of them."""
+    def ticks(self, maximum: int) -> list[float]:
+        """Round values between `low` and `high`, about `maximum` of them."""
         low, high = sorted((self.low, self.high))
         span = high - low
         if span == 0:
             return [low]
-        raw = span / max(1, most - 1)
+        raw = span / max(1, maximum - 1)
         power = 10.0 ** math.floor(math.log10(raw))
         step = next(power * k for k in (1, 2, 2.5, 5, 10) if power * k >= raw * (1 - 1e-9))
         first = math.ceil(low / step - 1e-9)
@@ -71,23 +71,29 @@ class Axes:
         for value in self.x.ticks(x_ticks):
             px = self.x(value)
             if x_grid:
-                parts.append(tag("line", x1=px, x2=px, y1=top, y2=bottom, class_="grid"))
-            parts.append(tag("text", number(value), x=px, y=bottom + 16, class_="tick", text_anchor="middle"))
+                parts.append(html_tag("line", x1=px, x2=px, y1=top, y2=bottom, class_="grid"))
+            parts.append(
+                html_tag("text", format_number(value), x=px, y=bottom + 16, class_="tick", text_anchor="middle")
+            )
         for value in self.y.ticks(y_ticks):
             py = self.y(value)
-            parts.append(tag("line", x1=left, x2=right, y1=py, y2=py, class_="grid"))
-            parts.append(tag("text", number(value), x=left - 6, y=py + 3.5, class_="tick", text_anchor="end"))
-        parts.append(tag("text", x_label, x=(left + right) / 2, y=bottom + 34, class_="label", text_anchor="middle"))
-        parts.append(tag("text", y_label, x=left, y=top - 9, class_="label", text_anchor="start"))
-        return join(parts)
+            parts.append(html_tag("line", x1=left, x2=right, y1=py, y2=py, class_="grid"))
+            parts.append(
+                html_tag("text", format_number(value), x=left - 6, y=py + 3.5, class_="tick", text_anchor="end")
+            )
+        parts.append(
+            html_tag("text", x_label, x=(left + right) / 2, y=bottom + 34, class_="label", text_anchor="middle")
+        )
+        parts.append(html_tag("text", y_label, x=left, y=top - 9, class_="label", text_anchor="start"))
+        return join_markup(parts)
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """A round number, without the noise of floating point, and with a true minus sign."""
     return f"{round(value, 9) + 0.0:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
-def distances(
+def plot_distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
     """A histogram of distances, with a line at every limit; limits far out are only named.
@@ -107,9 +113,9 @@ def distances(
     top = max(max(counts) * 1.08, 4.0)
     axes = Axes(PixelScale(low, high, 44, right), PixelScale(0, top, height - 46, 26))
     parts = [
-        tag(
+        html_tag(
             "rect",
-            tag("title", f"{a * 1000:g} to {b * 1000:g} mm: {count}"),
+            html_tag("title", f"{a * 1000:g} to {b * 1000:g} mm: {count}"),
             x=axes.x(a * 1000) + 0.5,
             y=axes.y(count),
             width=max(0.5, axes.x(b * 1000) - axes.x(a * 1000) - 1),
@@ -122,15 +128,15 @@ def distances(
     for limit in near:
         px = axes.x(limit * 1000)
         anchor, dx = ("end", -4) if px > right - 60 else ("start", 4)
-        parts.append(tag("line", x1=px, x2=px, y1=20, y2=axes.y(0), class_="limit"))
-        parts.append(tag("text", f"{limit * 1000:g} mm", x=px + dx, y=30, class_="tick", text_anchor=anchor))
+        parts.append(html_tag("line", x1=px, x2=px, y1=20, y2=axes.y(0), class_="limit"))
+        parts.append(html_tag("text", f"{limit * 1000:g} mm", x=px + dx, y=30, class_="tick", text_anchor=anchor))
     if far := [f"{limit * 1000:g} mm" for limit in limits if limit not in near]:
         text = f"{', '.join(far)} \N{RIGHTWARDS ARROW}"
-        parts.append(tag("text", text, x=right, y=17, class_="tick", text_anchor="end"))
+        parts.append(html_tag("text", text, x=right, y=17, class_="tick", text_anchor="end"))
     return _svg(title, _WIDTH, height, axes.draw("mm", counted, x_grid=False), parts)
 
 
-def failure_bars(counts: Mapping[str, int]) -> Markup:
+def plot_failures(counts: Mapping[str, int]) -> Markup:
     """A horizontal bar for each cause of failure, the longest first."""
     row, left = 26.0, 130.0
     scale = PixelScale(0, max(counts.values()), 0, _WIDTH - left - 56)
@@ -139,14 +145,14 @@ def failure_bars(counts: Mapping[str, int]) -> Markup:
         y = 4 + k * row
         shown = name if len(name) <= _MAX_NAME else name[: _MAX_NAME - 1] + "\N{HORIZONTAL ELLIPSIS}"
         parts += [
-            tag("text", shown, x=left - 8, y=y + 15, class_="name", text_anchor="end"),
-            tag("rect", x=left, y=y + 3, width=max(1.0, scale(count)), height=row - 9, class_="bad"),
-            tag("text", f"{count:,}", x=left + scale(count) + 6, y=y + 15, class_="tick"),
+            html_tag("text", shown, x=left - 8, y=y + 15, class_="name", text_anchor="end"),
+            html_tag("rect", x=left, y=y + 3, width=max(1.0, scale(count)), height=row - 9, class_="bad"),
+            html_tag("text", f"{count:,}", x=left + scale(count) + 6, y=y + 15, class_="tick"),
         ]
     return _svg("Attempts by cause of failure", _WIDTH, row * len(counts) + 8, parts)
 
 
-def rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
+def plot_rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
     """A line for each rate, with its interval; rows are name, rate, (low, high), all in 0..1."""
     row, left, top = 30.0, 150.0, 6.0
     height = top + row * len(rows) + 26
@@ -156,17 +162,17 @@ def rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
     for value in x.ticks(6):
         px = x(value)
         parts += [
-            tag("line", x1=px, x2=px, y1=top, y2=height - 22, class_="grid"),
-            tag("text", percent(value, 0), x=px, y=height - 6, class_="tick", text_anchor="middle"),
+            html_tag("line", x1=px, x2=px, y1=top, y2=height - 22, class_="grid"),
+            html_tag("text", percent(value, 0), x=px, y=height - 6, class_="tick", text_anchor="middle"),
         ]
     for k, (name, rate, (a, b)) in enumerate(rows):
         y = top + (k + 0.5) * row
         parts += [
-            tag("text", name, x=left - 10, y=y + 4, class_="name", text_anchor="end"),
-            tag("line", x1=x(a), x2=x(b), y1=y, y2=y, class_="interval"),
-            tag(
+            html_tag("text", name, x=left - 10, y=y + 4, class_="name", text_anchor="end"),
+            html_tag("line", x1=x(a), x2=x(b), y1=y, y2=y, class_="interval"),
+            html_tag(
                 "circle",
-                tag("title", f"{percent(rate)} ({percent(a)} to {percent(b)})"),
+                html_tag("title", f"{percent(rate)} ({percent(a)} to {percent(b)})"),
                 cx=x(rate),
                 cy=y,
                 r=4.5,
@@ -176,7 +182,7 @@ def rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
     return _svg("Success rates with 95 % intervals", _WIDTH, height, parts)
 
 
-def curves(
+def plot_curves(
     title: str,
     times: Values,
     lines: Mapping[str, Values],
@@ -203,11 +209,12 @@ def curves(
         PixelScale(low - room, high + room, height - 46, 26),
     )
     parts = [
-        tag("polyline", points=_points(axes, times, values), class_=f"curve {kind}") for kind, values in lines.items()
+        html_tag("polyline", points=_points(axes, times, values), class_=f"curve {kind}")
+        for kind, values in lines.items()
     ]
     if mark is not None:
         x = axes.x(mark)
-        parts.append(tag("line", x1=x, x2=x, y1=20, y2=height - 46, class_="limit"))
+        parts.append(html_tag("line", x1=x, x2=x, y1=20, y2=height - 46, class_="limit"))
     return _svg(title, _WIDTH, height, axes.draw("s", y_label, x_grid=False, y_ticks=4), parts)
 
 
@@ -222,7 +229,7 @@ def _points(axes: Axes, times: Values, values: Values) -> str:
 
 
 @dataclass(frozen=True)
-class Places:
+class ObjectPlaces:
     """The places of an object.
 
     Attributes:
@@ -238,7 +245,7 @@ class Places:
     grid: Coverage | None = None
 
 
-def workspace(places: Places, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
+def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
     """The workspace from above, with the robot's base at the bottom: x points up and y to the left, both in metres.
 
     Args:
@@ -282,7 +289,7 @@ def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]
 def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
     """A rectangle over ranges of the workspace's x and y, m."""
     left, top = axes.x(y[1]), axes.y(x[1])
-    return tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
+    return html_tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
 
 
 def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
@@ -291,7 +298,7 @@ def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind
         return None
     kept = points[:: math.ceil(len(points) / _MAX_DOTS)]
     path = "".join(f"M{axes.x(y) - offset:.1f} {axes.y(x) - offset:.1f}{stroke}" for x, y in kept)
-    return tag("path", d=path, class_=kind)
+    return html_tag("path", d=path, class_=kind)
 
 
 def _padded(values: Sequence[float]) -> Point:
@@ -302,9 +309,9 @@ def _padded(values: Sequence[float]) -> Point:
 
 def _svg(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
     """A picture, with a title for people who cannot see it."""
-    return tag(
+    return html_tag(
         "svg",
-        tag("title", title),
+        html_tag("title", title),
         parts,
         viewBox=f"0 0 {width:g} {height:g}",
         xmlns="http://www.w3.org/2000/svg",

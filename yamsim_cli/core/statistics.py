@@ -26,7 +26,7 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
-def spread(values: Sequence[float]) -> dict[str, float] | None:
+def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
     """Median, 95th percentile and maximum; None without values."""
     if not values:
         return None
@@ -72,7 +72,7 @@ class Coverage:
         return self.shape[0] * self.shape[1]
 
 
-def coverage(
+def compute_coverage(
     points: Sequence[tuple[float, float]], x: tuple[float, float], y: tuple[float, float], cell: float
 ) -> Coverage:
     """Count points (x, y) in a grid over the box `x` times `y`, with cells of at most `cell`; all in m."""

@@ -19,7 +19,7 @@ class Difference:
         time_s: simulated time of the frame, s.
         quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
         stored, got: both values; numbers in the unit of the quantity, else text.
-        difference: see `Comparison.largest`; None unless both values are finite numbers of the same shape.
+        difference: see `EpisodeComparison.largest`; None unless both values are finite numbers of the same shape.
     """
 
     frame: int | None
@@ -31,18 +31,18 @@ class Difference:
 
 
 @dataclass
-class Comparison:
+class EpisodeComparison:
     """The result of comparing two episodes.
 
     Attributes:
         largest: quantity -> its largest difference. The difference of two numbers is divided by the stored number if
             that is above 1: absolute for angles and positions (rad, m), relative for large numbers, such as a focal
             length in px.
-        first: the first difference beyond the tolerance; of several in one frame, the largest.
+        first_difference: the first difference beyond the tolerance; of several in one frame, the largest.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
-    first: Difference | None = None
+    first_difference: Difference | None = None
 
     @property
     def max_error(self) -> float:
@@ -52,30 +52,30 @@ class Comparison:
 
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
-) -> Comparison:
+) -> EpisodeComparison:
     """Compare two episodes' low-dimensional data, frame by frame and value by value.
 
     Args:
-        tolerance: largest difference of numbers, see `Comparison.largest`; other values have to be equal.
+        tolerance: largest difference of numbers, see `EpisodeComparison.largest`; other values have to be equal.
     """
-    result = Comparison()
+    result = EpisodeComparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
         time = old.get("timestamp")
         _compare(result, old, new, tolerance, k, time if isinstance(time, float) else None)
-    if len(stored) != len(made) and result.first is None:
-        result.first = Difference(None, None, "frames", float(len(stored)), float(len(made)), None)
+    if len(stored) != len(made) and result.first_difference is None:
+        result.first_difference = Difference(None, None, "frames", float(len(stored)), float(len(made)), None)
     return result
 
 
-def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> Comparison:
+def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> EpisodeComparison:
     """Compare values of whole episodes, such as their outcomes."""
-    result = Comparison()
+    result = EpisodeComparison()
     _compare(result, stored, made, tolerance, None, None)
     return result
 
 
 def _compare(
-    result: Comparison,
+    result: EpisodeComparison,
     stored: Mapping[str, Any],
     made: Mapping[str, Any],
     tolerance: float,
@@ -94,7 +94,7 @@ def _compare(
         if worst is None or size > (math.inf if worst.difference is None else worst.difference):
             place = f"[{', '.join(map(str, index))}]" if index else ""
             worst = Difference(frame, time, quantity + place, _shown(old, index), _shown(new, index), apart)
-    result.first = result.first or worst
+    result.first_difference = result.first_difference or worst
 
 
 def _leaves(stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -13,20 +13,20 @@ from ..core.markup import (
     Child,
     Markup,
     captioned,
-    document,
     grid_section,
-    jpeg,
+    html_page,
+    html_tag,
+    jpeg_image,
     key_figures,
     legend,
     percent,
-    rows,
     section,
-    tag,
+    table_rows,
     verdict,
 )
-from ..core.plots import Places, Point, workspace
-from .checks.facts import EpisodeFacts
-from .summary import Survey, within, workspace_coverage
+from ..core.plots import ObjectPlaces, Point, plot_workspace
+from .check_summary import CheckResults, is_within_threshold, workspace_coverage
+from .checks.episode_facts import EpisodeFacts
 
 _MAX_CAUSES = 12  # causes of failure in the plot
 _MAX_EXAMPLES = 5  # examples of each problem's code; --json has them all
@@ -37,7 +37,7 @@ _SPREAD = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
 @dataclass(frozen=True)
-class Strip:
+class FrameStrip:
     """JPEG files of an episode's first, middle and last frame, as far as they can be shown."""
 
     episode: str
@@ -45,26 +45,26 @@ class Strip:
     pictures: Sequence[bytes]
 
 
-def dataset_page(survey: Survey, summary: Mapping[str, Any], strips: Sequence[Strip], made: str) -> str:
+def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequence[FrameStrip], made: str) -> str:
     """The page as HTML.
 
     Args:
         summary: the survey's figures by `dataset.summary.summarize`.
         made: see `markup.document`.
     """
-    path = survey.path.absolute()
-    name = path.name or str(survey.path)
+    path = results.path.absolute()
+    name = path.name or str(results.path)
     body = [
-        tag("p", str(path), class_="where"),
+        html_tag("p", str(path), class_="where"),
         _verdict(summary),
         _figures(summary),
         _problems(summary["problems"]),
         _success(summary),
-        _workspace(survey, summary),
+        _workspace(results, summary),
         _contact_sheet(strips),
         _details(summary),
     ]
-    return document(f"{name}: dataset report", "Dataset report", name, body, made)
+    return html_page(f"{name}: dataset report", "Dataset report", name, body, made)
 
 
 def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
@@ -73,7 +73,7 @@ def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
     return f"{errors:,} error{'' if errors == 1 else 's'}", f"{warnings:,} warning{'' if warnings == 1 else 's'}"
 
 
-def by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+def group_by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
     """Problems grouped by their codes, errors first."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for problem in problems:
@@ -115,24 +115,27 @@ def _problems(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not problems:
         return None
     headings = (("problem", None), ("found", "number"), ("what and where", None), ("what to do", None))
-    head = tag("tr", [tag("th", text, scope="col", class_=kind) for text, kind in headings])
-    body = [_code_row(code, group) for code, group in by_code(problems)]
-    return section("Problems", tag("div", tag("table", tag("thead", head), tag("tbody", body)), class_="scroll"))
+    head = html_tag("tr", [html_tag("th", text, scope="col", class_=kind) for text, kind in headings])
+    body = [_code_row(code, group) for code, group in group_by_code(problems)]
+    return section(
+        "Problems",
+        html_tag("div", html_tag("table", html_tag("thead", head), html_tag("tbody", body)), class_="scroll"),
+    )
 
 
 def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
-    examples = [tag("li", _example(problem)) for problem in problems[:_MAX_EXAMPLES]]
+    examples = [html_tag("li", _example(problem)) for problem in problems[:_MAX_EXAMPLES]]
     if len(problems) > _MAX_EXAMPLES:
-        examples.append(tag("li", f"and {len(problems) - _MAX_EXAMPLES:,} more"))
+        examples.append(html_tag("li", f"and {len(problems) - _MAX_EXAMPLES:,} more"))
     first = problems[0]
     # Commands stand between backquotes in advice.
-    advice = [tag("code", part) if k % 2 else part for k, part in enumerate(first["advice"].split("`"))]
-    return tag(
+    advice = [html_tag("code", part) if k % 2 else part for k, part in enumerate(first["advice"].split("`"))]
+    return html_tag(
         "tr",
-        tag("td", tag("code", code, class_=first["severity"]), class_="code"),
-        tag("td", f"{len(problems):,}", class_="number"),
-        tag("td", first["title"], tag("ul", examples)),
-        tag("td", advice, class_="advice"),
+        html_tag("td", html_tag("code", code, class_=first["severity"]), class_="code"),
+        html_tag("td", f"{len(problems):,}", class_="number"),
+        html_tag("td", first["title"], html_tag("ul", examples)),
+        html_tag("td", advice, class_="advice"),
     )
 
 
@@ -141,7 +144,7 @@ def _example(problem: Mapping[str, Any]) -> list[Child]:
     valid = f"; valid: {problem['valid']}" if problem["valid"] else ""
     more = f" (in {problem['count']} frames)" if problem["count"] > 1 else ""
     value = f"{problem['value']}{valid}{more}"
-    return [tag("code", place) if place else None, ": " if place and value else None, value]
+    return [html_tag("code", place) if place else None, ": " if place and value else None, value]
 
 
 def _success(summary: Mapping[str, Any]) -> Markup | None:
@@ -158,7 +161,7 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
     ]
     if rate_rows:
         whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
-        figures.append(captioned("Success by threshold", plots.rates(rate_rows), f"{whose}; lines are {_WILSON}."))
+        figures.append(captioned("Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_WILSON}."))
     limits = [float(limit) for limit in summary["success_rate"]]
     for key, title, marked in (
         ("dxy_m", "Distance from the target's centre", limits),
@@ -167,50 +170,50 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
         if spread := summary[key]:
             bins = spread["histogram"]
             caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD.items())
-            picture = plots.distances(bins["edges"], bins["counts"], marked, title)
+            picture = plots.plot_distances(bins["edges"], bins["counts"], marked, title)
             figures.append(captioned(title, picture, caption.capitalize() + "."))
     if causes := attempts["causes"]:
         caption = f"{sum(causes.values()):,} of {attempts['n']:,} attempts failed."
-        bars = plots.failure_bars(dict(list(causes.items())[:_MAX_CAUSES]))
+        bars = plots.plot_failures(dict(list(causes.items())[:_MAX_CAUSES]))
         figures.append(captioned("Failures by cause", bars, caption))
     return grid_section("Success", figures, "columns")
 
 
-def _workspace(survey: Survey, summary: Mapping[str, Any]) -> Markup | None:
+def _workspace(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
     """Plots of each object's start, and of its end if it moved, coloured by success at the smallest threshold."""
-    names = list(dict.fromkeys(name for episode in survey.episodes for name in episode.starts))[:_MAX_OBJECTS]
-    threshold = min((float(limit) for limit in summary["success_rate"]), default=survey.context.threshold)
+    names = list(dict.fromkeys(name for episode in results.episodes for name in episode.starts))[:_MAX_OBJECTS]
+    threshold = min((float(limit) for limit in summary["success_rate"]), default=results.context.threshold)
     found = [
-        _panel(survey, name, threshold, last=last)
+        _panel(results, name, threshold, last=last)
         for name in names
         for last in (False, True)
-        if not last or _moved(survey.episodes, name)
+        if not last or _moved(results.episodes, name)
     ]
     panels = [panel for panel in found if panel]
-    return grid_section("Workspace", panels, "plans", _workspace_legend(survey, threshold) if panels else None)
+    return grid_section("Workspace", panels, "plans", _workspace_legend(results, threshold) if panels else None)
 
 
-def _panel(survey: Survey, name: str, threshold: float, *, last: bool) -> Markup | None:
+def _panel(results: CheckResults, name: str, threshold: float, *, last: bool) -> Markup | None:
     good: list[Point] = []
     bad: list[Point] = []
-    for episode in survey.episodes:
+    for episode in results.episodes:
         point = (episode.ends if last else episode.starts).get(name)
         if point:
-            (good if within(episode, threshold, survey) or not episode.outcome else bad).append(point)
-    failed = [] if last else _failed_starts(survey, name)
+            (good if is_within_threshold(episode, threshold, results) or not episode.outcome else bad).append(point)
+    failed = [] if last else _failed_starts(results, name)
     if not (good or bad or failed):
         return None
-    grid = workspace_coverage(survey, good + bad)
-    box = survey.context.sampling
+    grid = workspace_coverage(results, good + bad)
+    box = results.context.sampling
     title = f"{name}, {'end' if last else 'start'}"
-    frame = "world" if survey.context.recorded else "the robot's base"
-    picture = workspace(Places(good, bad, failed, grid), (box.x, box.y) if box else None, frame, title)
+    frame = "world" if results.context.recorded else "the robot's base"
+    picture = plot_workspace(ObjectPlaces(good, bad, failed, grid), (box.x, box.y) if box else None, frame, title)
     known = f"{grid.cells_hit} of {grid.cells} cells hit, {grid.outside} outside the box" if grid else ""
     return captioned(title, picture, known or "sampling box unknown")
 
 
-def _failed_starts(survey: Survey, name: str) -> list[Point]:
-    layouts = [attempt.layout for attempt in survey.attempts if not attempt.outcome.success]
+def _failed_starts(results: CheckResults, name: str) -> list[Point]:
+    layouts = [attempt.layout for attempt in results.attempts if not attempt.outcome.success]
     return [(layout[name][0], layout[name][1]) for layout in layouts if name in layout]
 
 
@@ -219,25 +222,25 @@ def _moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
     return any(math.dist(start, end) > _MOVED for start, end in pairs)
 
 
-def _workspace_legend(survey: Survey, threshold: float) -> Markup:
+def _workspace_legend(results: CheckResults, threshold: float) -> Markup:
     entries: list[tuple[str | None, str]] = [(None, f"episode within {threshold * 100:g} cm")]
-    if any(episode.outcome and not within(episode, threshold, survey) for episode in survey.episodes):
+    if any(episode.outcome and not is_within_threshold(episode, threshold, results) for episode in results.episodes):
         entries.append(("bad", f"episode beyond {threshold * 100:g} cm"))
-    if any(not attempt.outcome.success for attempt in survey.attempts):
+    if any(not attempt.outcome.success for attempt in results.attempts):
         entries.append(("failed", "failed attempt"))
-    if survey.context.sampling:
+    if results.context.sampling:
         entries.append(("cell", "cell of 5 cm that was hit"))
     return legend(entries)
 
 
-def _contact_sheet(strips: Sequence[Strip]) -> Markup | None:
+def _contact_sheet(strips: Sequence[FrameStrip]) -> Markup | None:
     shown = []
     for strip in strips:
-        images = [jpeg(data, f"{strip.episode}, picture {k + 1}") for k, data in enumerate(strip.pictures)]
-        caption = tag("figcaption", tag("code", strip.episode), f"  {strip.caption}")
-        shown.append(tag("figure", tag("div", images, class_="strip"), caption))
+        images = [jpeg_image(data, f"{strip.episode}, picture {k + 1}") for k, data in enumerate(strip.pictures)]
+        caption = html_tag("figcaption", html_tag("code", strip.episode), f"  {strip.caption}")
+        shown.append(html_tag("figure", html_tag("div", images, class_="strip"), caption))
     order = "First, middle and last frame; the episodes that ended farthest from the target come first."
-    return grid_section("Pictures", shown, "strips", tag("p", order, class_="note"))
+    return grid_section("Pictures", shown, "strips", html_tag("p", order, class_="note"))
 
 
 def _details(summary: Mapping[str, Any]) -> Markup | None:
@@ -252,8 +255,8 @@ def _details(summary: Mapping[str, Any]) -> Markup | None:
             for versions in summary["versions"]
         ),
     ]
-    cells = rows((name, value) for name, value in known if value)
-    return section("How it was made", tag("table", tag("tbody", cells))) if cells else None
+    cells = table_rows((name, value) for name, value in known if value)
+    return section("How it was made", html_tag("table", html_tag("tbody", cells))) if cells else None
 
 
 def _range(spread: Mapping[str, Any] | None, shown: Callable[[Any], str]) -> str:

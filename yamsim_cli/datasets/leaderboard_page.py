@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core.markup import Markup, document, percent, section, table, tag
+from ..core.markup import Markup, html_page, html_table, html_tag, percent, section
 
 # Outcomes of a pair of policies on a trial, in the order of the table.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
@@ -24,12 +24,12 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     title = f"{first['task']} on {first['rig']}"
     headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
     body = [
-        tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, held by {first['grasp']}"),
-        table(headings, map(_row, ranked)),
+        html_tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, held by {first['grasp']}"),
+        html_table(headings, map(_row, ranked)),
         _pairs(first, pairs),
         _instances(ranked),
     ]
-    return document(f"{title}: leaderboard", "Leaderboard", title, body, made)
+    return html_page(f"{title}: leaderboard", "Leaderboard", title, body, made)
 
 
 def _row(report: Mapping[str, Any]) -> list[str]:
@@ -52,7 +52,7 @@ def _pairs(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Mark
         return None
     cells = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
     headings = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
-    return section("Trial by trial", table(headings, cells))
+    return section("Trial by trial", html_table(headings, cells))
 
 
 def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
@@ -68,7 +68,9 @@ def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
         for one in report["stats"]["by_instance"]
     ]
     cells.sort(key=lambda row: row[0])
-    return section("By instance", table(("instance", "policy", "success", "95 % interval", "answer, median"), cells))
+    return section(
+        "By instance", html_table(("instance", "policy", "success", "95 % interval", "answer, median"), cells)
+    )
 
 
 def _interval(bounds: Sequence[float]) -> str:

@@ -11,19 +11,19 @@ from ..core.config.recording import RecordConfig
 from ..core.markup import (
     Markup,
     captioned,
-    document,
     grid_section,
     header_row,
+    html_page,
+    html_tag,
     key_figures,
     legend,
     percent,
-    rows,
     section,
-    tag,
+    table_rows,
 )
-from ..core.plots import Places, Point, workspace
-from ..core.statistics import coverage, histogram
-from .summary import CELL_M
+from ..core.plots import ObjectPlaces, Point, plot_workspace
+from ..core.statistics import compute_coverage, histogram
+from .check_summary import CELL_M
 
 Box = tuple[Point, Point]
 
@@ -56,7 +56,7 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
         _failures(failed),
     ]
     heading = f"{report['task']} on {report['rig']}, held by {report['grasp']}"
-    return document(f"{report['task']}: trials", "Trials", heading, body, made)
+    return html_page(f"{report['task']}: trials", "Trials", heading, body, made)
 
 
 def _figures(report: Mapping[str, Any]) -> Markup:
@@ -84,13 +84,13 @@ def _success(report: Mapping[str, Any]) -> Markup | None:
     figures = []
     if found := histogram(distances):
         title = "Distance from the target's centre"
-        picture = plots.distances(found["edges"], found["counts"], [report["threshold_m"]], title, "trials")
+        picture = plots.plot_distances(found["edges"], found["counts"], [report["threshold_m"]], title, "trials")
         spread = report["dxy_m"]
         caption = f"Median {spread['median'] * 1000:.1f} mm, largest {spread['max'] * 1000:.1f} mm."
         figures.append(captioned(title, picture, caption))
     if causes := report["causes"]:
         caption = f"{sum(causes.values()):,} of {report['n']:,} trials failed."
-        figures.append(captioned("Failures by cause", plots.failure_bars(causes), caption))
+        figures.append(captioned("Failures by cause", plots.plot_failures(causes), caption))
     return grid_section("Success", figures, "columns")
 
 
@@ -103,8 +103,8 @@ def _goal(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not measures:
         return None
     head = header_row(("", "held", "least margin where it held"))
-    cells = rows(_measured(what, found) for what, found in measures.items())
-    return section("Goal", tag("table", tag("tbody", head, cells)))
+    cells = table_rows(_measured(what, found) for what, found in measures.items())
+    return section("Goal", html_tag("table", html_tag("tbody", head, cells)))
 
 
 def _measured(what: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
@@ -123,9 +123,11 @@ def _workspace(
             [_start(trial, name) for trial in trials if name in trial["layout"]] for trials in (good, failed)
         )
         box, title = boxes.get(name), f"{name}, start"
-        grid = coverage(succeeded, *box, CELL_M) if box else None
+        grid = compute_coverage(succeeded, *box, CELL_M) if box else None
         caption = f"{grid.cells_hit} of {grid.cells} cells with a success" if grid else "it starts on another thing"
-        panels.append(captioned(title, workspace(Places(succeeded, (), others, grid), box, "world", title), caption))
+        panels.append(
+            captioned(title, plot_workspace(ObjectPlaces(succeeded, (), others, grid), box, "world", title), caption)
+        )
     entries = [
         (None, "success"),
         *([("failed", "failure")] if failed else []),
@@ -143,5 +145,5 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not failed:
         return None
     outcomes = [(str(trial["trial"]), trial["outcome"]) for trial in failed]
-    cells = rows((number, outcome["cause"], outcome["detail"]) for number, outcome in outcomes)
-    return section("Failures", tag("table", tag("tbody", cells)))
+    cells = table_rows((number, outcome["cause"], outcome["detail"]) for number, outcome in outcomes)
+    return section("Failures", html_tag("table", html_tag("tbody", cells)))

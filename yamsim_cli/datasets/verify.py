@@ -15,27 +15,27 @@ from typing import Any
 
 import numpy as np
 
-from ..core.closing import Closing
+from ..core.attempt_data import AttemptJob
+from ..core.closable import Closable
+from ..core.config.mesh_provenance import describe, mesh_differences
 from ..core.config.session import Session
-from ..core.config.shown_meshes import differences, shown
-from ..core.dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
+from ..core.dataset.dataset_paths import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..core.dataset.lowdim import recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
-from ..core.episode.engine import demonstrate, repeat
-from ..core.episode.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, image_files, versions
-from ..core.episode.payload import frames as made_frames
-from ..core.episode.rules import EXPERT_RULES, REPEATED_RULES
-from ..core.episode.sampling import sample
+from ..core.episode.attempt_payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, encode_images, library_versions
+from ..core.episode.attempt_payload import frame_records as made_frames
+from ..core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
+from ..core.episode.execution import demonstrate, run_actions
+from ..core.episode.sampling import sample_attempt
 from ..core.episode.simulator import Simulator, Simulators, simulator_for
-from ..core.errors import DatasetError, InterruptedJobError, ranges
+from ..core.errors import DatasetError, InterruptedJobError, join_ranges
 from ..core.images.jpeg import decode_jpeg
 from ..core.progress import Progress
-from ..core.scene.build import shown_meshes
-from ..core.types import EpisodeJob
-from ..core.workers.executor import run_all
-from ..core.workers.processes import WorkerPool
-from .compare import Comparison, Difference, compare_frames, compare_values
+from ..core.scene.build import describe_meshes
+from ..core.workers.executors import run_all
+from ..core.workers.process_pool import ProcessPool
+from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
 # The checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
@@ -49,7 +49,7 @@ class Tolerances:
     """How much may differ.
 
     Attributes:
-        values: of a number, see `dataset.compare.Comparison`.
+        values: of a number, see `dataset.compare.EpisodeComparison`.
         images: mean difference of an image's pixels, 0 .. 255; at 0 the files have to be the same byte for byte. None
             leaves images out.
     """
@@ -71,7 +71,7 @@ class EpisodeVerdict:
     """
 
     episode: int
-    checks: Mapping[str, Comparison] = field(default_factory=dict)
+    checks: Mapping[str, EpisodeComparison] = field(default_factory=dict)
     skipped: Mapping[str, str] = field(default_factory=dict)
     problems: Mapping[str, str] = field(default_factory=dict)
     changed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -79,10 +79,10 @@ class EpisodeVerdict:
     @property
     def agrees(self) -> bool:
         """Whether the episode has no fault and no difference."""
-        return not self.problems and all(check.first is None for check in self.checks.values())
+        return not self.problems and all(check.first_difference is None for check in self.checks.values())
 
 
-class EpisodeVerifier(Closing):
+class EpisodeVerifier(Closable):
     """Verifies episodes of one dataset; a context manager, since a verifier may own a renderer.
 
     Args:
@@ -98,7 +98,7 @@ class EpisodeVerifier(Closing):
         """Verify one episode, given by its number and its directory."""
         number, directory = job
         problems: dict[str, str] = {}
-        checks: dict[str, Comparison] = {}
+        checks: dict[str, EpisodeComparison] = {}
         skipped: dict[str, str] = {}
         changed: dict[str, tuple[str, str]] = {}
         try:
@@ -119,7 +119,7 @@ class EpisodeVerifier(Closing):
                     skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._from_seed(episode, frames, skipped)
-            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._tolerances.values):
+            if repeated := reproduce_frames(self._simulator(episode.record), episode, frames, self._tolerances.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -128,19 +128,24 @@ class EpisodeVerifier(Closing):
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
-    def _from_seed(self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]) -> dict[str, Comparison]:
+    def _from_seed(
+        self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
+    ) -> dict[str, EpisodeComparison]:
         """Simulate the attempt from its seed and number; `skipped` gets why its images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
-        done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
+        done = demonstrate(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
         once = compare_values(
-            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
+            {"outcome": _outcome_numbers(record.outcome), "start": _arrays(record.layout)}
             | {"randomized": asdict(record.randomized)},
-            {"outcome": _judgement(OutcomeRecord.of(done.outcome)), "start": _arrays(done.attempt.places)}
+            {
+                "outcome": _outcome_numbers(OutcomeRecord.from_outcome(done.outcome)),
+                "start": _arrays(done.attempt.places),
+            }
             | {"randomized": asdict(done.attempt.variation)},
             self._tolerances.values,
         )
-        checks = {SEED: _together(compare_frames(frames, made, self._tolerances.values), once)}
+        checks = {SEED: _merge_comparisons(compare_frames(frames, made, self._tolerances.values), once)}
         if self._tolerances.images is None:
             return checks
         if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
@@ -149,39 +154,41 @@ class EpisodeVerifier(Closing):
                 "intended, which is no damage"
             )
         elif done.states:
-            images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
+            images = encode_images(simulator, done.attempt, [state.qpos for state in done.states])
             checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
 
     def _simulator(self, record: EpisodeRecord) -> Simulator:
-        return self._simulators.of(EpisodeJob(record.seed, record.attempt))
+        return self._simulators.get(AttemptJob(record.seed, record.attempt))
 
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
-        then, now = first | episode.record.versions, versions()
+        then, now = first | episode.record.versions, library_versions()
         simulator = self._simulator(episode.record)
         if self._tolerances.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
-                then[f"meshes {name}"] = shown(text)
-                now[f"meshes {name}"] = shown(self._shown.get(name))
+                then[f"meshes {name}"] = describe(text)
+                now[f"meshes {name}"] = describe(self._shown.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
 
     @functools.cached_property
     def _shown(self) -> dict[str, str]:
         """Which meshes of each set this machine shows."""
-        return shown_meshes(self._session)
+        return describe_meshes(self._session)
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
         stated, own = self._session.config.meshes, episode.record.meshes
-        return differences(own, stated, ("here", "there")) if stated is not None and own is not None else []
+        return mesh_differences(own, stated, ("here", "there")) if stated is not None and own is not None else []
 
     def close(self) -> None:
         """Free the renderers."""
         self._simulators.close()
 
 
-def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float) -> Comparison | None:
+def reproduce_frames(
+    simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float
+) -> EpisodeComparison | None:
     """Repeat an episode's actions in physics from its recorded start, and compare with the stored frames.
 
     Args:
@@ -201,17 +208,19 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     start, actions = recorded
     stored = episode.record.outcome
     attempt = recorded_attempt(episode.record, start)
-    rules = EXPERT_RULES if episode.record.source == "record" else REPEATED_RULES
-    done = repeat(simulator, attempt, actions, rules)
+    rules = EXPERT_RULES if episode.record.source == "record" else REPLAY_RULES
+    done = run_actions(simulator, attempt, actions, rules)
     # Actions do not show which skills the expert tried again.
-    judged = OutcomeRecord.of(done.outcome).model_copy(update={"recoveries": stored.recoveries})
+    judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured otherwise; where things ended does not depend on that.
     keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
-    once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
-    return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
+    once = compare_values(
+        {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
+    )
+    return _merge_comparisons(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
 
 
-def repeat_episode(episode: StoredEpisode, session: Session) -> Comparison | None:
+def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
     """Repeat an episode's actions in physics; None if the episode holds no actions that physics can repeat.
 
     Args:
@@ -220,9 +229,9 @@ def repeat_episode(episode: StoredEpisode, session: Session) -> Comparison | Non
     Raises:
         DatasetError: a file is damaged, or the episode is of another scene.
     """
-    job = EpisodeJob(episode.record.seed, episode.record.attempt)
+    job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
-        return repeat_actions(simulator, episode, episode.frames(), tolerance=0.0)
+        return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
 
 
 def _engine(record: EpisodeRecord) -> str:
@@ -235,13 +244,13 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_name(k))
-        if episode.altered(name, data):
+        if episode.altered_files(name, data):
             problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
         frames.append(episode.frame(k, data))
     return frames
 
 
-def _judgement(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
+def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
     """An outcome's numbers and verdict, or the `keys` of them; without the text, which says the same."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
@@ -250,17 +259,17 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     return {name: np.array(values) for name, values in poses.items()}
 
 
-def _together(frames: Comparison, once: Comparison) -> Comparison:
+def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
     """One comparison of both. Where only the number of frames differs, the outcome's difference stands first."""
-    first = frames.first or once.first
-    if frames.first and frames.first.frame is None:
-        first = once.first or frames.first
-    return Comparison(frames.largest | once.largest, first)
+    first = frames.first_difference or once.first_difference
+    if frames.first_difference and frames.first_difference.frame is None:
+        first = once.first_difference or frames.first_difference
+    return EpisodeComparison(frames.largest | once.largest, first)
 
 
-def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> Comparison:
+def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> EpisodeComparison:
     """Compare recorded JPEGs with new ones; `largest` holds each camera's largest mean difference, 0 .. 255."""
-    result = Comparison()
+    result = EpisodeComparison()
     record = episode.record
     for k in range(record.frames):
         for camera in record.cameras:
@@ -268,11 +277,11 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
             stored, made = episode.read(name), images.get(name, b"")
             apart = 0.0 if stored == made else _pixels_apart(stored, made)
             result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
-            if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
+            if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first_difference is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
-                result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
-    if limit == 0.0 and result.first is None:
-        result.first = _first_other_truth(episode, images)
+                result.first_difference = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+    if limit == 0.0 and result.first_difference is None:
+        result.first_difference = _first_other_truth(episode, images)
     return result
 
 
@@ -313,7 +322,7 @@ def verify(
     factory = functools.partial(EpisodeVerifier, session, tolerances)
     verdicts: list[EpisodeVerdict] = []
     try:
-        with WorkerPool[tuple[int, Path], EpisodeVerdict](factory, min(workers, len(episodes))) as pool:
+        with ProcessPool[tuple[int, Path], EpisodeVerdict](factory, min(workers, len(episodes))) as pool:
             for _, verdict in run_all(pool, episodes):
                 verdicts.append(verdict)
                 progress(len(verdicts), len(episodes))
@@ -328,10 +337,10 @@ def verify(
 
 def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
     divergences = [
-        {"episode": verdict.episode, "check": check, **asdict(comparison.first)}
+        {"episode": verdict.episode, "check": check, **asdict(comparison.first_difference)}
         for verdict in verdicts
         for check in CHECKS
-        if (comparison := verdict.checks.get(check)) and comparison.first
+        if (comparison := verdict.checks.get(check)) and comparison.first_difference
     ]
     checks = {check: _check_report(verdicts, check) for check in CHECKS}
     remade = [found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])]
@@ -366,7 +375,7 @@ def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, A
             largest[quantity] = max(largest.get(quantity, 0.0), apart)
     return {
         "episodes": len(found),
-        "agree": sum(comparison.first is None for comparison in found),
+        "agree": sum(comparison.first_difference is None for comparison in found),
         "max_error": max(largest.values(), default=0.0),
         "largest": largest,
         "skipped": reasons,
@@ -380,6 +389,6 @@ def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
         for name, (then, now) in verdict.changed.items():
             concerned.setdefault((name, then, now), []).append(verdict.episode)
     return [
-        {"name": name, "recorded": then, "now": now, "episodes": ranges(numbers)}
+        {"name": name, "recorded": then, "now": now, "episodes": join_ranges(numbers)}
         for (name, then, now), numbers in sorted(concerned.items())
     ]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.extras import require_library
 
-from ..core.closing import Closing
+from ..core.closable import Closable
 from ..core.dataset.environment_state import joints_key, object_pose_keys, state_names, state_row
 from ..core.dataset.lowdim import ACTION, BETWEEN_BASES, STATE
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode, recorded_images
@@ -23,10 +23,10 @@ from ..core.errors import DatasetError
 from ..core.images.video import BT601, VideoWriter, require_encoder
 from ..core.progress import Progress
 from . import lerobot_schema as schema
-from .lerobot_schema import Feature, FilePlace, TableSeries, episode_table, frames_table, write_tasks
+from .export_source import ActionSource, ExportSource, Frames, RealEpisode, RealSource, SimulatedSource
+from .lerobot_schema import LeRobotFeature, SeriesFile, TableSeries, episode_table, frames_table, write_tasks
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
-from .source import ActionSource, AnySource, Frames, RealEpisode, RealSource, Source
-from .target import Exported, export_directory
+from .output_directory import ExportResult, export_directory
 
 Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of an episode
 
@@ -34,14 +34,14 @@ _APART = "unlike the first one: export them apart, see --episodes"
 
 
 def export_lerobot(
-    source: Source,
+    source: SimulatedSource,
     out: Path,
     progress: Progress,
     *,
     pictures: bool = True,
     environment_state: bool = False,
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
 
     Args:
@@ -64,7 +64,7 @@ def export_real_lerobot(
     pictures: bool = True,
     actions: ActionSource = "recorded",
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
 
     Args:
@@ -79,7 +79,7 @@ def export_real_lerobot(
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
 
-def _export(source: AnySource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> Exported:
+def _export(source: ExportSource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> ExportResult:
     require_library("a LeRobot dataset", "pyarrow", "lerobot")
     if content.pictures and source.cameras:
         require_encoder()
@@ -89,7 +89,7 @@ def _export(source: AnySource, out: Path, progress: Progress, content: _Content,
                 writer.add(episode)
                 progress(number + 1, len(source))
         writer.write_meta()
-    return Exported(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
+    return ExportResult(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
 
 
 class _Content(ABC):
@@ -107,7 +107,7 @@ class _Content(ABC):
         self.notes: list[str] = []
 
     @abstractmethod
-    def columns(self) -> dict[str, Feature]:
+    def columns(self) -> dict[str, LeRobotFeature]:
         """The features in the Parquet files."""
 
     @abstractmethod
@@ -126,22 +126,22 @@ class _Content(ABC):
 class _SimulatedContent(_Content):
     """Joints, commands of drives and welds, and poses of things."""
 
-    def __init__(self, source: Source, pictures: bool, environment_state: bool) -> None:
+    def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
         super().__init__(pictures, {})
         self._source = source
         self._cameras = tuple(source.cameras) if pictures else ()
         self._things = tuple(object_pose_keys(source.config)) if environment_state else ()
 
-    def columns(self) -> dict[str, Feature]:
+    def columns(self) -> dict[str, LeRobotFeature]:
         source = self._source
         features = {
-            schema.STATE: schema.rows(source.drives),
-            schema.ACTION: schema.rows((*source.drives, *source.welds)),
+            schema.STATE: schema.row_feature(source.drives),
+            schema.ACTION: schema.row_feature((*source.drives, *source.welds)),
         }
         if self._things:
             names = state_names(self._things, source.first.record.joints)
-            features[schema.ENVIRONMENT_STATE] = schema.rows(names)
-        return features | schema.matrices(self._cameras, self._cameras)
+            features[schema.ENVIRONMENT_STATE] = schema.row_feature(names)
+        return features | schema.matrix_features(self._cameras, self._cameras)
 
     def values(self, episode: StoredEpisode, frames: Frames) -> Values:
         joints, first = episode.record.joints, self._source.first
@@ -181,32 +181,34 @@ class _RealContent(_Content):
         self._intrinsics = tuple(frame.get("intrinsics", ())) if pictures else ()
         self._extrinsics = tuple(frame.get("extrinsics", ())) if pictures else ()
 
-    def columns(self) -> dict[str, Feature]:
+    def columns(self) -> dict[str, LeRobotFeature]:
         source = self._source
-        features = {schema.STATE: schema.rows(source.drives)}
+        features = {schema.STATE: schema.row_feature(source.drives)}
         if self._actions != "none":
-            features[schema.ACTION] = schema.rows(source.drives)
-        features[schema.RECORDED_TIME] = Feature("float64", (1,))
+            features[schema.ACTION] = schema.row_feature(source.drives)
+        features[schema.RECORDED_TIME] = LeRobotFeature("float64", (1,))
         if self._velocities:
-            named = zip(source.prefixes, source.rig.recorded, strict=True)
+            named = zip(source.prefixes, source.rig.recording_order, strict=True)
             joints = [prefix + name for prefix, k in named for name in source.rig.arms[k].robot.joint_drives]
-            features[schema.VELOCITIES] = schema.rows(joints)
-        return features | schema.matrices(self._intrinsics, self._extrinsics)
+            features[schema.VELOCITIES] = schema.row_feature(joints)
+        return features | schema.matrix_features(self._intrinsics, self._extrinsics)
 
     def values(self, episode: RealEpisode, frames: Frames) -> Values:
         source, n = self._source, len(frames)
-        values: Values = {schema.STATE: source.shares([frame["joints"] for frame in frames]).reshape(n, -1)}
+        values: Values = {
+            schema.STATE: source.with_gripper_shares([frame["joints"] for frame in frames]).reshape(n, -1)
+        }
         if self._actions != "none":
             values[schema.ACTION] = source.actions(episode, frames, self._actions).reshape(n, -1)
         values[schema.RECORDED_TIME] = np.array([frame["timestamp"] for frame in frames])
         if self._velocities:
-            values[schema.VELOCITIES] = np.reshape(_of_all(episode, frames, "joint_velocities"), (n, -1))
+            values[schema.VELOCITIES] = np.reshape(_column_values(episode, frames, "joint_velocities"), (n, -1))
         for key, cameras in (("intrinsics", self._intrinsics), ("extrinsics", self._extrinsics)):
             for camera in cameras:
-                if not all(camera in matrices for matrices in _of_all(episode, frames, key)):
+                if not all(camera in matrices for matrices in _column_values(episode, frames, key)):
                     raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_APART}")
         values |= _matrices(self._intrinsics, self._extrinsics, frames)
-        if (note := source.unevenness(episode, frames)) is not None:
+        if (note := source.describe_uneven_times(episode, frames)) is not None:
             self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
         return values
 
@@ -233,7 +235,7 @@ def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Fram
     }
 
 
-def _of_all(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
+def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
     """The value under a key of each frame.
 
     Raises:
@@ -260,14 +262,14 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
     return video.frames * period, counts.stats()
 
 
-class _LeRobotWriter(Closing):
+class _LeRobotWriter(Closable):
     """Writes a dataset's episodes into a directory; leaving it closes all files.
 
     Attributes:
         frames: number of frames written.
     """
 
-    def __init__(self, root: Path, source: AnySource, content: _Content) -> None:
+    def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
         self.frames = 0
         self._root, self._source, self._content = root, source, content
         self._cameras = source.cameras if content.pictures else {}
@@ -292,7 +294,7 @@ class _LeRobotWriter(Closing):
             DatasetError: the episode has other features than the first.
         """
         number, period = len(self._provenance), self._source.frame_period
-        video_place, encoding = FilePlace(number), {}
+        video_place, encoding = SeriesFile(number), {}
         for camera in self._cameras:
             path = self._root / video_place.path(schema.VIDEO, video_key=schema.image_key(camera))
             encoding[camera] = self._threads.submit(_write_video, path, episode, camera, period)
@@ -345,10 +347,10 @@ class _LeRobotWriter(Closing):
         # A video's width and height are even.
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in self._cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
-        robots = [source.rig.arms[k].model.name for k in source.rig.recorded]
+        robots = [source.rig.arms[k].model.name for k in source.rig.recording_order]
         stats = self._total.stats().items()
         contents: dict[str, dict[str, Any]] = {
-            schema.INFO: schema.info(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts),
+            schema.INFO: schema.info_json(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts),
             schema.STATS: {
                 key: {name: value.tolist() for name, value in _plain_stats(found).items()} for key, found in stats
             },

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.closing import Closing
+from ..core.closable import Closable
 from ..core.images.video import ENCODER
 
 VERSION = "v3.0"
@@ -47,7 +47,7 @@ _TWO = "bi_"  # prefix of a robot's type for two arms, as in lerobot's own names
 
 
 @dataclass(frozen=True)
-class FilePlace:
+class SeriesFile:
     """A file of a series, by its number."""
 
     number: int
@@ -68,35 +68,35 @@ class FilePlace:
 
 
 @dataclass(frozen=True)
-class Feature:
+class LeRobotFeature:
     """A column: dtype and shape of a frame's value, (1,) or a row, and the names of the row's elements."""
 
     dtype: str
     shape: tuple[int, ...]
     names: tuple[str, ...] | None = None
 
-    def plain(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """The feature's entry in `info.json`."""
         return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
 
 
 # Features that every dataset of the format has.
-INDEX_FEATURES: Mapping[str, Feature] = {
-    "timestamp": Feature("float32", (1,)),
-    "frame_index": Feature("int64", (1,)),
-    "episode_index": Feature("int64", (1,)),
-    "index": Feature("int64", (1,)),
-    "task_index": Feature("int64", (1,)),
+INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
+    "timestamp": LeRobotFeature("float32", (1,)),
+    "frame_index": LeRobotFeature("int64", (1,)),
+    "episode_index": LeRobotFeature("int64", (1,)),
+    "index": LeRobotFeature("int64", (1,)),
+    "task_index": LeRobotFeature("int64", (1,)),
 }
 
 
-def _matrix(letter: str, size: int) -> Feature:
+def _matrix(letter: str, size: int) -> LeRobotFeature:
     """The feature of a square matrix, row by row, with elements named by row and column from 0, such as `K02`.
 
     The feature is flat, since lerobot's tools for editing datasets cannot write arrays of two dimensions.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
-    return Feature("float32", (len(names),), names)
+    return LeRobotFeature("float32", (len(names),), names)
 
 
 def image_key(camera: str) -> str:
@@ -114,12 +114,12 @@ def extrinsics_key(camera: str) -> str:
     return f"camera.extrinsics.{camera}"
 
 
-def rows(names: Sequence[str]) -> Feature:
+def row_feature(names: Sequence[str]) -> LeRobotFeature:
     """The feature of a row of numbers with names."""
-    return Feature("float32", (len(names),), tuple(names))
+    return LeRobotFeature("float32", (len(names),), tuple(names))
 
 
-def matrices(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, Feature]:
+def matrix_features(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, LeRobotFeature]:
     """The features of cameras with a known K, and of cameras with a known pose."""
     features = {}
     for camera in dict.fromkeys((*intrinsics, *extrinsics)):
@@ -130,11 +130,11 @@ def matrices(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[s
     return features
 
 
-def info(
+def info_json(
     cameras: Mapping[str, tuple[int, int]],
     fps: float,
     robots: Sequence[str],
-    features: Mapping[str, Feature],
+    features: Mapping[str, LeRobotFeature],
     *,
     episodes: int,
     frames: int,
@@ -161,7 +161,7 @@ def info(
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": VIDEO if cameras else None,
-        "features": images | {key: feature.plain() for key, feature in features.items()},
+        "features": images | {key: feature.to_json_data() for key, feature in features.items()},
     }
 
 
@@ -191,7 +191,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
     }
 
 
-class TableSeries(Closing):
+class TableSeries(Closable):
     """Writes tables with the same columns to a series of Parquet files.
 
     Use it as a context manager: leaving it writes the last file's footer.
@@ -205,14 +205,14 @@ class TableSeries(Closing):
     def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:
         self._root, self._pattern, self._limit = root, pattern, limit_mb * 1e6
         self._writer: Any = None
-        self._place = FilePlace(0)
+        self._place = SeriesFile(0)
         self._path = root
 
-    def next_place(self) -> FilePlace:
+    def next_place(self) -> SeriesFile:
         """The file for the next table."""
         if self._writer is not None and self._path.stat().st_size >= self._limit:
             self.close()
-            self._place = FilePlace(self._place.number + 1)
+            self._place = SeriesFile(self._place.number + 1)
         return self._place
 
     def write(self, table: Any) -> None:
@@ -233,11 +233,11 @@ class TableSeries(Closing):
             self._writer = None
 
 
-def frames_table(columns: Mapping[str, Feature], values: Mapping[str, NDArray[Any]]) -> Any:
+def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDArray[Any]]) -> Any:
     """A table of an episode's frames, from values (frames, ...) by feature."""
     import pyarrow
 
-    def array(key: str, feature: Feature) -> Any:
+    def array(key: str, feature: LeRobotFeature) -> Any:
         flat = pyarrow.array(np.asarray(values[key], feature.dtype).ravel())
         (width,) = feature.shape
         return flat if width == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, width)

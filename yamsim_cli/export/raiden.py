@@ -18,14 +18,14 @@ from ..core.dataset.reader import RecordedEpisode
 from ..core.errors import DatasetError, UsageError
 from ..core.files.resources import Locations
 from ..core.progress import Progress
-from ..core.workers.executor import Executor, Factory, InlineExecutor
-from ..core.workers.processes import WorkerPool
+from ..core.workers.executors import Executor, Factory, InlineExecutor
+from ..core.workers.process_pool import ProcessPool
 from . import raiden_schema as schema
-from .raiden_episode import EpisodeMaker, MadeEpisode, copy_images
-from .raiden_frames import FrameConverter, calibration, camera_names, hand_frame
+from .export_source import ActionSource, Frames, RealEpisode, RealSource, SimulatedSource, depth_cameras
+from .output_directory import ExportResult, export_directory
+from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
+from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
-from .source import ActionSource, Frames, RealEpisode, RealSource, Source, depth_cameras
-from .target import Exported, export_directory
 
 _CONTROL = {"record": "plan"}  # source of a simulated episode -> how the arm was driven, if named otherwise
 _REAL_CONTROL = "unknown"  # real recordings do not say how the arm was driven
@@ -34,7 +34,7 @@ Job = tuple[Path, Path]  # an episode's directory, and the directory to export i
 
 
 def export_raiden(
-    source: Source,
+    source: SimulatedSource,
     out: Path,
     locations: Locations,
     progress: Progress,
@@ -42,7 +42,7 @@ def export_raiden(
     *,
     workers: int = 1,
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a simulated dataset in the real stack's layout.
 
     The global frame is the base of the left arm. A lone arm is the left one; the right arm then stands still with all
@@ -61,12 +61,12 @@ def export_raiden(
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
-    factory = functools.partial(EpisodeMaker, Session(config, locations), converter.names, options)
+    factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
         episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
-        for folder, made in _make(factory, jobs, workers if options.renders else 0):
+        for folder, made in _convert_all(factory, jobs, workers if options.renders else 0):
             episode = episodes[folder.name]
             record = episode.record
             data = [converter.frame(frame) for frame in made.frames]
@@ -84,13 +84,13 @@ def export_raiden(
             frames[folder.name] = len(data)
             if folder == jobs[0][1]:
                 _write_json(stage.path / schema.SHARED_METADATA, metadata)
-                _write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
+                _write_json(stage.path / schema.CALIBRATION, calibration_json(source, converter, options, data))
             progress(len(frames), len(source))
         _write_split(stage.path, frames)
-    return Exported(out, len(frames), sum(frames.values()), stage.moved_aside)
+    return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside)
 
 
-def _as_recorded(source: Source) -> RecordConfig:
+def _as_recorded(source: SimulatedSource) -> RecordConfig:
     """The dataset's config, with the size of the recorded pictures."""
     sizes = set(source.cameras.values())
     if len(sizes) > 1:
@@ -101,15 +101,17 @@ def _as_recorded(source: Source) -> RecordConfig:
     return source.config.model_copy(update={"image": image})
 
 
-def _make(factory: Factory[Job, MadeEpisode], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Path, MadeEpisode]]:
+def _convert_all(
+    factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
+) -> Iterator[tuple[Path, ConvertedEpisode]]:
     """Each episode's folder and content, in the order in which the episodes are done.
 
     Args:
         workers: number of processes; 0 for this process.
     """
-    executor: Executor[Job, MadeEpisode] = InlineExecutor(factory)
+    executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
-        executor = WorkerPool[Job, MadeEpisode](factory, min(workers, len(jobs)))
+        executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
     waiting = list(reversed(jobs))
     with executor as pool:
         for _ in jobs:
@@ -128,7 +130,7 @@ def export_real_raiden(
     actions: ActionSource = "recorded",
     *,
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write real recordings in the real stack's layout. Each frame is the recorded one nearest to its time.
 
     Poses of hands follow from the joints by the kinematics that `options` names. Only known matrices of cameras are
@@ -150,7 +152,7 @@ def export_real_raiden(
             f"{source.path} has no pictures, and raiden's layout keeps its times beside them: export it as lerobot"
         )
     names = {camera: camera for camera in source.cameras}
-    single = options.single or len(source.rig.recorded) == 1
+    single = options.single or len(source.rig.recording_order) == 1
     converter = FrameConverter(source.rig, names, locations, options.hand_frame, single=single)
     frames: dict[str, int] = {}
     notes: list[str] = []
@@ -160,9 +162,11 @@ def export_real_raiden(
             recorded = episode.frames()
             data = _converted(source, converter, episode, recorded, actions)
             copy_images(RecordedEpisode(episode.directory, episode.record), folder, names, episode.chosen, options)
-            times = [k * source.period if source.even else frame["timestamp"] for k, frame in enumerate(recorded)]
+            times = [
+                k * source.period if source.is_resampled else frame["timestamp"] for k, frame in enumerate(recorded)
+            ]
             pictures: dict[str, Any] = {"source": "recorded"}
-            if source.even:
+            if source.is_resampled:
                 pictures = schema.nearest_pictures(episode.chosen, source.first.record.frame_period_s)
             metadata = _metadata(
                 episode, names, data, options, framerate=1 / source.period, control=_REAL_CONTROL, pictures=pictures
@@ -170,12 +174,12 @@ def export_real_raiden(
             _write_episode(folder, times, data, metadata)
             if number == 0:
                 _write_json(stage.path / schema.SHARED_METADATA, metadata)
-            if (note := source.unevenness(episode, recorded)) is not None:
+            if (note := source.describe_uneven_times(episode, recorded)) is not None:
                 notes.append(note)
             frames[folder.name] = len(data)
             progress(number + 1, len(source))
         _write_split(stage.path, frames)
-    return Exported(out, len(frames), sum(frames.values()), stage.moved_aside, tuple(notes))
+    return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside, tuple(notes))
 
 
 def _converted(
@@ -187,7 +191,7 @@ def _converted(
             f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
             "export it as lerobot"
         )
-    joints = source.shares([frame["joints"] for frame in recorded])
+    joints = source.with_gripper_shares([frame["joints"] for frame in recorded])
     commands = source.actions(episode, recorded, actions)
     prompt = recorded[0].get("language_prompt", "")
     common = {"intrinsics": {}, "extrinsics": {}, "language_task": prompt, "language_prompt": prompt}

@@ -11,23 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from ..core.closing import Closing
+from ..core.attempt_data import AttemptJob
+from ..core.closable import Closable
 from ..core.config.session import Session
-from ..core.dataset.disk_faults import explain
-from ..core.dataset.layout import depth_name
+from ..core.dataset.dataset_paths import depth_name
+from ..core.dataset.disk_errors import explain_disk_error
+from ..core.dataset.ground_truth_files import dump_depth
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode, open_episode
-from ..core.dataset.truth_files import dump_depth
-from ..core.episode.payload import depth_mm, recorded_pictures
+from ..core.episode.attempt_payload import recorded_pictures, render_depth
 from ..core.episode.simulator import Simulator, Simulators
 from ..core.errors import DatasetError, PartialJobError
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
 from ..core.images.png import encode_png
-from ..core.types import EpisodeJob
 from . import raiden_schema as schema
+from .export_source import depth_cameras
 from .raiden_schema import RaidenOptions
-from .resample import Resampled, nearest_frames, resample
-from .source import depth_cameras
+from .resample import ResampledEpisode, nearest_frames, resample_episode
 
 # Largest mean difference, of 255, between a picture rendered anew and the recorded one. OpenGL of another machine stays
 # below; missing meshes, or another version's appearance, exceed it.
@@ -35,7 +35,7 @@ _MOST_DIFFERENCE = 3.0
 
 
 @dataclass(frozen=True)
-class MadeEpisode:
+class ConvertedEpisode:
     """An episode's frames, whose pictures are written already.
 
     Attributes:
@@ -49,7 +49,7 @@ class MadeEpisode:
     pictures: Mapping[str, Any]
 
 
-class EpisodeMaker(Closing):
+class EpisodeConverter(Closable):
     """Makes episodes of one dataset, and owns a renderer if it renders.
 
     Args:
@@ -64,7 +64,7 @@ class EpisodeMaker(Closing):
         self._truth = session.config.truth
         self._simulators = None if options.fps is None else Simulators(session)
 
-    def run(self, job: tuple[Path, Path]) -> MadeEpisode:
+    def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
         """Make an episode and write its pictures.
 
         Args:
@@ -79,22 +79,22 @@ class EpisodeMaker(Closing):
         try:
             return self._make(open_episode(directory), folder)
         except OSError as error:
-            raise PartialJobError(f"{explain(error, folder)}: nothing was exported") from error
+            raise PartialJobError(f"{explain_disk_error(error, folder)}: nothing was exported") from error
 
-    def _make(self, episode: StoredEpisode, folder: Path) -> MadeEpisode:
+    def _make(self, episode: StoredEpisode, folder: Path) -> ConvertedEpisode:
         frames = episode.frames()
         if self._simulators is None or self._options.fps is None:
             self._copy(episode, folder, range(len(frames)))
-            return MadeEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
-        simulator = self._simulators.of(EpisodeJob(episode.record.seed, episode.record.attempt))
-        made = resample(simulator, episode, self._options.fps)
+            return ConvertedEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
+        simulator = self._simulators.get(AttemptJob(episode.record.seed, episode.record.attempt))
+        made = resample_episode(simulator, episode, self._options.fps)
         if self._options.renders:
             self._render(simulator, episode, folder, made)
-            return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
+            return ConvertedEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
         nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
         self._copy(episode, folder, nearest)
         pictures = schema.nearest_pictures(nearest, episode.record.frame_period_s)
-        return MadeEpisode(made.times.tolist(), made.frames, pictures)
+        return ConvertedEpisode(made.times.tolist(), made.frames, pictures)
 
     def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
         copy_images(episode, folder, self._names, frames, self._options)
@@ -103,7 +103,7 @@ class EpisodeMaker(Closing):
                 place = folder / "depth" / self._names[camera] / schema.frame_name(k, "npz")
                 _write(place, _depth(episode, camera, frame))
 
-    def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
+    def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: ResampledEpisode) -> None:
         depths = depth_cameras(episode)
         if depths and not self._truth:
             raise DatasetError(
@@ -117,7 +117,7 @@ class EpisodeMaker(Closing):
             data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
             _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
             if camera in depths:
-                data = dump_depth(depth_mm(simulator, made.attempt, made.qpos[k], camera))
+                data = dump_depth(render_depth(simulator, made.attempt, made.qpos[k], camera))
                 _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
 
     def _require_same_appearance(self, episode: StoredEpisode, camera: str, image: Image) -> None:
@@ -178,7 +178,7 @@ def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> 
 def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
     """The bytes of a depth image's file, whose content is checked."""
     name = depth_name(camera, number)
-    data = episode.whole(name)
+    data = episode.read_verified(name)
     width, height = episode.record.cameras[camera]
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:

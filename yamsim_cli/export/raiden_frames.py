@@ -22,10 +22,10 @@ from ..core.errors import ResourceError, UsageError
 from ..core.expert.planning.arm_kinematics import ArmKinematics
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array, inverse, pose, rotation_vector
-from ..core.scene.robot import bare_arm
+from ..core.scene.arm_model import kinematic_model
 from . import raiden_schema as schema
+from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
-from .source import Frames, Source
 
 _SIDES = ("left", "right")
 # Wrist cameras in raiden's layout, in the order of `_SIDES`. A lone arm is the left one.
@@ -49,16 +49,16 @@ def hand_frame(name: HandFrameName) -> dict[str, str]:
     return {"name": name, "description": _DESCRIPTIONS[name]}
 
 
-def camera_names(source: Source) -> dict[str, str]:
+def camera_names(source: SimulatedSource) -> dict[str, str]:
     """Camera -> its name in raiden's layout."""
     wrists = _wrist_arms(source)
     return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
 
 
-def _wrist_arms(source: Source) -> dict[str, int]:
+def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
     """Wrist camera -> the place of its arm in recordings."""
     config = source.config
-    arms = [config.rig.arms[k] for k in config.rig.recorded]
+    arms = [config.rig.arms[k] for k in config.rig.recording_order]
     return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
 
 
@@ -87,7 +87,7 @@ class _ArmConverter:
                 ) from None
             self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
         else:
-            self._kinematics = ArmKinematics(bare_arm(arm))
+            self._kinematics = ArmKinematics(kinematic_model(arm))
         self._opening = robot.fingers.range[1]
 
     def with_share(self, joints: ArrayLike) -> Array:
@@ -128,7 +128,7 @@ class FrameConverter:
         *,
         single: bool,
     ) -> None:
-        arms = [rig.arms[k] for k in rig.recorded]
+        arms = [rig.arms[k] for k in rig.recording_order]
         if single and len(arms) > 1:
             raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
         self.names = names
@@ -183,7 +183,9 @@ def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
     return np.concatenate(arms).astype(np.float32)
 
 
-def calibration(source: Source, converter: FrameConverter, options: RaidenOptions, frames: Frames) -> dict[str, Any]:
+def calibration_json(
+    source: SimulatedSource, converter: FrameConverter, options: RaidenOptions, frames: Frames
+) -> dict[str, Any]:
     """The content of `calibration_results.json`.
 
     Args:

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from ..core.attempt_data import ActionSequence, Attempt, StepState
 from ..core.dataset.lowdim import planned_joints, recorded_actions
 from ..core.dataset.reader import StoredEpisode
 from ..core.dataset.records import recorded_attempt
-from ..core.episode.engine import repeat
-from ..core.episode.payload import frames, versions
-from ..core.episode.rules import REPEATED_RULES
+from ..core.episode.attempt_payload import frame_records, library_versions
+from ..core.episode.episode_rules import REPLAY_RULES
+from ..core.episode.execution import run_actions
 from ..core.episode.simulator import Simulator
 from ..core.errors import DatasetError
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
-from ..core.types import Actions, Attempt, StepState
-from .moments import StateSampler
-from .source import ROUNDING_S
+from .export_source import ROUNDING_S
+from .state_sampler import StateSampler
 
 _MOST_DEVIATION = (
     1e-4  # m or rad, of repeated physics from the recorded states; rounding of other machines adds up to it
@@ -29,7 +29,7 @@ _MOST_DEVIATION = (
 
 
 @dataclass(frozen=True)
-class Resampled:
+class ResampledEpisode:
     """An episode at another rate.
 
     Attributes:
@@ -56,7 +56,7 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
     return [min(round(time / period), frames - 1) for time in times]
 
 
-def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resampled:
+def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -> ResampledEpisode:
     """An episode at `fps` frames per second. States are simulated, not interpolated.
 
     `action_joints` is the plan's reference one control tick ahead, which was recorded once per frame. Between frames,
@@ -89,7 +89,7 @@ def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resamp
     )
     seen = StateSampler(scene.model, moments)
     attempt = recorded_attempt(record, start)
-    repeat(simulator, attempt, actions, REPEATED_RULES, on_step=seen)
+    run_actions(simulator, attempt, actions, REPLAY_RULES, on_step=seen)
     here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
     planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
@@ -100,11 +100,13 @@ def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resamp
         reference[..., -1] = _between(times, stored, planned[..., -1])
     acting = np.minimum(((times + ROUNDING_S) / tick).astype(int), len(actions.ctrl) - 1)
     states = [
-        StepState(float(time), qpos, Actions(actions.ctrl[k : k + 1], actions.magnet[k : k + 1], joints[None]))
+        StepState(float(time), qpos, ActionSequence(actions.ctrl[k : k + 1], actions.magnet[k : k + 1], joints[None]))
         for time, qpos, joints, k in zip(times, here, reference, acting, strict=True)
     ]
     texts = {key: recorded[0][key] for key in ("language_task", "language_prompt")}
-    return Resampled(attempt, times, here, [frame | texts for frame in frames(simulator, attempt, states)])
+    return ResampledEpisode(
+        attempt, times, here, [frame | texts for frame in frame_records(simulator, attempt, states)]
+    )
 
 
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
@@ -124,7 +126,7 @@ def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]],
     deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
     if np.nanmax(deviation, initial=0.0) > _MOST_DEVIATION or np.isnan(deviation).any():
         k = int(np.argmax(~(deviation <= _MOST_DEVIATION)))
-        now, was = versions(), episode.record.versions
+        now, was = library_versions(), episode.record.versions
         changed = ", ".join(
             f"{name} {was[name]} then, {now[name]} now" for name in now if was.get(name, now[name]) != now[name]
         )

@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ..core.dataset.layout import depth_name
+from ..core.dataset.dataset_paths import depth_name
+from ..core.dataset.imported_records import RealEpisodeRecord
 from ..core.dataset.lowdim import BETWEEN_BASES
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode
-from ..core.dataset.real import RealRecord
 from ..core.errors import ResourceError
 from ..core.geometry.se3 import Array
 from ..core.progress import Progress
-from .source import AnySource, depth_cameras
-from .target import Exported, export_directory
+from .export_source import ExportSource, depth_cameras
+from .output_directory import ExportResult, export_directory
 
 _PICTURE_DISTANCE = 0.15  # m, of a picture in front of its camera
 _AXIS = 0.05  # m, length of a pose's axes
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
-def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
     """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left base.
 
     Real recordings are shown at their recorded times, without what was not recorded.
@@ -45,10 +45,10 @@ def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite:
         for number, episode in enumerate(source.episodes()):
             frames += _write(stage.path / f"{episode.directory.name}.rrd", source, episode)
             progress(number + 1, len(source))
-    return Exported(out, len(source), frames, stage.moved_aside)
+    return ExportResult(out, len(source), frames, stage.moved_aside)
 
 
-def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
+def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
@@ -68,7 +68,7 @@ def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
             picture = rerun.EncodedImage(contents=episode.image(camera, k), media_type="image/jpeg")
             stream.log(f"{place}/rgb", picture)
             if camera in with_depth:
-                with np.load(io.BytesIO(episode.whole(depth_name(camera, k))), allow_pickle=False) as archive:
+                with np.load(io.BytesIO(episode.read_verified(depth_name(camera, k))), allow_pickle=False) as archive:
                     stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
         for hand, T in _hands(source, frame).items():
             stream.log(f"base/{hand}", _transform(T))
@@ -79,7 +79,7 @@ def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
     return len(frames)
 
 
-def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str, Any]) -> str:
+def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
     """Log a camera; its entity is in `base` if its pose is known, else in `cameras`."""
     import rerun
 
@@ -98,7 +98,7 @@ def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str,
 
 
 def _log_static(
-    stream: Any, source: AnySource, episode: RecordedEpisode, frames: list[dict[str, Any]], things: Iterable[str]
+    stream: Any, source: ExportSource, episode: RecordedEpisode, frames: list[dict[str, Any]], things: Iterable[str]
 ) -> None:
     import rerun
 
@@ -115,14 +115,14 @@ def _log_static(
         stream.log("base/right_base/axes", axes, static=True)
     record, name = episode.record, f"{source.path.absolute().name}/{episode.directory.name}"
     lines = [name, str(frames[0].get("language_prompt", ""))]
-    if isinstance(record, RealRecord):
+    if isinstance(record, RealEpisodeRecord):
         lines += [f"real, from {record.imported.name}", *record.problems]
     else:
         lines += [f"seed {record.seed}, attempt {record.attempt}", f"success: {record.outcome.success}"]
     stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
 
 
-def _hands(source: AnySource, frame: Mapping[str, Any]) -> dict[str, Array]:
+def _hands(source: ExportSource, frame: Mapping[str, Any]) -> dict[str, Array]:
     """Name -> pose (4, 4) of each hand; empty if poses were not recorded."""
     if "ee_pose" not in frame:
         return {}
@@ -130,7 +130,7 @@ def _hands(source: AnySource, frame: Mapping[str, Any]) -> dict[str, Array]:
     return {f"{prefix}hand": T for prefix, T in zip(source.prefixes, poses, strict=True)}
 
 
-def _log_numbers(stream: Any, source: AnySource, frame: Mapping[str, Any]) -> None:
+def _log_numbers(stream: Any, source: ExportSource, frame: Mapping[str, Any]) -> None:
     import rerun
 
     for key in ("joints", "ctrl"):

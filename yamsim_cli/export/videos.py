@@ -9,28 +9,28 @@ import numpy as np
 
 from ..core.dataset.reader import RecordedEpisode, recorded_images
 from ..core.errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
-from ..core.files.writing import move_aside, write_file
+from ..core.files.writing import move_to_backup, write_file
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
 from ..core.images.video import VideoWriter, require_encoder
 from ..core.progress import Progress
-from ..core.rendering.views import label, resized
-from .source import AnySource, RealSource
-from .target import Exported, export_directory, require_parent
+from ..core.rendering.view_cameras import draw_labels, resize_area
+from .export_source import ExportSource, RealSource
+from .output_directory import ExportResult, export_directory, require_parent
 
 _SHEET_QUALITY = 90
 _LARGEST_SIDE = 16_000  # px, of a sheet: some programs open no larger JPEG
 
 
 def export_mp4(
-    source: AnySource,
+    source: ExportSource,
     out: Path,
     cameras: Sequence[str],
     progress: Progress,
     *,
     speed: float = 1.0,
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write an H.264 video of each episode into a directory; frame k is at exactly k periods.
 
     Args:
@@ -48,18 +48,18 @@ def export_mp4(
     notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):
-            if isinstance(source, RealSource) and (note := source.unevenness(episode, episode.frames())):
+            if isinstance(source, RealSource) and (note := source.describe_uneven_times(episode, episode.frames())):
                 notes.append(note)
             with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
                 for image in recorded_images(episode, chosen):
                     video.write(image)
             frames += video.frames
             progress(number + 1, len(source))
-    return Exported(out, len(source), frames, stage.moved_aside, tuple(notes))
+    return ExportResult(out, len(source), frames, stage.moved_aside, tuple(notes))
 
 
 def export_sheet(
-    source: AnySource,
+    source: ExportSource,
     out: Path,
     cameras: Sequence[str],
     progress: Progress,
@@ -67,7 +67,7 @@ def export_sheet(
     columns: int = 8,
     width: int = 160,
     overwrite: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write one JPEG with a row for each episode: images spread evenly from its first frame to its last.
 
     Args:
@@ -101,13 +101,13 @@ def export_sheet(
             progress(number + 1, len(source))
         data = encode_jpeg(np.concatenate(rows), _SHEET_QUALITY)
         if out.exists():
-            moved = move_aside(out)
+            moved = move_to_backup(out)
         write_file(out, data)
     except OSError as error:
         raise PartialJobError(f"{out} cannot be written: {error.strerror or error}; choose another OUT") from error
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted: nothing was written to {out}; run it again") from None
-    return Exported(out, len(source), len(rows) * columns, moved)
+    return ExportResult(out, len(source), len(rows) * columns, moved)
 
 
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
@@ -117,11 +117,11 @@ def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, i
         image = decode_jpeg(episode.image(camera, int(k)))
         if image is None:
             raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG")
-        images.append(resized(image, *size))
-    return label(np.concatenate(images, axis=1), {}, episode.directory.name)
+        images.append(resize_area(image, *size))
+    return draw_labels(np.concatenate(images, axis=1), {}, episode.directory.name)
 
 
-def _cameras(source: AnySource, wanted: Sequence[str]) -> tuple[str, ...]:
+def _cameras(source: ExportSource, wanted: Sequence[str]) -> tuple[str, ...]:
     if not source.cameras:
         raise DatasetError(f"{source.path} has no pictures, so there is nothing to show")
     for name in wanted:

@@ -22,15 +22,15 @@ from inspect_robots.spaces import StateField, StateSpec
 from kitchenbench.sim import build_blueprint
 
 from .. import __version__
+from ..core.attempt_data import Attempt, AttemptJob
 from ..core.config.recording import RecordConfig
-from ..core.episode.payload import render
+from ..core.episode.attempt_payload import render_cameras
 from ..core.episode.simulator import Simulator
 from ..core.errors import UsageError
-from ..core.types import Attempt, EpisodeJob
-from .judges import Judge, KitchenJudge, OwnJudge
-from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
-from .own import BENCHMARK, GOAL_KIND, realize_own
-from .scene import KINDS, TICK_HZ, open_base, realize
+from .benchmark_scene import KINDS, TICK_HZ, build_benchmark_scene, open_station_session
+from .scene_stepper import ACTION_DIM, ARM_JOINTS, CLOSING, SceneStepper
+from .success_judges import GoalJudge, Judge, KitchenJudge
+from .yamsim_scene import BENCHMARK, GOAL_KIND, build_task_scene
 
 #: State keys: the joints of a real station, and the seed of a realization, which only an expert may use.
 JOINTS, SEED = "joint_pos", "realization_seed"
@@ -56,7 +56,7 @@ def action_space(config: RecordConfig, period: float) -> Box:
         period: duration of an action, s, which limits the steps of the joints.
     """
     low, high, most = list[float](), list[float](), list[float]()
-    for number in config.rig.recorded:
+    for number in config.rig.recording_order:
         robot = config.rig.arms[number].robot
         low += [*robot.joint_range[:, 0], 0.0]
         high += [*robot.joint_range[:, 1], 1.0]
@@ -67,7 +67,7 @@ def action_space(config: RecordConfig, period: float) -> Box:
     return Box((ACTION_DIM,), np.array(low, float), np.array(high, float), semantics)
 
 
-def ticks_of(control_hz: float) -> int:
+def ticks_per_action(control_hz: float) -> int:
     """Control ticks of an action.
 
     Raises:
@@ -103,8 +103,8 @@ class YamsimEmbodiment:
     def __init__(
         self, *, control_hz: float = CONTROL_HZ, images: bool = True, size: str = "320x240", quality: str = "fast"
     ) -> None:
-        self._ticks = ticks_of(control_hz)
-        self._open = partial(open_base, size, images=images, quality=quality)
+        self._ticks = ticks_per_action(control_hz)
+        self._open = partial(open_station_session, size, images=images, quality=quality)
         self._base = self._open()
         width, height = self._base.config.image.size_px
         self._cameras = CAMERAS if images else ()
@@ -136,16 +136,16 @@ class YamsimEmbodiment:
         self._seed = 0 if seed is None else seed
         match scene.metadata.get("benchmark"):
             case "kitchenbench":
-                kitchen = realize(build_blueprint(scene, self._seed), self._base)
-                self._motion = Motion(kitchen, self._ticks)
+                kitchen = build_benchmark_scene(build_blueprint(scene, self._seed), self._base)
+                self._motion = SceneStepper(kitchen, self._ticks)
                 judge = KitchenJudge(kitchen, self._motion)
                 self._judge: Judge = judge
                 self.world = judge.world
                 self._simulator = kitchen.simulator
             case str(name) if name == BENCHMARK:
-                own = realize_own(self._open(task=str(scene.metadata["task"])), self._seed)
-                self._motion = Motion(own, self._ticks)
-                self._judge = OwnJudge(own, self._motion)
+                own = build_task_scene(self._open(task=str(scene.metadata["task"])), self._seed)
+                self._motion = SceneStepper(own, self._ticks)
+                self._judge = GoalJudge(own, self._motion)
                 self._simulator = own.simulator
             case _:
                 raise LookupError(
@@ -172,7 +172,7 @@ class YamsimEmbodiment:
                 "success": reason == "success",
                 "explanation": explanation,
                 "unrealized": list(self._judge.unrealized),
-                **self._judge.noted,
+                **self._judge.step_info,
             },
         )
 
@@ -186,7 +186,7 @@ class YamsimEmbodiment:
         images = {}
         if self._cameras:
             qpos = self._motion.data.qpos
-            images = render(simulator, Attempt(EpisodeJob(0, 0)), qpos, self._cameras)
+            images = render_cameras(simulator, Attempt(AttemptJob(0, 0)), qpos, self._cameras)
         return Observation(
             images=images,
             state={JOINTS: self._motion.state(), SEED: np.array([self._seed], dtype=np.float64)},

@@ -7,19 +7,19 @@ from functools import partial
 
 from inspect_robots import Epochs, Scene, Target, Task
 
-from .own import BENCHMARK, GOAL_KIND
-from .scene import open_base
+from .benchmark_scene import open_station_session
+from .yamsim_scene import BENCHMARK, GOAL_KIND
 
 _TRIALS = 5  # without `--epochs`; KitchenBench has as many of a scene
 
 
-def own_task(name: str) -> Task:
+def make_task(name: str) -> Task:
     """A yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
 
     Raises:
         ConfigError: there is no such task.
     """
-    session = open_base("64x48", images=False, task=name)
+    session = open_station_session("64x48", images=False, task=name)
     task = session.config.task
     return Task(
         name=f"{BENCHMARK}/{name}",
@@ -39,19 +39,19 @@ def own_task(name: str) -> Task:
     )
 
 
-cans_into_bin = partial(own_task, "cans_into_bin")
-drawer = partial(own_task, "drawer")
-fold_napkin = partial(own_task, "fold_napkin")
-fold_napkin_diagonal = partial(own_task, "fold_napkin_diagonal")
-fold_napkin_crumpled = partial(own_task, "fold_napkin_crumpled")
-fold_napkin_thirds = partial(own_task, "fold_napkin_thirds")
-hand_over_and_place = partial(own_task, "hand_over_and_place")
-handover = partial(own_task, "handover")
-hang_mug = partial(own_task, "hang_mug")
-lift_tray = partial(own_task, "lift_tray")
-onto_napkin = partial(own_task, "onto_napkin")
-pickplace = partial(own_task, "pickplace")
-set_upright = partial(own_task, "set_upright")
-sort_row = partial(own_task, "sort_row")
-swap = partial(own_task, "swap")
-tower = partial(own_task, "tower")
+cans_into_bin = partial(make_task, "cans_into_bin")
+drawer = partial(make_task, "drawer")
+fold_napkin = partial(make_task, "fold_napkin")
+fold_napkin_diagonal = partial(make_task, "fold_napkin_diagonal")
+fold_napkin_crumpled = partial(make_task, "fold_napkin_crumpled")
+fold_napkin_thirds = partial(make_task, "fold_napkin_thirds")
+hand_over_and_place = partial(make_task, "hand_over_and_place")
+handover = partial(make_task, "handover")
+hang_mug = partial(make_task, "hang_mug")
+lift_tray = partial(make_task, "lift_tray")
+onto_napkin = partial(make_task, "onto_napkin")
+pickplace = partial(make_task, "pickplace")
+set_upright = partial(make_task, "set_upright")
+sort_row = partial(make_task, "sort_row")
+swap = partial(make_task, "swap")
+tower = partial(make_task, "tower")

@@ -19,20 +19,20 @@ from inspect_robots import (
 )
 from kitchenbench.sim import build_blueprint
 
-from ..core.config.goals.cast import Cast
-from ..core.expert.planning.arm_tools import start_stands
-from ..core.expert.skills.base import Skill
-from ..core.expert.skills.bench import Bench, Segment, SkillFailedError
-from ..core.expert.skills.moves import park_free
+from ..core.attempt_data import AttemptJob
+from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.expert.planning.arm_solvers import start_postures
+from ..core.expert.skills.common_motions import park_free_hands
+from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.program import RecoveryLog, run_program
+from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array
-from ..core.scene.randomness import Stream, generator
-from ..core.types import EpisodeJob
-from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
-from .motion import Motion, commanded_share, fingers_of
-from .own import BENCHMARK, OwnRealization, realize_own
-from .programs import program_of
-from .scene import TICK_HZ, Realization, open_base, realize
+from ..core.scene.random_streams import Stream, random_generator
+from .benchmark_scene import TICK_HZ, BenchmarkScene, build_benchmark_scene, open_station_session
+from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_per_action
+from .scene_stepper import SceneStepper, commanded_share, scene_fingers
+from .skill_programs import build_scene_program
+from .yamsim_scene import BENCHMARK, TaskScene, build_task_scene
 
 _SAME = 1e-6  # rad and shares, by which the observed state may differ from the expert's simulation: rounding
 _OFF_PATH = 0.01  # rad, by which a joint may leave its path between two actions: 5 mm at an arm's length
@@ -50,7 +50,7 @@ class YamsimExpert:
 
     def __init__(self) -> None:
         self.config = PolicyConfig()
-        self._base = open_base("64x48", images=False)
+        self._base = open_station_session("64x48", images=False)
         self._scene: Scene | None = None
         self._planning: PlanningScene | None = None
         self._bind(CONTROL_HZ)
@@ -86,13 +86,13 @@ class YamsimExpert:
             self._planning.close()
             self._planning = None
 
-    def _realize(self, scene: Scene, seed: int) -> Realization | OwnRealization:
+    def _realize(self, scene: Scene, seed: int) -> BenchmarkScene | TaskScene:
         if scene.metadata.get("benchmark") == BENCHMARK:
-            return realize_own(open_base("64x48", images=False, task=str(scene.metadata["task"])), seed)
-        return realize(build_blueprint(scene, seed), self._base)
+            return build_task_scene(open_station_session("64x48", images=False, task=str(scene.metadata["task"])), seed)
+        return build_benchmark_scene(build_blueprint(scene, seed), self._base)
 
     def _bind(self, control_hz: float) -> None:
-        self._ticks = ticks_of(control_hz)
+        self._ticks = ticks_per_action(control_hz)
         self.info = PolicyInfo(
             name="yamsim_expert",
             action_space=action_space(self._base.config, self._ticks / TICK_HZ),
@@ -106,48 +106,52 @@ class PlanningScene:
 
     Attributes:
         motion: of the realization.
-        bench: what skills plan with.
+        context: what skills plan with.
 
     Args:
         seed: of the realization, for random searches.
         ticks: control ticks of an action.
     """
 
-    def __init__(self, realized: Realization | OwnRealization, seed: int, ticks: int) -> None:
+    def __init__(self, realized: BenchmarkScene | TaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
         self._simulator = simulator = realized.simulator
         self._scene = simulator.scene
-        self.motion = Motion(realized, ticks)
-        if isinstance(realized, OwnRealization):
+        self.motion = SceneStepper(realized, ticks)
+        if isinstance(realized, TaskScene):
             self._scene_id, program = realized.scene_id, realized.program()
         else:
             self._scene_id = realized.blueprint.scene_id
-            program = program_of(realized.blueprint, realized.items, realized.bases)
+            program = build_scene_program(realized.blueprint, realized.items, realized.bases)
         world = self.motion.episode.world
-        rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
-        self.bench: Bench = simulator.expert_tools.bench(world, list(start_stands(simulator.config)), rng)
-        self.do(program, simulator.cast)
+        rng = random_generator(AttemptJob(seed, 0), Stream.SEARCH)
+        self.context: PlanningContext = simulator.expert_tools.planning_context(
+            world, list(start_postures(simulator.config)), rng
+        )
+        self.step_action(program, simulator.roles)
 
-    def do(self, program: Sequence[Skill], cast: Cast) -> None:
+    def step_action(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
         """Begin a program, whose motions give the next actions."""
-        self._segments = chain(run_program(program, self.bench, cast, RecoveryLog()), park_free(self.bench))
+        self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in this simulation."""
         segment = self._next_segment()
-        while segment is not None and is_still(segment) and self.motion.at_rest():
+        while segment is not None and is_still(segment) and self.motion.is_at_rest():
             segment = self._next_segment()
-        actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
+        actions = (
+            [self.motion.reference] if segment is None else list(segment_actions(self.context, segment, self._ticks))
+        )
         for action in actions:
             self.motion.act(action)
         # Arms lag behind the references, and the next skill plans from a state at rest.
-        most = len(actions) + (_MAX_WAITS if segment is None or segment.arrives else 0)
-        while not self.motion.at_rest() and len(actions) < most:
+        most = len(actions) + (_MAX_WAITS if segment is None or segment.wait_for_arrival else 0)
+        while not self.motion.is_at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
         return actions
 
-    def _next_segment(self) -> Segment | None:
+    def _next_segment(self) -> MotionSegment | None:
         try:
             return next(self._segments, None)
         except SkillFailedError as error:
@@ -156,14 +160,14 @@ class PlanningScene:
 
     def close(self) -> None:
         """Free the simulation and what the skills have kept."""
-        self.bench.clear_cache()
+        self.context.clear_cache()
         self._simulator.close()
 
 
-def is_still(segment: Segment) -> bool:
+def is_still(segment: MotionSegment) -> bool:
     """Whether a segment only waits for things to come to rest."""
     return all(
-        not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip)
+        not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )
 
 
@@ -179,26 +183,26 @@ def _straight_until(joints: Array, first: int, last: int) -> int:
     return last
 
 
-def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
+def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int) -> Iterator[Array]:
     """The actions (14,) that make the arms follow a segment.
 
     Between two actions references move straight. Where a path bends, actions are closer together, and the arm slower.
     """
-    fingers_of_both = fingers_of([hand.arm for hand in bench.hands])
+    fingers_of_both = scene_fingers([hand.arm for hand in context.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
-        for hand, fingers, path in zip(bench.hands, fingers_of_both, segment.paths, strict=True):
+        for hand, fingers, path in zip(context.hands, fingers_of_both, segment.paths, strict=True):
             # A drive is a spring towards its command, which therefore includes the deflection by the weight that the
             # arm bears. Accelerations are not compensated: their deflection would remain after the motion.
             arm = hand.arm
             joints = (
                 path.joints[tick]
-                + bench.holding_torques(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
+                + context.holding_torques(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
             )
-            opening = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
+            opening = path.gripper[tick - 1] - 2 * path.grip_force[tick - 1] / fingers.gain
             share = commanded_share(fingers, float(np.clip(opening, *fingers.ctrl_range)))
             parts += [np.clip(joints, arm.joint_range[:, 0], arm.joint_range[:, 1]), [share]]
         yield np.concatenate(parts)

@@ -12,20 +12,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.config.goals.cast import Cast
+from ..core.attempt_data import FailureCause
+from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
-from ..core.expert.skills.base import Side, Skill, holder_of
-from ..core.expert.skills.bench import Bench, Fingers, Segment, SkillFailedError
-from ..core.expert.skills.grips import can_point
-from ..core.expert.skills.hand import PASSING, Hand, Held
+from ..core.expert.skills.common_motions import open_and_park_hands, park_free_hands, release_and_retreat, rest_segment
+from ..core.expert.skills.grasp_candidates import is_orientation_plausible
+from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from ..core.expert.skills.handover import Handover
-from ..core.expert.skills.moves import let_go, park_free, recover, rest
-from ..core.expert.skills.pick import Pick, Reach
-from ..core.expert.skills.place import HOVER_HEIGHT, Placing, raised
+from ..core.expert.skills.pick import Pick, ReachableGrasp
+from ..core.expert.skills.place import HOVER_HEIGHT, PlaceSkill, pose_raised_by
+from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from ..core.expert.skills.skill import ArmSelector, Skill, holding_hand
 from ..core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z, yaw
-from ..core.scene.casting import gap, outline
-from ..core.sim.world import SimWorld
-from ..core.types import Cause
+from ..core.scene.start_sampling import footprint_corners, footprint_distance
+from ..core.sim.sim_world import SimWorld
 
 _LOG = logging.getLogger("yamsim")
 
@@ -64,7 +64,7 @@ _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35))  # of the
 _LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # of the hand along the thing
 
 
-class PlaceInCompartment(Placing):
+class PlaceInCompartment(PlaceSkill):
     """Place a long thing along a compartment, beside the things there if there is room, else on them.
 
     Attributes:
@@ -78,37 +78,45 @@ class PlaceInCompartment(Placing):
     into: str
     beside: str
 
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return cast.one(self.into)
+    def support(self, roles: RoleAssignment) -> str:
+        """See `PlaceSkill`."""
+        return roles.object_of(self.into)
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`."""
-        world, into, block = bench.world, cast.one(self.into), bench.world.block(thing)
-        others = [outline(world.block(name), world.pose(name)) for name in cast.of(self.beside) if name != thing]
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`."""
+        world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
+        others = [
+            footprint_corners(world.local_box(name), world.pose(name))
+            for name in roles.objects_of(self.beside)
+            if name != thing
+        ]
         free, occupied = list[Array](), list[tuple[float, Array]]()
         for attitude in _attitudes(world, thing):
-            room = list[Array]()
-            for off, T_goal in sorted(self._places(bench, thing, into, attitude), key=lambda each: each[0]):
-                there = outline(block, T_goal)
-                if any(gap(there, other) < _FREE for other in others):
+            unoccupied = list[Array]()
+            for off, T_goal in sorted(self._places(context, thing, into, attitude), key=lambda each: each[0]):
+                there = footprint_corners(local_box, T_goal)
+                if any(footprint_distance(there, other) < _FREE for other in others):
                     occupied.append((off, T_goal))
                 else:
-                    room.append(T_goal)
-            free += room[:: math.ceil(len(room) / _MAX_PLACES)] if room else []
-        _lay(bench, thing, into, free)
+                    unoccupied.append(T_goal)
+            free += unoccupied[:: math.ceil(len(unoccupied) / _MAX_PLACES)] if unoccupied else []
+        _lay(context, thing, into, free)
         for _, T_goal in occupied:
-            T_goal[2, 3] = bench.height_of(thing, T_goal, into)
+            T_goal[2, 3] = context.rest_height_of(thing, T_goal, into)
         occupied.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
         goals = [*free, *(T_goal for _, T_goal in occupied[:_MAX_PLACES])]
-        return [*goals, *(raised(T_goal, _LET_FALL) for T_goal in goals)]
+        return [*goals, *(pose_raised_by(T_goal, _LET_FALL) for T_goal in goals)]
 
     @staticmethod
-    def _places(bench: Bench, thing: str, into: str, attitude: Array) -> Iterator[tuple[float, Array]]:
+    def _places(context: PlanningContext, thing: str, into: str, attitude: Array) -> Iterator[tuple[float, Array]]:
         """Yield poses (4, 4) of a thing along a compartment, without height, and their distance from its middle, m."""
-        T, (low, high), block = bench.world.pose(into), bench.world.block(into), bench.world.block(thing)
-        for R in _along(block, attitude, T):
-            corners = outline(block, pose(rotation=T[:3, :3].T @ R))
+        T, (low, high), local_box = (
+            context.world.pose(into),
+            context.world.local_box(into),
+            context.world.local_box(thing),
+        )
+        for R in _rotations_along(local_box, attitude, T):
+            corners = footprint_corners(local_box, pose(rotation=T[:3, :3].T @ R))
             first, last = low[:2] - corners.min(axis=0), high[:2] - corners.max(axis=0)
             if (first > last).any():
                 continue
@@ -116,22 +124,25 @@ class PlaceInCompartment(Placing):
                 off = math.hypot(*(np.array(place) - (first + last) / 2))
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
-    def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """See `Placing`; where that fails, from joints that reach the place itself."""
-        joints = super()._over(hand, T_pinch)
-        if joints is None and (there := hand.reach(T_pinch, (hand.joints, hand.ready), PASSING)) is not None:
-            joints = hand.reach(raised(T_pinch, HOVER_HEIGHT), (there,), PASSING)
+    def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
+        """See `PlaceSkill`; where that fails, from joints that reach the place itself."""
+        joints = super()._hover_joints(hand, T_pinch)
+        if (
+            joints is None
+            and (there := hand.solve_ik(T_pinch, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)) is not None
+        ):
+            joints = hand.solve_ik(pose_raised_by(T_pinch, HOVER_HEIGHT), (there,), WAYPOINT_TOLERANCE)
         return joints
 
 
-def _along(block: Array, attitude: Array, T: Array) -> list[Array]:
+def _rotations_along(local_box: Array, attitude: Array, T: Array) -> list[Array]:
     """Return rotations (3, 3) of a long thing along a compartment at a pose (4, 4), in both directions.
 
     Args:
         block: the thing's lowest and highest corner (2, 3) in its frame, m.
         attitude: the thing's rotation (3, 3), with any heading.
     """
-    longest = int(np.argmax(block[1] - block[0]))
+    longest = int(np.argmax(local_box[1] - local_box[0]))
     heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(attitude[1, longest], attitude[0, longest])
     return [rotation_z(heading + turn) @ attitude for turn in (0.0, math.pi)]
 
@@ -146,17 +157,17 @@ def _attitudes(world: SimWorld, thing: str) -> list[Array]:
     return [upright] if now[2, 2] > _UPRIGHT else [upright, now] if now[2, 2] > _HANGING else [now]
 
 
-def _lay(bench: Bench, thing: str, onto: str, goals: Sequence[Array]) -> None:
+def _lay(context: PlanningContext, thing: str, onto: str, goals: Sequence[Array]) -> None:
     """Set the heights of a thing's poses (4, 4) at free places of a flat floor, which depend on the attitude alone."""
     heights = dict[tuple[float, ...], float]()
     for T in goals:
         attitude = tuple(T[2, :3].round(6))
         if attitude not in heights:
-            heights[attitude] = bench.height_of(thing, T, onto)
+            heights[attitude] = context.rest_height_of(thing, T, onto)
         T[2, 3] = heights[attitude]
 
 
-class PutBesideTray(Placing):
+class PutBesideTray(PlaceSkill):
     """Put a long thing down on a free place of the table: one from where it can be taken on, else the nearest.
 
     Attributes:
@@ -164,45 +175,48 @@ class PutBesideTray(Placing):
         then: the skill for which the thing is grasped again; None for any.
     """
 
-    then: Placing | None = None
+    then: PlaceSkill | None = None
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`."""
-        world, (low, high) = bench.world, bench.world.bounds(TABLE)
-        others = [outline(world.block(name), world.pose(name)) for name in world.things if name != thing]
-        block, now = world.block(thing), world.pose(thing)[:2, 3]
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`."""
+        world, (low, high) = context.world, context.world.aabb(TABLE)
+        others = [footprint_corners(world.local_box(name), world.pose(name)) for name in world.things if name != thing]
+        block, now = world.local_box(thing), world.pose(thing)[:2, 3]
         goals = list[Array]()
         for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID) for k in (0, 1))):
             if math.hypot(x - now[0], y - now[1]) > _MAX_ASIDE:
                 continue
             for R, turn in itertools.product(_attitudes(world, thing), _ASIDE_TURNS):
                 T = pose((x, y, 0.0), rotation_z(turn) @ R)
-                there = outline(block, T)
+                there = footprint_corners(block, T)
                 on_table = (there >= low[:2]).all() and (there <= high[:2]).all()
-                if on_table and all(gap(there, other) >= _ASIDE_GAP for other in others):
+                if on_table and all(footprint_distance(there, other) >= _ASIDE_GAP for other in others):
                     goals.append(T)
-        _lay(bench, thing, TABLE, goals)
+        _lay(context, thing, TABLE, goals)
         goals.sort(key=lambda T: float(np.linalg.norm(T[:2, 3] - now)))
-        grips = [] if self.then is None else _grips_for(bench, cast, thing, self.then)
+        grips = [] if self.then is None else _grips_for(context, roles, thing, self.then)
         return sorted(
             goals,
             key=lambda T: next((rank for rank, hand, T_pinch in grips if _takes(hand, T @ T_pinch)), math.inf),
         )
 
 
-def _grips_for(bench: Bench, cast: Cast, thing: str, put: Placing) -> list[tuple[int, Hand, Array]]:
+def _grips_for(
+    context: PlanningContext, roles: RoleAssignment, thing: str, put: PlaceSkill
+) -> list[tuple[int, Hand, Array]]:
     """Return with which grips a thing could be put to its goal, the most reliable first.
 
     Returns:
         The rank of each grip, its hand, and its pinch frame (4, 4) in the thing's frame.
     """
     found = list[tuple[int, Hand, Array]]()
-    for hand in bench.acting:
+    for hand in context.acting_hands:
         suiting = (
             (rank, hand, grip.T_pinch_in_thing)
-            for rank, grip in enumerate(bench.grips(thing, hand.max_opening))
-            if not hand.failed_with(thing, grip.T_pinch_in_thing)
-            and put.fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), hand.ready) is None
+            for rank, grip in enumerate(context.grasp_candidates(thing, hand.max_opening))
+            if not hand.has_failed_with(thing, grip.T_pinch_in_thing)
+            and put.infeasibility(context, roles, hand, thing, inverse(grip.T_pinch_in_thing), hand.ready_joints)
+            is None
         )
         found += itertools.islice(suiting, _MAX_GRIPS)
     return sorted(found, key=lambda each: each[0])
@@ -210,10 +224,10 @@ def _grips_for(bench: Bench, cast: Cast, thing: str, put: Placing) -> list[tuple
 
 def _takes(hand: Hand, T_pinch: Array) -> bool:
     """Return whether a hand reaches a pose (4, 4) of its pinch frame in `world`, and over it."""
-    if not can_point(T_pinch, hand.arm.T_base_in_world):
+    if not is_orientation_plausible(T_pinch, hand.arm.T_base_in_world):
         return False
-    at = hand.reach(T_pinch, (hand.ready,))
-    return at is not None and hand.reach(raised(T_pinch, _LIFT), (at,)) is not None
+    at = hand.solve_ik(T_pinch, (hand.ready_joints,))
+    return at is not None and hand.solve_ik(pose_raised_by(T_pinch, _LIFT), (at,)) is not None
 
 
 def _places_between(first: float, last: float) -> Array:
@@ -221,7 +235,7 @@ def _places_between(first: float, last: float) -> Array:
 
 
 @dataclass(frozen=True)
-class _Press:
+class _PressPose:
     """Where a hand presses: joints (dof,) above the place, and poses (4, 4) of the pinch frame above and pressing."""
 
     above: Array
@@ -239,36 +253,42 @@ class Slide(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
     thing: str
-    arm: Side = "any"
+    arm: ArmSelector = "any"
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        across = _across(bench, thing)
-        one, other = (bench.obstacles.room(bench.qpos, thing, side * across, _ROOM) for side in (1.0, -1.0))
+        thing = roles.object_of(self.thing)
+        across = _slide_direction(context, thing)
+        one, other = (
+            context.collision_checker.free_distance(context.qpos, thing, side * across, _ROOM) for side in (1.0, -1.0)
+        )
         distance = (one - other) / 2
         if abs(distance) < _MIN_SLIDE:
-            raise SkillFailedError(Cause.UNREACHABLE, f"the {thing} has no more room on one side than on the other")
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"the {thing} has no more room on one side than on the other"
+            )
         shift = distance * across
-        before = bench.world.pose(thing)[:2, 3].copy()
-        hands = bench.free_hands(self.arm)
+        before = context.world.pose(thing)[:2, 3].copy()
+        hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
-            for press in self._presses(bench, hand, thing, shift):
-                yield from park_free(bench, hand)
-                yield from _slid(bench, hand, press, shift)
-                moved = float((bench.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
+            for press in self._presses(context, hand, thing, shift):
+                yield from park_free_hands(context, hand)
+                yield from _slide_motions(context, hand, press, shift)
+                moved = float((context.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
                 if moved < _MOVED:
-                    raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} did not slide")
+                    raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not slide")
                 return
-        raise SkillFailedError(Cause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
-    def _presses(self, bench: Bench, hand: Hand, thing: str, shift: Array) -> Iterator[_Press]:
+    def _presses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
         """The presses with which a hand can slide a thing without touching another one."""
         away = shift / np.linalg.norm(shift)
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
         far = np.array((*(shift + _SHORT * away), 0.0))
-        places = _flat_places(bench, thing, away)
+        places = _flat_places(context, thing, away)
         for tilt, lean, place, turn in itertools.product(_TILTS, _LEANS, places, (0.0, math.pi)):
             turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_from_vector([0.0, lean, 0.0])
             R = upright @ turned @ rotation_from_vector([0.0, 0.0, turn])
@@ -277,45 +297,45 @@ class Slide(Skill):
             T_touching[2, 3] += _TOUCHING
             T_above[2, 3] += _ABOVE
             T_end[:3, 3] += far
-            above = hand.reach(T_above, (hand.joints, hand.ready), PASSING)
-            if above is None or bench.touched(hand, above, 0.0):
+            above = hand.solve_ik(T_above, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)
+            if above is None or context.find_contact(hand, above, 0.0):
                 continue
-            touching = hand.reach(T_touching, (above,), PASSING)
-            if touching is None or bench.touched(hand, touching, 0.0, between=thing):
+            touching = hand.solve_ik(T_touching, (above,), WAYPOINT_TOLERANCE)
+            if touching is None or context.find_contact(hand, touching, 0.0, between=thing):
                 continue
             T_touching[:3, 3] += far
-            end = hand.reach(T_touching, (touching,), PASSING)
-            if end is None or bench.touched(hand, end, 0.0, between=thing):
+            end = hand.solve_ik(T_touching, (touching,), WAYPOINT_TOLERANCE)
+            if end is None or context.find_contact(hand, end, 0.0, between=thing):
                 continue
-            yield _Press(above, T_above, T_press)
+            yield _PressPose(above, T_above, T_press)
 
 
-def _slid(bench: Bench, hand: Hand, press: _Press, shift: Array) -> Iterator[Segment]:
+def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shift: Array) -> Iterator[MotionSegment]:
     """Approach, press, slide, and retreat."""
-    closed = {hand: Fingers(0.0)}
-    yield bench.segment({hand: bench.free_path(hand, press.above)}, closed, arrives=False)
-    yield bench.segment({hand: bench.line(hand, press.T_press)})
+    closed = {hand: FingerTarget(0.0)}
+    yield context.make_segment({hand: context.plan_free_path(hand, press.above)}, closed, wait_for_arrival=False)
+    yield context.make_segment({hand: context.plan_line(hand, press.T_press)})
     T_end = press.T_press.copy()
     T_end[:2, 3] += shift * (1.0 + _SHORT / float(np.linalg.norm(shift)))
-    yield bench.segment({hand: bench.line(hand, T_end, _SLIDING)})
+    yield context.make_segment({hand: context.plan_line(hand, T_end, _SLIDING)})
     T_up = T_end.copy()
     T_up[2, 3] = press.T_above[2, 3]
-    yield bench.segment({hand: bench.line(hand, T_up)}, arrives=False)
-    yield rest(bench)
+    yield context.make_segment({hand: context.plan_line(hand, T_up)}, wait_for_arrival=False)
+    yield rest_segment(context)
 
 
-def _across(bench: Bench, thing: str) -> Array:
+def _slide_direction(context: PlanningContext, thing: str) -> Array:
     """The horizontal direction (2,) in `world` at right angles to a thing's longest side."""
-    low, high = bench.world.block(thing)
-    longest = bench.world.pose(thing)[:2, int(np.argmax(high - low))]
+    low, high = context.world.local_box(thing)
+    longest = context.world.pose(thing)[:2, int(np.argmax(high - low))]
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
     return across
 
 
-def _flat_places(bench: Bench, thing: str, away: Array) -> list[Array]:
+def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Array]:
     """Places (3,) on top of a thing's flat parts, in `world`, m: the farthest in the direction of the slide first."""
-    bounds = bench.world.parts(thing)
-    lowest, middle = bench.world.bounds(thing)[0][2], bench.world.pose(thing)[:2, 3]
+    bounds = context.world.geom_aabbs(thing)
+    lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
     low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT]
     found: list[Array] = []
     for place in sorted(map(np.array, low), key=lambda place: -float((place[:2] - middle) @ away)):
@@ -336,41 +356,45 @@ class Sort(Skill):
     things: str
     into: Mapping[str, str]
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
         tries: dict[str, int] = {}
         failures: dict[str, str] = {}
 
-        while left := self.left(bench.world, cast, tries):
+        while left := self.remaining_objects(context.world, roles, tries):
             name = left[0]
             if tries.get(name, 0) == _TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, failures[name])
                 return
-            parked = all(np.abs(hand.joints - hand.ready).max() < _PARKED for hand in bench.hands)
+            parked = all(np.abs(hand.joints - hand.ready_joints).max() < _PARKED for hand in context.hands)
             try:
-                yield from self._bring(bench, cast, name, tries.get(name, 0) + 1)
+                yield from self._bring(context, roles, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
                 failures[name] = str(error)
-                yield from _put_back(bench, cast, name)
-                yield from recover(bench)
+                yield from _put_back(context, roles, name)
+                yield from open_and_park_hands(context)
                 # A try counts only if both arms were parked: otherwise one may have blocked the other.
                 tries[name] = tries.get(name, 0) + parked
 
     def _in_tray(self, world: SimWorld, name: str) -> bool:
-        return any(world.share_inside(name, compartment) > 0.5 for compartment in self.into.values())
+        return any(world.volume_fraction_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
-    def left(self, world: SimWorld, cast: Cast, tries: Mapping[str, int]) -> list[str]:
+    def remaining_objects(self, world: SimWorld, roles: RoleAssignment, tries: Mapping[str, int]) -> list[str]:
         """Return the things that are not in their compartment, in the order in which they are brought: those on which
         nothing lies first, then those with fewer tries, and those in the tray before those outside.
         """
         names = [
-            name for name in cast.of(self.things) if world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE
+            name
+            for name in roles.objects_of(self.things)
+            if world.volume_fraction_inside(name, self.into[roles.config_names[name]]) < _INSIDE
         ]
-        seen = {name: outline(world.block(name), world.pose(name)) for name in names}
+        seen = {name: footprint_corners(world.local_box(name), world.pose(name)) for name in names}
 
         def order(name: str) -> tuple[bool, float, float]:
             covered = any(
-                gap(seen[name], seen[other]) < 0 and world.pose(other)[2, 3] > world.pose(name)[2, 3]
+                footprint_distance(seen[name], seen[other]) < 0 and world.pose(other)[2, 3] > world.pose(name)[2, 3]
                 for other in names
                 if other != name
             )
@@ -379,25 +403,27 @@ class Sort(Skill):
 
         return sorted(names, key=order)
 
-    def _bring(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
+    def _bring(
+        self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
+    ) -> Iterator[MotionSegment]:
         """Bring a thing to its compartment, in another way on each try: first by the arm that reaches both; then slid
         free before; then displaced before; then by a handover.
         """
         pick = Grab(thing=name, lift=_LIFT)
-        put = PlaceInCompartment(thing=name, into=self.into[cast.kinds[name]], beside=self.things)
+        put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
         if number == 2:
             with suppress(SkillFailedError):
-                yield from Slide(thing=name).run(bench, cast, (pick,))
+                yield from Slide(thing=name).run(context, roles, (pick,))
         if number == 3:
             put_aside = PutBesideTray(thing=name, then=put)
-            yield from pick.run(bench, cast, (put_aside,))
-            yield from put_aside.run(bench, cast, ())
+            yield from pick.run(context, roles, (put_aside,))
+            yield from put_aside.run(context, roles, ())
         give = Handover(thing=name, height=_MEETING)
         between = (give,) if number > 3 else ()
-        yield from pick.run(bench, cast, (*between, put))
+        yield from pick.run(context, roles, (*between, put))
         if between:
-            yield from give.run(bench, cast, (put,))
-        yield from put.run(bench, cast, ())
+            yield from give.run(context, roles, (put,))
+        yield from put.run(context, roles, ())
 
 
 class Grab(Pick):
@@ -406,27 +432,27 @@ class Grab(Pick):
     A grip that slips is not tried again with that thing.
     """
 
-    WAITS: ClassVar[bool] = False
+    WAIT_FOR_REST: ClassVar[bool] = False
 
-    def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
+    def _take(self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp) -> Iterator[MotionSegment]:
         try:
-            yield from super()._take(bench, hand, thing, found)
+            yield from super()._take(context, hand, thing, found)
         except SkillFailedError as error:
-            if error.cause in (Cause.SLIPPED, Cause.DROPPED):
-                hand.failed_grasps.append(Held(thing, inverse(found.grip.T_pinch_in_thing)))
+            if error.cause in (FailureCause.SLIPPED, FailureCause.DROPPED):
+                hand.failed_grasps.append(HeldObject(thing, inverse(found.grip.T_pinch_in_thing)))
             raise
 
 
-def _put_back(bench: Bench, cast: Cast, name: str) -> Iterator[Segment]:
+def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
     """Release a held thing: where there is room, else where it hangs, a little lower."""
-    hand = holder_of(bench, name)
+    hand = holding_hand(context, name)
     if hand is None:
         return
     try:
-        yield from PutBesideTray(thing=name).run(bench, cast, ())
+        yield from PutBesideTray(thing=name).run(context, roles, ())
     except SkillFailedError:
-        T = hand.pinch_at(hand.joints)
+        T = hand.pinch_pose(hand.joints)
         T[2, 3] -= _LIFT
         with suppress(SkillFailedError):
-            yield bench.segment({hand: bench.line(hand, T)})
-        yield from let_go(bench, hand, bench.clearance(name))
+            yield context.make_segment({hand: context.plan_line(hand, T)})
+        yield from release_and_retreat(context, hand, context.release_clearance(name))

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.config.things.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
-from ..core.geometry.columns import crossings_along_z
+from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces
 
@@ -23,11 +23,11 @@ def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
 
     Where primitives overlap, the depth is that in one primitive only.
     """
-    nearest: Array = np.min([_from_one(part, points) for part in parts], axis=0)
+    nearest: Array = np.min([_distance_from_primitive(part, points) for part in parts], axis=0)
     return nearest
 
 
-def _from_one(part: Primitive, points: Array) -> Array:
+def _distance_from_primitive(part: Primitive, points: Array) -> Array:
     match part:
         case Sphere():
             distance: Array = np.linalg.norm(points - part.centre, axis=1) - part.radius
@@ -39,7 +39,7 @@ def _from_one(part: Primitive, points: Array) -> Array:
             x, y, z = (points - part.centre).T
             distance = _outside_of(np.hypot(x, y) - part.radius, np.abs(z) - part.half_height)
         case Box():
-            distance = _outside_of(*(np.abs(_in_box(part, points)) - part.half_size).T)
+            distance = _outside_of(*(np.abs(_distance_from_box(part, points)) - part.half_size).T)
         case Ring():
             # The section of a ring is a rectangle below the line from its inner to its outer edge.
             along = np.subtract(part.outer, part.inner)
@@ -52,7 +52,7 @@ def _from_one(part: Primitive, points: Array) -> Array:
     return distance
 
 
-def _in_box(part: Box, points: Array) -> Array:
+def _distance_from_box(part: Box, points: Array) -> Array:
     c, s = math.cos(math.radians(part.yaw_deg)), math.sin(math.radians(part.yaw_deg))
     x, y, z = (points - part.centre).T
     return np.column_stack([c * x + s * y, c * y - s * x, z])
@@ -66,14 +66,14 @@ def _outside_of(*along: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Body:
+class PointBody:
     """A body as evenly spaced points (n, 3), `step` apart along each axis, m."""
 
     points: Array
     step: float
 
     @classmethod
-    def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> Body:
+    def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
         """The points inside primitives, within a box with corners `low` and `high` (3,), m."""
         step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
         counts = np.ceil((high - low) / step).astype(int)
@@ -83,7 +83,7 @@ class Body:
         return cls(points[signed_distance(parts, points) <= 0], step)
 
     @classmethod
-    def inside(cls, vertices: Array, faces: Faces) -> Body:
+    def inside(cls, vertices: Array, faces: Faces) -> PointBody:
         """The points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)

@@ -49,7 +49,7 @@ class PrintedMarker:
 
 
 @dataclass(frozen=True)
-class Bar:
+class PageBar:
     """A filled rectangle from its top left corner (x, y)."""
 
     x: float
@@ -59,7 +59,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Line:
+class PageLine:
     """A thin line."""
 
     x0: float
@@ -69,7 +69,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Text:
+class PageText:
     """A line of ASCII text. (x, y) is the point of its baseline that `align` names."""
 
     x: float
@@ -80,13 +80,13 @@ class Text:
     align: Literal["left", "right", "centre"] = "left"
 
 
-Mark = PrintedMarker | Bar | Line | Text
+Mark = PrintedMarker | PageBar | PageLine | PageText
 
 LINE_WIDTH = 0.15
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintedPage:
     """A page and the marks on it."""
 
     paper: Paper
@@ -106,7 +106,7 @@ _QUIET = 5.0
 _CROP_MARK = 6.0
 
 
-def board_sheet(board: Board, owner: str, paper: Paper) -> Sheet:
+def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
     """A page with the board at true size, its description, and two rulers to check the printer's scale.
 
     A zone around the board stays white: 5 mm, or a marker's cell if that is wider. Marks outside it show where to cut,
@@ -137,7 +137,7 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> Sheet:
     left = (_MARGIN + _RULER_COLUMN + paper.width - _MARGIN - width) / 2
     top = _MARGIN + _HEADER + frame
     foot = top + max(height, _RULER_LENGTH) + frame
-    return Sheet(
+    return PrintedPage(
         paper,
         f"{owner}: {board.name}",
         (
@@ -152,7 +152,7 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> Sheet:
 
 
 def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
-    yield Text(_MARGIN, _MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
+    yield PageText(_MARGIN, _MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
     lines = (
         f"Markers {board.ids[0]} to {board.ids[-1]}, row by row from the top left ({board.columns} x {board.rows}), of "
         f"{board.dictionary}.",
@@ -162,7 +162,7 @@ def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
         "Cut between the corner marks, and leave the white border on: detectors need it.",
     )
     for k, line in enumerate(lines, start=1):
-        yield Text(_MARGIN, _MARGIN + 8 + k * _LINE_STEP, line)
+        yield PageText(_MARGIN, _MARGIN + 8 + k * _LINE_STEP, line)
 
 
 def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[Mark]:
@@ -176,11 +176,11 @@ def _crop_marks(left: float, top: float, width: float, height: float, quiet: flo
     border = 0.6 * quiet  # 3 mm for a white zone of 5 mm: the piece then fits the lab's 100 mm plate.
     far = quiet + _CROP_MARK
     for x in (left - border, left + width + border):
-        yield Line(x, top - quiet, x, top - far)
-        yield Line(x, top + height + quiet, x, top + height + far)
+        yield PageLine(x, top - quiet, x, top - far)
+        yield PageLine(x, top + height + quiet, x, top + height + far)
     for y in (top - border, top + height + border):
-        yield Line(left - quiet, y, left - far, y)
-        yield Line(left + width + quiet, y, left + width + far, y)
+        yield PageLine(left - quiet, y, left - far, y)
+        yield PageLine(left + width + quiet, y, left + width + far, y)
 
 
 def _tick(mm: int) -> float:
@@ -188,12 +188,12 @@ def _tick(mm: int) -> float:
 
 
 def _level_ruler(x: float, y: float) -> Iterator[Mark]:
-    yield Bar(x, y, _RULER_LENGTH, 1.0)
+    yield PageBar(x, y, _RULER_LENGTH, 1.0)
     for mm in range(int(_RULER_LENGTH) + 1):
-        yield Line(x + mm, y + 1, x + mm, y + 1 + _tick(mm))
+        yield PageLine(x + mm, y + 1, x + mm, y + 1 + _tick(mm))
         if mm % 10 == 0:
-            yield Text(x + mm, y + 8, str(mm), 2.8, align="centre")
-    yield Text(x, y - 2.5, "Measure: both bars must be 100.0 mm long.", bold=True)
+            yield PageText(x + mm, y + 8, str(mm), 2.8, align="centre")
+    yield PageText(x, y - 2.5, "Measure: both bars must be 100.0 mm long.", bold=True)
     lines = (
         "If one is not, print again at 100 %.",
         "Then measure a marker and a gap, and set",
@@ -201,34 +201,34 @@ def _level_ruler(x: float, y: float) -> Iterator[Mark]:
         "to what you find.",
     )
     for k, line in enumerate(lines):
-        yield Text(x, y + 14 + k * _LINE_STEP, line)
+        yield PageText(x, y + 14 + k * _LINE_STEP, line)
 
 
 def _upright_ruler(x: float, y: float) -> Iterator[Mark]:
-    yield Bar(x - 1, y, 1.0, _RULER_LENGTH)
+    yield PageBar(x - 1, y, 1.0, _RULER_LENGTH)
     for mm in range(int(_RULER_LENGTH) + 1):
-        yield Line(x - 1, y + mm, x - 1 - _tick(mm), y + mm)
+        yield PageLine(x - 1, y + mm, x - 1 - _tick(mm), y + mm)
         if mm % 10 == 0:
-            yield Text(x - 5.5, y + mm + 1, str(mm), 2.8, align="right")
+            yield PageText(x - 5.5, y + mm + 1, str(mm), 2.8, align="right")
 
 
 def _axes(x: float, y: float) -> Iterator[Mark]:
     length, head = 16.0, 1.8
-    yield Line(x, y, x + length, y)
-    yield Line(x + length, y, x + length - head, y - head / 2)
-    yield Line(x + length, y, x + length - head, y + head / 2)
-    yield Text(x + length + 1.5, y + 1.1, "board x, right")
-    yield Line(x, y, x, y - length)
-    yield Line(x, y - length, x - head / 2, y - length + head)
-    yield Line(x, y - length, x + head / 2, y - length + head)
-    yield Text(x, y - length - 1.8, "board y, up")
+    yield PageLine(x, y, x + length, y)
+    yield PageLine(x + length, y, x + length - head, y - head / 2)
+    yield PageLine(x + length, y, x + length - head, y + head / 2)
+    yield PageText(x + length + 1.5, y + 1.1, "board x, right")
+    yield PageLine(x, y, x, y - length)
+    yield PageLine(x, y - length, x - head / 2, y - length + head)
+    yield PageLine(x, y - length, x + head / 2, y - length + head)
+    yield PageText(x, y - length - 1.8, "board y, up")
 
 
 _POINTS_PER_MM = 72 / 25.4
 _PX_PER_MM = 600 / 25.4
 
 
-def pdf_bytes(sheets: Sequence[Sheet]) -> bytes:
+def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
     """A PDF with a page for each sheet, which asks viewers to print it unscaled. The same sheets give the same bytes.
 
     Raises:
@@ -260,11 +260,11 @@ def pdf_bytes(sheets: Sequence[Sheet]) -> bytes:
                     for x, y, width in _runs(mark):
                         path.rect(x, height - y - mark.cell, width, mark.cell)
                     canvas.drawPath(path, stroke=0, fill=1)
-                case Bar():
+                case PageBar():
                     canvas.rect(mark.x, height - mark.y - mark.height, mark.width, mark.height, stroke=0, fill=1)
-                case Line():
+                case PageLine():
                     canvas.line(mark.x0, height - mark.y0, mark.x1, height - mark.y1)
-                case Text():
+                case PageText():
                     canvas.setFont("Helvetica-Bold" if mark.bold else "Helvetica", mark.size)
                     draw = {
                         "left": canvas.drawString,
@@ -277,7 +277,7 @@ def pdf_bytes(sheets: Sequence[Sheet]) -> bytes:
     return buffer.getvalue()
 
 
-def png_bytes(sheet: Sheet) -> bytes:
+def png_bytes(sheet: PrintedPage) -> bytes:
     """A grey PNG of the whole page, at a resolution near 600 dpi at which marker cells are whole pixels.
 
     The file holds the resolution as a whole number of pixels per metre, so that a print is off by 0.003 % at most.
@@ -295,7 +295,7 @@ def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
             yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
 
 
-def _raster(sheet: Sheet) -> tuple[Image, float]:
+def _raster(sheet: PrintedPage) -> tuple[Image, float]:
     cell_px = _cell_px(sheet)
     cell = next(mark.cell for mark in sheet.marks if isinstance(mark, PrintedMarker))
     scale = cell_px / cell
@@ -307,21 +307,21 @@ def _raster(sheet: Sheet) -> tuple[Image, float]:
                 pixels = mark.black.repeat(cell_px, 0).repeat(cell_px, 1)
                 top, left = round(mark.y * scale), round(mark.x * scale)
                 image[top : top + len(pixels), left : left + len(pixels)][pixels] = 0
-            case Bar():
+            case PageBar():
                 top, left = round(mark.y * scale), round(mark.x * scale)
                 bottom, right = round((mark.y + mark.height) * scale), round((mark.x + mark.width) * scale)
                 image[top:bottom, left:right] = 0
-            case Line():
+            case PageLine():
                 # Pixel k covers k..k+1.
                 start = math.floor(mark.x0 * scale), math.floor(mark.y0 * scale)
                 end = math.floor(mark.x1 * scale), math.floor(mark.y1 * scale)
                 cv2.line(image, start, end, (0,), thickness)
-            case Text():
+            case PageText():
                 _write(image, mark, scale)
     return image, scale
 
 
-def _cell_px(sheet: Sheet) -> int:
+def _cell_px(sheet: PrintedPage) -> int:
     """Pixels to a marker's cell: near 600 dpi, so that the markers' places are as near to whole pixels as possible."""
     markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
     cell = markers[0].cell
@@ -341,7 +341,7 @@ _HERSHEY_UNITS = 21
 _CAPITALS = 0.718
 
 
-def _write(image: Image, text: Text, scale: float) -> None:
+def _write(image: Image, text: PageText, scale: float) -> None:
     font, size = cv2.FONT_HERSHEY_SIMPLEX, _CAPITALS * text.size * scale / _HERSHEY_UNITS
     thickness = max(1, round(text.size * scale / (9 if text.bold else 22)))
     (width, _), _ = cv2.getTextSize(text.text, font, size, thickness)

@@ -12,7 +12,7 @@ from ..core.geometry.board import Board
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
-from .lens import project_points
+from .lens_distortion import project_points
 
 Labels = NDArray[np.uint8]
 
@@ -24,7 +24,7 @@ _LEAST_SCALE = 0.2  # of letters: smaller ones are unreadable
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
-def blend(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
+def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
     """The photo with rendered arms over it (height, width, 3), each outlined in its own colour.
 
     Args:

@@ -16,14 +16,14 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from .policy_client import (
-    DamagedError,
+    DamagedMessageError,
     RemoteError,
-    address_of,
-    answering,
-    array_of,
+    array_from_bytes,
     check_json,
-    content_of,
-    no_answer,
+    no_answer_error,
+    parse_address,
+    read_body,
+    request_context,
 )
 
 SCHEME = "act"
@@ -45,29 +45,29 @@ class ActClient:
 
     def __init__(self, url: str, timeout: float) -> None:
         parts = urlsplit(url)
-        host, port = address_of(url, SCHEME, 8202)
+        host, port = parse_address(url, SCHEME, 8202)
         self._url, self._path = url, parts.path.rstrip("/") or _PATH
         self._connection = http.client.HTTPConnection(host, port, timeout=timeout)
         try:
             self._connection.connect()
         except OSError as error:
-            raise no_answer(url, error) from error
+            raise no_answer_error(url, error) from error
 
     def begin(self, seed: int) -> None:
         """Do nothing: the server keeps no state of a trial."""
 
-    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+    def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """The server's answer.
 
         Raises:
             RemoteError: the server is gone, or answers with an error or with no message.
             TimeoutError: the server did not answer in time.
         """
-        with answering(self._url, self._connection.close):
+        with request_context(self._url, self._connection.close):
             data, status = self._post(dump_json(message))
         try:
             answer = load_json(data)
-        except DamagedError as error:
+        except DamagedMessageError as error:
             raise RemoteError(f"{self._url} answers {status} and no message: {error}") from error
         if status != http.client.OK or not isinstance(answer, dict):
             raise RemoteError(f"{self._url} answers {status}: {str(answer)[:300]}")
@@ -87,7 +87,7 @@ class ActClient:
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
-        return content_of(response), response.status
+        return read_body(response), response.status
 
 
 def dump_json(message: Any) -> bytes:
@@ -105,8 +105,8 @@ def load_json(data: bytes) -> Any:
         check_json(data)
         return json.loads(data, object_hook=_decode)
     except (ValueError, RecursionError) as error:
-        text = str(error) if isinstance(error, DamagedError) else f"no JSON: {str(error)[:100]}"
-        raise DamagedError(text) from error
+        text = str(error) if isinstance(error, DamagedMessageError) else f"no JSON: {str(error)[:100]}"
+        raise DamagedMessageError(text) from error
 
 
 def _encode(value: object) -> dict[str, Any]:
@@ -122,6 +122,6 @@ def _decode(found: dict[str, Any]) -> Any:
     try:
         content = base64.b64decode(found[_ARRAY_KEY], validate=True)
     except (TypeError, ValueError, binascii.Error) as error:
-        raise DamagedError("an array whose content is no base64") from error
-    whole = array_of(content, found.get("dtype"), found.get("shape"))
+        raise DamagedMessageError("an array whose content is no base64") from error
+    whole = array_from_bytes(content, found.get("dtype"), found.get("shape"))
     return whole if whole.ndim else whole[()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.config.policy import PolicyConfig
 from ..core.errors import ResourceError, UsageError
-from ..core.images.fit import fitted
+from ..core.images.resize import resize_image
 
 SCHEME = "lerobot"
 
@@ -39,7 +39,7 @@ class LeRobotClient:
     A policy of one observation answers with its whole chunk; a policy of several observations, action by action.
 
     Attributes:
-        asks: keys of all its inputs, pictures and rows of numbers.
+        input_keys: keys of all its inputs, pictures and rows of numbers.
         execute: actions of a chunk that act before the next answer is requested; None for all.
 
     Args:
@@ -78,19 +78,19 @@ class LeRobotClient:
         self._policy.eval()
         shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
-        self.asks = tuple(config.input_features)
+        self.input_keys = tuple(config.input_features)
         self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
         # The queues of earlier observations are filled by select_action alone.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
-        self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
-        self.execute: int | None = None if self._looks_back else getattr(config, "n_action_steps", None)
+        self._needs_history = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
+        self.execute: int | None = None if self._needs_history else getattr(config, "n_action_steps", None)
 
     def begin(self, seed: int) -> None:
         """Reset the policy, and seed torch."""
         self._torch.manual_seed(seed)
         self._policy.reset()
 
-    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+    def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """The policy's actions for an observation, after its processor.
 
         Raises:
@@ -101,13 +101,13 @@ class LeRobotClient:
         batch: dict[str, Any] = {}
         for key, value in message.items():
             if key in self._sizes:
-                image = fitted(value, self._sizes[key], pad=False).transpose(2, 0, 1)
+                image = resize_image(value, self._sizes[key], pad=False).transpose(2, 0, 1)
                 batch[key] = torch.from_numpy(image.astype(np.float32) / 255)[None]
             else:
                 batch[key] = torch.from_numpy(value)[None] if isinstance(value, np.ndarray) else value
         with torch.inference_mode():
             ready = self._before(batch)
-            ask = self._policy.select_action if self._looks_back else self._policy.predict_action_chunk
+            ask = self._policy.select_action if self._needs_history else self._policy.predict_action_chunk
             actions = self._after(ask(ready))
         rows = actions.to("cpu", torch.float64).numpy()
         # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is the batch's.

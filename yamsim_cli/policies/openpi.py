@@ -13,13 +13,13 @@ from yamsim_cli.core.extras import require_library
 from ..core.errors import ResourceError
 from .policy_client import (
     MAX_ANSWER_BYTES,
-    Budget,
-    DamagedError,
+    DamagedMessageError,
     RemoteError,
-    address_of,
-    answering,
-    array_of,
-    no_answer,
+    ValueBudget,
+    array_from_bytes,
+    no_answer_error,
+    parse_address,
+    request_context,
 )
 
 SCHEME = "ws"
@@ -114,20 +114,20 @@ class OpenpiClient:
     def __init__(self, url: str, timeout: float) -> None:
         require_library("a policy in another process", "msgpack", "remote")
         self._url, self._timeout = url, timeout
-        host, port = address_of(url, SCHEME, 8000)
+        host, port = parse_address(url, SCHEME, 8000)
         host = f"[{host}]" if ":" in host else host
         self._address = f"{SCHEME}://{host}:{port}{urlsplit(url).path or '/'}"
         self._socket: WebSocket | None = None
         try:
             self._connection()
         except (RemoteError, TimeoutError) as error:
-            raise ResourceError(str(no_answer(url, error))) from error
+            raise ResourceError(str(no_answer_error(url, error))) from error
 
     def begin(self, seed: int) -> None:
         """Connect again if the connection is lost: the server closes it after an error. Raises as `ask`."""
         self._connection()
 
-    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+    def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """The server's answer.
 
         Raises:
@@ -145,14 +145,14 @@ class OpenpiClient:
     def _connection(self) -> WebSocket:
         if self._socket is not None:
             return self._socket
-        with answering(self._url, self.close):
+        with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
         # The server first sends its metadata, which are not needed.
         self._receive(made)
         return made
 
     def _receive(self, connection: WebSocket, question: bytes | None = None) -> Mapping[str, Any]:
-        with answering(self._url, self.close):
+        with request_context(self._url, self.close):
             if question is not None:
                 connection.send(question)
             data = connection.receive()
@@ -161,7 +161,7 @@ class OpenpiClient:
                 raise RemoteError(f"{self._url}: {(data.strip().splitlines() or ['an error'])[-1][:300]}", data)
             try:
                 return unpack_openpi(data)
-            except DamagedError as error:
+            except DamagedMessageError as error:
                 raise RemoteError(f"{self._url} answers with no message: {error}") from error
 
 
@@ -181,7 +181,7 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
     import msgpack
 
     try:
-        budget = Budget()
+        budget = ValueBudget()
         found = msgpack.unpackb(
             data,
             object_hook=lambda one: _decode(budget.spend(one)),
@@ -189,13 +189,13 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
             raw=False,
             strict_map_key=False,
         )
-    except DamagedError:
+    except DamagedMessageError:
         raise
     # Containers that are nested thousands of times, or keys that cannot be hashed.
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
-        raise DamagedError(f"no msgpack: {str(error)[:100]}") from error
+        raise DamagedMessageError(f"no msgpack: {str(error)[:100]}") from error
     if not isinstance(found, dict):
-        raise DamagedError(f"{type(found).__name__} in place of a mapping")
+        raise DamagedMessageError(f"{type(found).__name__} in place of a mapping")
     return found
 
 
@@ -210,6 +210,6 @@ def _encode(value: object) -> dict[bytes, Any]:
 
 def _decode(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
-        return array_of(found.get(b"data"), found.get(b"dtype"), found.get(b"shape"))
+        return array_from_bytes(found.get(b"data"), found.get(b"dtype"), found.get(b"shape"))
     # A scalar has its number and the name of its dtype; the number suffices.
     return found.get(b"data") if b"__npgeneric__" in found else found

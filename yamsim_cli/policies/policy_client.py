@@ -16,8 +16,8 @@ import numpy as np
 
 from ..core.errors import ResourceError, UsageError
 from ..core.geometry.se3 import Array
-from .base import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
-from .policy_faults import Fault
+from .policy_faults import PolicyFault
+from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
 MAX_ANSWER_BYTES = 4_000_000  # a thousand actions of two arms take 150,000 as JSON
 MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms as plain numbers
@@ -29,7 +29,7 @@ _DTYPE_KINDS = "biuf"  # booleans, whole and floating-point numbers
 _MAX_ITEM_BYTES = 8
 
 
-class DamagedError(ValueError):
+class DamagedMessageError(ValueError):
     """An answer that is no message of the protocol; the text says what is wrong."""
 
 
@@ -43,10 +43,10 @@ class RemoteError(RuntimeError):
     def __init__(self, text: str, traceback: str = "") -> None:
         text = text[:MAX_TEXT]
         super().__init__(text)
-        self.fault = Fault(text, traceback[-_MAX_TRACEBACK:])
+        self.fault = PolicyFault(text, traceback[-_MAX_TRACEBACK:])
 
 
-class Budget:
+class ValueBudget:
     """Counts the values of one message while msgpack decodes it; `spend` is msgpack's hook.
 
     Small containers take far more memory decoded than encoded, so the count is checked before the message is complete.
@@ -63,7 +63,7 @@ class Budget:
         """
         self._left -= 1 + len(found)
         if self._left < 0:
-            raise DamagedError(f"it holds more than {MAX_VALUES} values")
+            raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
         return found
 
 
@@ -74,7 +74,7 @@ def check_json(data: bytes) -> None:
         DamagedError: the text may hold more than `MAX_VALUES` values.
     """
     if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
-        raise DamagedError(f"it holds more than {MAX_VALUES} values")
+        raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
 
 
 def plain_numbers(value: object, key: str) -> np.ndarray:
@@ -100,14 +100,14 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
     return rows
 
 
-def array_of(content: object, dtype: object, shape: object) -> np.ndarray:
+def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarray:
     """An array from its bytes, the name of its dtype and its shape.
 
     Raises:
         DamagedError: the dtype is not one of plain numbers, or the bytes are not as many as the shape says.
     """
     if not isinstance(content, bytes | bytearray) or not isinstance(dtype, str | bytes):
-        raise DamagedError("an array needs bytes and the name of a dtype")
+        raise DamagedMessageError("an array needs bytes and the name of a dtype")
     name = dtype.decode("ascii", "replace") if isinstance(dtype, bytes) else dtype
     try:
         # A comma or a bracket in the name would make a structured dtype.
@@ -115,19 +115,19 @@ def array_of(content: object, dtype: object, shape: object) -> np.ndarray:
     except (TypeError, ValueError, SyntaxError):
         kind = None
     if kind is None or kind.kind not in _DTYPE_KINDS or kind.itemsize > _MAX_ITEM_BYTES:
-        raise DamagedError(f"{name[:40]!r} is no dtype of plain numbers")
+        raise DamagedMessageError(f"{name[:40]!r} is no dtype of plain numbers")
     if not isinstance(shape, list | tuple) or len(shape) > _MAX_AXES:
-        raise DamagedError("a shape is a list of at most 8 whole numbers")
+        raise DamagedMessageError("a shape is a list of at most 8 whole numbers")
     if not all(
         isinstance(size, int) and not isinstance(size, bool) and 0 <= size <= MAX_ANSWER_BYTES for size in shape
     ):
-        raise DamagedError(f"{str(shape)[:60]} is no shape")
+        raise DamagedMessageError(f"{str(shape)[:60]} is no shape")
     if math.prod(shape) * kind.itemsize != len(content):
-        raise DamagedError(f"{len(content)} bytes are no array of {kind} {tuple(shape)}")
+        raise DamagedMessageError(f"{len(content)} bytes are no array of {kind} {tuple(shape)}")
     return np.frombuffer(bytes(content), kind).reshape(tuple(shape))
 
 
-def rows_of(value: object, key: str, width: int) -> Array:
+def action_rows(value: object, key: str, width: int) -> Array:
     """A server's actions as finite numbers (actions, width); a single row is one action.
 
     Raises:
@@ -147,7 +147,7 @@ def rows_of(value: object, key: str, width: int) -> Array:
     return whole
 
 
-def period_of(value: Any, key: str) -> float | None:
+def action_period(value: Any, key: str) -> float | None:
     """The duration of an action (s), from a server's number of ms; None for none, or for 0.
 
     Raises:
@@ -165,7 +165,7 @@ def period_of(value: Any, key: str) -> float | None:
     return seconds
 
 
-def address_of(url: str, scheme: str, port: int) -> tuple[str, int]:
+def parse_address(url: str, scheme: str, port: int) -> tuple[str, int]:
     """Host and port of a URL; `port` where the URL names none.
 
     Raises:
@@ -181,13 +181,13 @@ def address_of(url: str, scheme: str, port: int) -> tuple[str, int]:
     return parts.hostname, given or port
 
 
-def no_answer(url: str, error: object) -> ResourceError:
+def no_answer_error(url: str, error: object) -> ResourceError:
     """The error that no policy server answers at a URL."""
     return ResourceError(f"--policy {url}: no policy answers there: {error}; start its server first")
 
 
 @contextmanager
-def answering(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
+def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     """Context of one request and its answer. An error closes the connection, on which a late answer might arrive.
 
     Args:
@@ -206,7 +206,7 @@ def answering(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
         raise
 
 
-def content_of(response: http.client.HTTPResponse) -> bytes:
+def read_body(response: http.client.HTTPResponse) -> bytes:
     """The whole body of an HTTP answer.
 
     Raises:

@@ -16,7 +16,7 @@ _MAX_CHARACTERS = 300  # of an exception's message
 
 
 @dataclass(frozen=True)
-class Fault:
+class PolicyFault:
     """What went wrong in a policy.
 
     Attributes:
@@ -28,7 +28,7 @@ class Fault:
     traceback: str = ""
 
 
-def fault_of(error: BaseException, folder: Path) -> Fault:
+def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
     """The description of an exception that a policy raised.
 
     Args:
@@ -39,10 +39,10 @@ def fault_of(error: BaseException, folder: Path) -> Fault:
     while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
         trace = trace.tb_next
     whole = "".join(traceback.format_exception(type(error), error, trace))
-    return Fault(summary_of(error) + _place(trace, folder), whole)
+    return PolicyFault(summarize_exception(error) + _place(trace, folder), whole)
 
 
-def summary_of(error: BaseException) -> str:
+def summarize_exception(error: BaseException) -> str:
     """An exception in one line: its type and message."""
     try:
         message = str(error)

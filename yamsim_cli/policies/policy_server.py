@@ -23,11 +23,11 @@ from typing import Any
 from yamsim_cli.core.extras import require_library
 
 from ..core.errors import ResourceError
-from ..core.page_origin import refusal
-from ..core.workers.serving import forks_end_here
-from .loading import check_policy, reset_policy, wanted_images, wanted_state
-from .policy_faults import fault_of
-from .remote import PROTOCOL, UnsendableError, WireError, pack, sendable, unpack
+from ..core.http_origin import refusal_reason
+from ..core.workers.job_server import kill_forks_at_exit
+from .policy_faults import describe_fault
+from .policy_loading import check_policy, reset_policy, wanted_images, wanted_state
+from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message, require_sendable, unpack_message
 
 LOOPBACK = "127.0.0.1"
 
@@ -39,7 +39,7 @@ class PolicyServer(ThreadingHTTPServer):
     """Answers clients until `shutdown`; leaving it as a context manager closes the port.
 
     Args:
-        make_policy: makes a policy, see `policies.base.Policy`; called for each client.
+        make_policy: makes a policy, see `policies.policy_protocol.Policy`; called for each client.
         host: address to listen on; beyond 127.0.0.1, anybody who reaches the port can use it.
         port: 0 takes a free one.
 
@@ -72,8 +72,8 @@ class PolicyServer(ThreadingHTTPServer):
         with self._one_at_a_time:
             try:
                 # A fork by the policy would answer the client a second time.
-                with forks_end_here():
-                    return pack(self._answer(what, message))
+                with kill_forks_at_exit():
+                    return pack_message(self._answer(what, message))
             # The policy may raise any exception, which is sent to the client.
             except Exception as error:  # noqa: BLE001
                 return _fault(error)
@@ -86,7 +86,7 @@ class PolicyServer(ThreadingHTTPServer):
     def _answer(self, what: str, message: Any) -> dict[str, Any]:
         if what == "session":
             if message["protocol"] != PROTOCOL:
-                raise WireError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
+                raise MessageError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
             if len(self._sessions) >= _MAX_SESSIONS:
                 self._sessions.pop(next(iter(self._sessions)))
             policy = check_policy(self._make(), "of the server")
@@ -99,23 +99,23 @@ class PolicyServer(ThreadingHTTPServer):
             reset_policy(policy, message["seed"])
             return {}
         if what == "act":
-            return {"action": sendable(policy(message["observation"]))}
+            return {"action": require_sendable(policy(message["observation"]))}
         if what == "close":
             del self._sessions[message["session"]]
             return {}
-        raise WireError(f"there is no /{what}")
+        raise MessageError(f"there is no /{what}")
 
 
 def _fault(error: Exception) -> bytes:
     """The answer that reports an exception."""
-    if isinstance(error, WireError):
+    if isinstance(error, MessageError):
         report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
-        fault = fault_of(error, Path.cwd())
+        fault = describe_fault(error, Path.cwd())
         report = {"error": fault.text, "traceback": fault.traceback}
         # File names may hold bytes that are no valid text.
         report = {key: text.encode(errors="backslashreplace").decode() for key, text in report.items()}
-    return pack(report)
+    return pack_message(report)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -127,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Answer one message; requests of web pages from other sites are refused."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
-        if refusal(hosts, origins, self.server.host) is not None:
+        if refusal_reason(hosts, origins, self.server.host) is not None:
             self.send_error(403)
             self.close_connection = True
             return
@@ -136,8 +136,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         try:
-            data = self.server.answer(self.path.strip("/"), unpack(self.rfile.read(int(length))))
-        except WireError as error:
+            data = self.server.answer(self.path.strip("/"), unpack_message(self.rfile.read(int(length))))
+        except MessageError as error:
             data = _fault(error)
         self.send_response(200)
         self.send_header("Content-Type", "application/msgpack")

@@ -14,27 +14,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from ..core.config.recording import RecordConfig
-from ..core.dataset.layout import episode_name
+from ..core.dataset.dataset_paths import episode_name
 from ..core.dataset.records import attempt_record, episode_record
-from ..core.dataset.writing.ledger import vacant_episode
-from ..core.dataset.writing.stage import Sink
+from ..core.dataset.writing.ledger import missing_episode
+from ..core.dataset.writing.staged_writer import Sink
 from ..core.errors import DatasetError, InterruptedJobError, PartialJobError
-from ..core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-from ..core.workers.executor import Executor, LostJobError
-from ..core.workers.stop import Stop
-from .prospects import NoBetterStart, RetryLimit
+from ..core.workers.executors import Executor, LostJobError
+from ..core.workers.stop_request import StopRequest
+from .retry_limit import AllStartsFail, RetryLimit
 
 _LOOKAHEAD = 4  # attempts per worker ahead of the oldest unfinished attempt; limits the episodes in memory
 _MAX_LOST_IN_A_ROW = 3  # attempts in a row that lose their workers, after which the machine is at fault
 _STOP_SECONDS = 60.0  # s, that attempts in hand may take after a request to stop
 _POLL_SECONDS = 0.5
 
-EpisodeExecutor = Executor[EpisodeJob, EpisodePayload]
+EpisodeExecutor = Executor[AttemptJob, AttemptPayload]
 
 
 @dataclass(frozen=True)
-class Notifier:
+class RecordCallbacks:
     """Callbacks of a recording.
 
     Attributes:
@@ -50,25 +50,30 @@ class Collector:
     """Hands out attempts and takes their results until the dataset is complete."""
 
     def __init__(
-        self, config: RecordConfig, sink: Sink, watch: Notifier, stop: Stop, no_better_start: NoBetterStart
+        self,
+        config: RecordConfig,
+        sink: Sink,
+        callbacks: RecordCallbacks,
+        stop: StopRequest,
+        no_better_start: AllStartsFail,
     ) -> None:
         self._config = config
         self._limit = RetryLimit(config, no_better_start)
         self._sink = sink
-        self._watch = watch
+        self._watch = callbacks
         self._stop = stop
         # Attempts whose episode or line is gone are made again first, under their old numbers.
-        self._gone = {attempt.attempt: attempt for attempt in sink.missing}
-        self._queue = sorted(self._gone.keys() | sink.lost_lines, reverse=True)
+        self._lost_attempts = {attempt.attempt: attempt for attempt in sink.missing}
+        self._queue = sorted(self._lost_attempts.keys() | sink.lost_lines, reverse=True)
         self._next = len(sink.attempts)
-        self._finished: dict[int, EpisodePayload] = {}
-        self._doubtful: set[int] = set()
+        self._finished: dict[int, AttemptPayload] = {}
+        self._uncertain_attempts: set[int] = set()
         self._renderer = ""
 
     @property
     def outstanding(self) -> int:
         """Episodes that still have to be made."""
-        return max(0, self._config.episodes - self._sink.episodes) + len(self._gone)
+        return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
     def work(self) -> int:
@@ -78,7 +83,7 @@ class Collector:
     @property
     def done(self) -> int:
         """Episodes that are whole."""
-        return self._sink.episodes - len(self._gone)
+        return self._sink.episodes - len(self._lost_attempts)
 
     def run(self, executor: EpisodeExecutor) -> None:
         """Record until the dataset holds all episodes.
@@ -87,17 +92,17 @@ class Collector:
             InterruptedJobError: stopped by the user; attempts in hand were waited for at most `_STOP_SECONDS`.
             DatasetError: a lost episode cannot be made again on this machine.
             PartialJobError: the task fails too often, or workers do not last.
-            SimulationError: the task cannot work, see `check_prospects`.
+            SimulationError: the task cannot work, see `check_retry_limit`.
             OSError: the disk refused something.
         """
         self._report()
         while self.work:
-            while not self._stop.asked and executor.idle and self._may_start(executor):
-                executor.submit(EpisodeJob(self._config.seed, self._take()))
+            while not self._stop.is_requested and executor.idle and self._can_start(executor):
+                executor.submit(AttemptJob(self._config.seed, self._take()))
             # After handing out, so that workers are busy during writing.
             if self._commit_finished():
                 continue
-            if self._stop.asked and (not executor.in_flight or self._stop.waited > _STOP_SECONDS):
+            if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):
                 raise InterruptedJobError("interrupted")
             self._receive(executor)
 
@@ -107,16 +112,16 @@ class Collector:
         except TimeoutError:
             return
         except LostJobError as error:
-            self._lose(error)
+            self._mark_lost(error)
             return
-        self._doubtful.clear()
+        self._uncertain_attempts.clear()
         self._compare_renderers(payload)
         self._finished[job.attempt] = payload
 
     def _commit_finished(self) -> bool:
         """Write what can be written, in the order of attempts; returns whether anything was written."""
         before = len(self._finished)
-        for attempt in self._gone.keys() & self._finished.keys():
+        for attempt in self._lost_attempts.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
             self._log_again(self._finished.pop(lost))
@@ -131,18 +136,18 @@ class Collector:
     @property
     def _next_is_finished(self) -> bool:
         attempt = len(self._sink.attempts)
-        return attempt in self._finished and attempt not in self._doubtful
+        return attempt in self._finished and attempt not in self._uncertain_attempts
 
-    def _may_start(self, executor: EpisodeExecutor) -> bool:
+    def _can_start(self, executor: EpisodeExecutor) -> bool:
         """Whether another attempt may be handed out: no more than are needed if all succeed."""
         if self._queue:
             return True
-        if self._next >= self._limit.most_attempts and not self._doubtful:
+        if self._next >= self._limit.most_attempts and not self._uncertain_attempts:
             return False
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)
         # An attempt in doubt blocks writing until a later attempt has come back.
-        near = ahead < _LOOKAHEAD * self._config.workers or (self._doubtful and not executor.in_flight)
+        near = ahead < _LOOKAHEAD * self._config.workers or (self._uncertain_attempts and not executor.in_flight)
         return promised < self.outstanding and bool(near)
 
     def _take(self) -> int:
@@ -151,75 +156,75 @@ class Collector:
         self._next += 1
         return self._next - 1
 
-    def _lose(self, error: LostJobError) -> None:
+    def _mark_lost(self, error: LostJobError) -> None:
         job = error.job
-        assert isinstance(job, EpisodeJob)
+        assert isinstance(job, AttemptJob)
         detail = f"ended its worker {error.tries} times; the last one {error.reason}"
-        if job.attempt in self._gone:
-            number = self._gone[job.attempt].episode
+        if job.attempt in self._lost_attempts:
+            number = self._lost_attempts[job.attempt].episode
             raise PartialJobError(f"{episode_name(number or 0)} cannot be made again: {error}") from error
         if job.attempt in self._sink.lost_lines:
-            if vacant_episode(self._sink.attempts, job.attempt) is not None:
+            if missing_episode(self._sink.attempts, job.attempt) is not None:
                 raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
         else:
-            self._doubtful.add(job.attempt)
-            if (lost := len(self._doubtful)) >= _MAX_LOST_IN_A_ROW:
+            self._uncertain_attempts.add(job.attempt)
+            if (lost := len(self._uncertain_attempts)) >= _MAX_LOST_IN_A_ROW:
                 raise PartialJobError(f"{lost} attempts in a row lost their workers, the last one: {error}")
             self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
-        self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
+        self._finished[job.attempt] = AttemptPayload(Attempt(job), Outcome(False, FailureCause.WORKER_LOST, detail))
 
-    def _commit(self, payload: EpisodePayload) -> None:
+    def _commit(self, payload: AttemptPayload) -> None:
         episode = self._sink.episodes if payload.outcome.success else None
         if episode is not None:
             self._publish(payload, episode)
         self._sink.log(attempt_record(payload, episode))
-        self.check_prospects()
+        self.check_retry_limit()
 
-    def check_prospects(self) -> None:
+    def check_retry_limit(self) -> None:
         """Raise GaveUpError if the task works too rarely, and SimulationError if it cannot work."""
         if self._sink.lost_lines:
             # The results of these attempts are not known yet.
             return
-        if self.outstanding > len(self._gone) and (
-            error := self._limit.ended_by(self._sink.attempts, self._sink.episodes)
+        if self.outstanding > len(self._lost_attempts) and (
+            error := self._limit.stop_error(self._sink.attempts, self._sink.episodes)
         ):
             raise error
 
-    def _restore(self, payload: EpisodePayload) -> None:
+    def _restore(self, payload: AttemptPayload) -> None:
         """Publish a lost episode again, under its old number."""
-        lost = self._gone[payload.job.attempt]
+        lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
-            raise self._fails_now(payload, lost.episode or 0)
+            raise self._ends_by_retry_limit(payload, lost.episode or 0)
         self._publish(payload, lost.episode)
-        del self._gone[lost.attempt]
+        del self._lost_attempts[lost.attempt]
 
-    def _fails_now(self, payload: EpisodePayload, episode: int) -> DatasetError:
+    def _ends_by_retry_limit(self, payload: AttemptPayload, episode: int) -> DatasetError:
         return DatasetError(
             f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
             f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
         )
 
-    def _log_again(self, payload: EpisodePayload) -> None:
+    def _log_again(self, payload: AttemptPayload) -> None:
         """Log an attempt whose line was lost. An attempt that gave no episode but succeeds now had lost its workers."""
-        number = vacant_episode(self._sink.attempts, payload.job.attempt)
+        number = missing_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:
             detail = (
                 "its line in the ledger was lost; made again it succeeds, and the episodes after it do not count it"
             )
-            payload = replace(payload, outcome=Outcome(False, Cause.WORKER_LOST, detail), files={})
+            payload = replace(payload, outcome=Outcome(False, FailureCause.WORKER_LOST, detail), files={})
         episode = number if payload.outcome.success else None
         if episode is not None:
             self._publish(payload, episode)
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
             # Later episodes exist, and this episode can have come from no other attempt.
-            raise self._fails_now(payload, number)
+            raise self._ends_by_retry_limit(payload, number)
         self._sink.log(attempt_record(payload, episode))
-        self.check_prospects()
+        self.check_retry_limit()
 
-    def _publish(self, payload: EpisodePayload, episode: int) -> None:
+    def _publish(self, payload: AttemptPayload, episode: int) -> None:
         self._sink.publish(episode_record(self._config, payload, episode), payload.files)
 
-    def _compare_renderers(self, payload: EpisodePayload) -> None:
+    def _compare_renderers(self, payload: AttemptPayload) -> None:
         """Warn if workers render with different drivers, which give different bytes."""
         if self._renderer and payload.renderer and payload.renderer != self._renderer:
             self._watch.warn(

@@ -16,15 +16,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Generic, cast
 
 from ..core.errors import ResourceError
-from ..core.workers.executor import Factory, J, R
-from ..core.workers.pool import JOB_SECONDS, Died, Event, Pool, Worker
-from ..core.workers.serving import STOP_SIGNALS, Servant
+from ..core.workers.executors import Factory, J, R
+from ..core.workers.job_server import STOP_SIGNALS, JobServer
+from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
 _CONNECT_SECONDS = 5.0  # s, that the head of a cluster may take to accept a connection
 
 
-class RayPool(Pool[J, R]):
-    """An `Executor` over the actors of a Ray cluster; see `Pool`.
+class RayPool(BaseWorkerPool[J, R]):
+    """An `Executor` over the actors of a Ray cluster; see `BaseWorkerPool`.
 
     Args:
         factory: makes each worker's runner, in the actor.
@@ -66,7 +66,7 @@ class _Actor(Generic[J]):
 
 
 class _Cluster(Generic[J, R]):
-    """The `Backend` that starts actors."""
+    """The `WorkerBackend` that starts actors."""
 
     def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
         self._ray = _import_ray()
@@ -85,7 +85,7 @@ class _Cluster(Generic[J, R]):
         options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         if environ:
             options["runtime_env"] = {"env_vars": environ}
-        self._actors = self._ray.remote(**options)(Servant)
+        self._actors = self._ray.remote(**options)(JobServer)
 
     def start(self, number: int) -> Worker[J]:
         handle = self._actors.remote()
@@ -105,7 +105,7 @@ class _Cluster(Generic[J, R]):
         try:
             return cast("Event[R]", pickle.loads(self._ray.get(answer)))
         except self._ray.exceptions.RayError as error:
-            return Died(f"was lost by Ray: {str(error).splitlines()[0]}")
+            return WorkerDied(f"was lost by Ray: {str(error).splitlines()[0]}")
 
     def close(self) -> None:
         if self._ours:
@@ -122,7 +122,7 @@ def _import_ray() -> Any:
 
 def _connect(ray: Any, address: str | None, workers: int) -> None:
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
-    with _own_signals():
+    with _restore_signal_handlers():
         try:
             if address is None:
                 ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
@@ -144,7 +144,7 @@ def _require_listener(address: str) -> None:
 
 
 @contextlib.contextmanager
-def _own_signals() -> Iterator[None]:
+def _restore_signal_handlers() -> Iterator[None]:
     """Restore the signals' handlers after the block: Ray replaces that of SIGTERM when it connects."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:

@@ -11,16 +11,16 @@ from pathlib import Path
 
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
-from ..core.dataset.disk_faults import explain
+from ..core.dataset.disk_errors import explain_disk_error
 from ..core.errors import InterruptedJobError, PartialJobError, ResourceError
 from ..core.scene.assets import load_lock
-from ..core.scene.build import noting_meshes
-from ..core.scene.certificates import Standing, find_certificate
-from ..core.workers.stop import Stop
-from .collect import Collector, Notifier
-from .destination import Destination, Output, open_destination
-from .executors import Executors
-from .prospects import GaveUpError, no_better_start
+from ..core.scene.build import state_meshes
+from ..core.scene.certificates import CertificateStatus, find_certificate
+from ..core.workers.stop_request import StopRequest
+from .collect import Collector, RecordCallbacks
+from .executor_factories import ExecutorFactory
+from .recording_output import OpenRecordingOutput, RecordingOutput, open_destination
+from .retry_limit import RetryLimitError, all_starts_fail
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,13 @@ class RecordReport:
     moved_aside: Path | None
 
 
-def record(session: Session, output: Output, executors: Executors, watch: Notifier, stop: Stop) -> RecordReport:
+def record(
+    session: Session,
+    output: RecordingOutput,
+    executor_factory: ExecutorFactory,
+    callbacks: RecordCallbacks,
+    stop: StopRequest,
+) -> RecordReport:
     """Record until the dataset holds the config's `episodes` successful episodes, see `collect`.
 
     Raises:
@@ -45,46 +51,50 @@ def record(session: Session, output: Output, executors: Executors, watch: Notifi
         SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
-    _check_certificates(session, watch)
-    session = noting_meshes(session)
+    _check_certificates(session, callbacks)
+    session = state_meshes(session)
     config = session.config
-    with open_destination(config, output, watch) as destination:
-        starts = functools.partial(no_better_start, session)
-        collector = Collector(destination.config, destination.sink, watch, stop, starts)
-        with _reporting_what_is_left(config, collector, destination):
+    with open_destination(config, output, callbacks) as destination:
+        starts = functools.partial(all_starts_fail, session)
+        collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
+        with _report_on_early_end(config, collector, destination):
             if collector.work:
                 # A resumed recording may have given up before.
-                collector.check_prospects()
+                collector.check_retry_limit()
                 workers = min(config.workers, collector.work)
-                with executors.open(session, workers) as executor:
+                with executor_factory.open(session, workers) as executor:
                     collector.run(executor)
-            destination.finish(watch, stop)
+            destination.finish(callbacks, stop)
         sink, moved = destination.sink, destination.writer.moved_aside
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
 
 
-def _check_certificates(session: Session, watch: Notifier) -> None:
+def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
     """Refuse a thing that has failed its certificate, and warn of one that has changed since."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
     for item in (*config.task.objects, *config.randomization.extras):
         found = find_certificate(locations.assets, item, lock)
-        if found.standing is Standing.FAILED:
+        if found.status is CertificateStatus.FAILED:
             raise ResourceError(
                 f"{item.name} has failed its certificate: {', '.join(found.failed)}; mend it and run `yamsim assets "
                 f"certify` again, or delete {found.path} to record it as it is"
             )
-        if found.standing is Standing.STALE:
-            watch.warn(f"The certificate of {item.name} is of what it was before: run `yamsim assets certify` again.")
+        if found.status is CertificateStatus.STALE:
+            callbacks.warn(
+                f"The certificate of {item.name} is of what it was before: run `yamsim assets certify` again."
+            )
 
 
 @contextlib.contextmanager
-def _reporting_what_is_left(config: RecordConfig, collector: Collector, destination: Destination) -> Iterator[None]:
+def _report_on_early_end(
+    config: RecordConfig, collector: Collector, destination: OpenRecordingOutput
+) -> Iterator[None]:
     """If the recording ends early, write the manifest, and state in the error what is recorded and what is left."""
     place = destination.writer.path
 
     def whole() -> str:
-        return f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.rest}"
+        return f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.describe_staged}"
 
     def state() -> str:
         return f"{whole()}, {collector.outstanding} are left; continue with --resume"
@@ -93,13 +103,13 @@ def _reporting_what_is_left(config: RecordConfig, collector: Collector, destinat
         try:
             yield
         except BaseException:
-            destination.give_up()
+            destination.abandon()
             raise
     except (KeyboardInterrupt, InterruptedJobError):
         raise InterruptedJobError(f"interrupted: {state()}") from None
     except OSError as error:
-        raise PartialJobError(f"{explain(error, place)}: {state()}") from error
-    except GaveUpError as error:
-        raise GaveUpError(f"{error}; {whole()}") from error
+        raise PartialJobError(f"{explain_disk_error(error, place)}: {state()}") from error
+    except RetryLimitError as error:
+        raise RetryLimitError(f"{error}; {whole()}") from error
     except PartialJobError as error:
         raise PartialJobError(f"{error}: {state()}") from error

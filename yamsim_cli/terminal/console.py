@@ -22,7 +22,7 @@ _LOG_SECONDS = 30.0  # s between two lines of progress in a log, so that a short
 _end_notes = list[str]()
 
 
-class Advance(Protocol):
+class ProgressCallback(Protocol):
     """Reports a job's progress."""
 
     def __call__(self, done: int, total: int, remark: str = "", /) -> None:
@@ -44,7 +44,7 @@ def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType],
         print_table(table())
 
 
-def print_now(data: Mapping[str, Any], line: str, json: bool) -> None:
+def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
     """Write a result to stdout while the command goes on: as JSON, or as a line for a person."""
     if json:
         print_json(data)
@@ -83,7 +83,7 @@ def print_text(marked: str, text: str, style: str) -> None:
     print_table(row)
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """Write a line for the user to stderr."""
     sys.stderr.write(text + "\n")
 
@@ -91,7 +91,7 @@ def note(text: str) -> None:
 def note_moved(path: Path, moved: Path | None) -> None:
     """Say on stderr where an older output was moved to, if there was one."""
     if moved:
-        note(f"What was at {path} is now at {moved}.")
+        print_note(f"What was at {path} is now at {moved}.")
 
 
 def note_at_end(text: str) -> None:
@@ -103,12 +103,12 @@ def note_at_end(text: str) -> None:
 def write_end_notes() -> None:
     """Write the lines of `note_at_end`."""
     for text in _end_notes:
-        note(text)
+        print_note(text)
     _end_notes.clear()
 
 
 @contextmanager
-def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[Advance]:
+def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[ProgressCallback]:
     """A function that reports progress on stderr, with rate and time left: as a bar on a terminal, else as plain lines.
 
     Args:
@@ -120,11 +120,11 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
         with _bar(label, unit) as advance:
             yield advance
     else:
-        yield _Log(label, unit, _LOG_SECONDS if log_seconds is None else log_seconds)
+        yield _ProgressLog(label, unit, _LOG_SECONDS if log_seconds is None else log_seconds)
 
 
 @contextmanager
-def _bar(label: str, unit: str) -> Iterator[Advance]:
+def _bar(label: str, unit: str) -> Iterator[ProgressCallback]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -154,7 +154,7 @@ def _bar(label: str, unit: str) -> Iterator[Advance]:
         yield advance
 
 
-class _Log:
+class _ProgressLog:
     """Writes a line of progress, if enough time has passed since the last line."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
@@ -170,7 +170,7 @@ class _Log:
             return
         self._written = now
         parts = [f"{self._label}: {done} of {total} {self._unit}", *self._pace(now, done, total), remark]
-        note(", ".join(part for part in parts if part))
+        print_note(", ".join(part for part in parts if part))
 
     def _pace(self, now: float, done: int, total: int) -> tuple[str, ...]:
         assert self._first is not None

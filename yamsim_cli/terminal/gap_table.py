@@ -9,9 +9,9 @@ from rich.console import Group, RenderableType
 from rich.constrain import Constrain
 
 from yamsim_cli.core.dataset.checks.problem import printable
-from yamsim_cli.real.gap.report import spoken
+from yamsim_cli.real.gap.report import display_name
 
-from .tables import Facts, Listing
+from .tables import FactTable, ItemTable
 
 _WIDTH = 80  # columns
 _MAX_RECORDINGS = 10  # in the table; --json has them all
@@ -25,7 +25,7 @@ def gap_tables(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _whole(report: Mapping[str, Any]) -> Facts:
+def _whole(report: Mapping[str, Any]) -> FactTable:
     recordings, worst = report["recordings"], report["worst"]
     called = recordings[0]["name"] if len(recordings) == 1 else str(len(recordings))
     rows = [
@@ -35,13 +35,13 @@ def _whole(report: Mapping[str, Any]) -> Facts:
     ]
     for hand in report["hands"]:
         largest = f"at most {hand['max_mm']:.3g} mm and {hand['max_deg']:.2g} degrees"
-        rows.append((spoken(hand), f"{hand['rms_mm']:.3g} mm RMS, {largest}"))
-    joint = f"{spoken({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad"
+        rows.append((display_name(hand), f"{hand['rms_mm']:.3g} mm RMS, {largest}"))
+    joint = f"{display_name({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad"
     frame = f"frame {worst['frame']} of {printable(worst['recording'])}"
     rows.append(("worst", f"{joint} at {worst['time_s']:.2f} s, {frame}"))
     if pictures := report.get("pictures"):
         rows.append(("photos", _photos(pictures)))
-    return Facts(rows)
+    return FactTable(rows)
 
 
 def _photos(pictures: Mapping[str, Any]) -> str:
@@ -58,32 +58,34 @@ def _interval(row: Mapping[str, Any]) -> str:
     return f"; mean within {bounds[0] * 1000:.3g} to {bounds[1] * 1000:.3g}" if bounds else ""
 
 
-def _joints(report: Mapping[str, Any]) -> Listing:
+def _joints(report: Mapping[str, Any]) -> ItemTable:
     headings = ("joint", "RMS mrad", "95 %", "max", "delay ms", "sag mrad", "overshoot mrad")
-    table = Listing(headings, "Measured less simulated", whole=True)
+    table = ItemTable(headings, "Measured less simulated", whole=True)
     for joint in report["joints"]:
         delay = "" if joint["delay_s"] is None else f"{round(joint['delay_s'] * 1000, 1) + 0.0:.1f}"
-        table.add_row(spoken(joint), *_errors(joint), delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad"))
+        table.add_row(
+            display_name(joint), *_errors(joint), delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad")
+        )
     return table
 
 
-def _phases(report: Mapping[str, Any]) -> Listing:
-    table = Listing(("the joint is", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
+def _phases(report: Mapping[str, Any]) -> ItemTable:
+    table = ItemTable(("the joint is", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
     for phase in report["phases"]:
         table.add_row(phase["name"], f"{phase['share']:.0%}", *_errors(phase))
     return table
 
 
-def _recordings(report: Mapping[str, Any]) -> Listing:
+def _recordings(report: Mapping[str, Any]) -> ItemTable:
     ordered = sorted(report["recordings"], key=lambda row: -row["rms_rad"])
-    table = Listing(("recording", "RMS mrad", "max", "worst joint", "at s"), "By recording, the largest first")
+    table = ItemTable(("recording", "RMS mrad", "max", "worst joint", "at s"), "By recording, the largest first")
     for row in ordered[:_MAX_RECORDINGS]:
         worst = row["worst"]
         table.add_row(
             printable(row["name"]),
             _mrad(row, "rms_rad"),
             _mrad(row, "max_rad"),
-            spoken({"arm": worst["arm"], "name": worst["joint"]}),
+            display_name({"arm": worst["arm"], "name": worst["joint"]}),
             f"{worst['time_s']:.2f}",
         )
     return table

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.workers.stop import Stop
+    from yamsim_cli.core.workers.stop_request import StopRequest
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2  # file descriptor
@@ -18,7 +18,7 @@ _RETRY_SECONDS = 0.02  # s until a signal during an import is raised again
 
 
 @contextmanager
-def noted_signals() -> Iterator[Callable[[], bool]]:
+def defer_signals() -> Iterator[Callable[[], bool]]:
     """A function that returns whether a signal has come; inside the block, no signal raises."""
     came = False
 
@@ -35,20 +35,20 @@ def noted_signals() -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def stoppable(message: str) -> Iterator[Stop]:
+def stop_on_signal(message: str) -> Iterator[StopRequest]:
     """A stop that is requested by the first signal or a closed terminal; a second signal ends the block at once.
 
     Args:
         message: written to stderr on the first signal.
     """
-    from yamsim_cli.core.workers.stop import Stop
+    from yamsim_cli.core.workers.stop_request import StopRequest
 
-    stop = Stop()
+    stop = StopRequest()
 
     def ask(number: int, frame: FrameType | None) -> None:
-        if stop.asked:
+        if stop.is_requested:
             _interrupt(number, frame)
-        stop.ask()
+        stop.request()
         # The handler may have interrupted a write to sys.stderr, which must not be entered twice.
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())

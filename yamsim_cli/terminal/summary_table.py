@@ -11,9 +11,9 @@ from rich.text import Text
 
 from yamsim_cli.core.dataset.checks.problem import printable
 from yamsim_cli.core.errors import file_size
-from yamsim_cli.datasets.dataset_page import by_code, problem_counts
+from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
-from .tables import Facts, Listing
+from .tables import FactTable, ItemTable
 
 _WIDTH = 80  # columns
 _MAX_EXAMPLES = 2  # of each problem's code; --json has them all
@@ -30,7 +30,7 @@ def summary_tables(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _figures(report: Mapping[str, Any]) -> Facts:
+def _figures(report: Mapping[str, Any]) -> FactTable:
     rows: list[tuple[str, str]] = []
 
     def row(name: str, value: str) -> None:
@@ -55,12 +55,12 @@ def _figures(report: Mapping[str, Any]) -> Facts:
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
             row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))
-    return Facts(rows)
+    return FactTable(rows)
 
 
-def _rates(report: Mapping[str, Any]) -> Listing:
+def _rates(report: Mapping[str, Any]) -> ItemTable:
     attempts = report["attempts"]
-    table = Listing(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
+    table = ItemTable(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
     for limit, rate in report["success_rate"].items():
         cells = [_rate(rate, report["wilson95"][limit])]
         if attempts["n"]:
@@ -69,8 +69,8 @@ def _rates(report: Mapping[str, Any]) -> Listing:
     return table
 
 
-def _workspace(workspace: Mapping[str, Any]) -> Listing:
-    table = Listing(["m", "x", "y", "cells hit", "outside"], title="Workspace")
+def _workspace(workspace: Mapping[str, Any]) -> ItemTable:
+    table = ItemTable(["m", "x", "y", "cells hit", "outside"], title="Workspace")
     if found := workspace["box"]:
         table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
     for name, ends in workspace["objects"].items():
@@ -87,8 +87,8 @@ def _problems(report: Mapping[str, Any]) -> RenderableType:
     if not report["problems"]:
         return Text("No problems: every file was opened and is as it should be.", style="green")
     title = ", ".join(problem_counts(report))
-    table = Listing(["problem", "times", "what, where, and what to do"], title, numbers_to=2, whole=True)
-    for code, problems in by_code(report["problems"]):
+    table = ItemTable(["problem", "times", "what, where, and what to do"], title, numbers_to=2, whole=True)
+    for code, problems in group_by_code(report["problems"]):
         style = "red" if problems[0]["severity"] == "error" else "yellow"
         table.add_row(Text(code, style=style), f"{len(problems):,}", _explained(problems))
     return table

@@ -17,7 +17,7 @@ _MAX_NAMES = 0.4  # of a narrow terminal's width, up to which names stand beside
 Item = Mapping[str, Any]
 
 
-class Facts:
+class FactTable:
     """One thing's figures: a name and a value a row; in a narrow terminal, values stand under long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
@@ -36,7 +36,7 @@ class Facts:
             yield _indented(value)
 
 
-class Listing:
+class ItemTable:
     """Many things, one a row; in a narrow terminal whose columns would break words, one below the other.
 
     Args:
@@ -72,7 +72,7 @@ class Listing:
         for first, *others in self._rows:
             yield first
             named = zip(self._headings[1:], others, strict=True)
-            yield _indented(Facts((name, cell) for name, cell in named if cell.plain))
+            yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
         """The table's width if lines are broken only between words."""
@@ -105,7 +105,7 @@ def print_items(
     if json:
         print_json({"items": list(items)})
         return
-    table = Listing(headings, numbers_from=len(headings))
+    table = ItemTable(headings, numbers_from=len(headings))
     for item in items:
         table.add_row(*row(item))
     print_table(table)
@@ -115,7 +115,7 @@ def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]]
     """Print one thing: `{"items": [...]}` with one item, or a row for each key that has a value.
 
     Args:
-        words: key -> its value in words, in place of `in_words`.
+        words: key -> its value in words, in place of `format_value`.
     """
     from .console import print_json, print_table
 
@@ -124,15 +124,17 @@ def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]]
         return
     known_words = words or {}
     known = {key: value for key, value in item.items() if value is not None and value != []}
-    print_table(Facts((key.replace("_", " "), known_words.get(key, in_words)(value)) for key, value in known.items()))
+    print_table(
+        FactTable((key.replace("_", " "), known_words.get(key, format_value)(value)) for key, value in known.items())
+    )
 
 
-def in_words(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A JSON value for a person."""
     if isinstance(value, Mapping):
-        return "; ".join(f"{key}: {in_words(inner)}" for key, inner in value.items())
+        return "; ".join(f"{key}: {format_value(inner)}" for key, inner in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(map(in_words, value))
+        return ", ".join(map(format_value, value))
     return ("yes" if value else "no") if isinstance(value, bool) else str(value)
 
 
@@ -154,7 +156,7 @@ def _heading(text: str) -> Text:
     return Text(f"\n{text}", style="bold")
 
 
-def _indented(what: Text | Facts) -> Padding:
+def _indented(what: Text | FactTable) -> Padding:
     from rich.padding import Padding
 
     return Padding(what, (0, 0, 0, 2))

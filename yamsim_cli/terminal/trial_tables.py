@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import note_moved, progress_bar
-from .tables import Facts
+from .tables import FactTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from yamsim_cli.core.progress import Progress
 
 
-def trials_table(report: dict[str, Any]) -> Facts:
+def trials_table(report: dict[str, Any]) -> FactTable:
     """The report of `core.episode.trials.run_batch` as a table."""
-    return Facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
+    return FactTable([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
-def evaluation_table(report: dict[str, Any]) -> Facts:
+def evaluation_table(report: dict[str, Any]) -> FactTable:
     """The report of `policies.evaluate.evaluation.summary` as a table."""
-    return Facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
+    return FactTable([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
-def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
+def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
     """The path of a job's films; a path that cannot be used is refused before any trial runs."""
     from yamsim_cli.core.episode.trials import TrialFilms
 
@@ -33,7 +33,7 @@ def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFil
     return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
 
 
-def film(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
+def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
     """Make films while progress is shown, and return the entries of a report."""
     with progress_bar("filming", "trials") as advance:
         filmed = make(advance)

@@ -9,8 +9,8 @@ import viser
 from numpy.typing import NDArray
 
 from ..core.errors import DatasetError
-from .address import PageAddress
-from .bodies_page import BodiesPage
+from .page_address import PageAddress
+from .scene_page import ScenePage
 from .viewed_scene import EpisodePlayer
 from .viewpoint import Viewpoint
 
@@ -29,7 +29,7 @@ class Images(Protocol):
         ...
 
 
-class EpisodePage(BodiesPage):
+class EpisodePage(ScenePage):
     """The page of one player, with its frames' pictures and a slider that shows and sets the frame."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:

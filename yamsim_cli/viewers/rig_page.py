@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ..core.errors import ResourceError
 from ..core.geometry.camera import opencv_from_mujoco
 from ..core.geometry.se3 import quat_from_rotation
-from .address import PageAddress
-from .bodies_page import BodiesPage
-from .viewed_scene import Drive, LiveRig
+from .page_address import PageAddress
+from .scene_page import ScenePage
+from .viewed_scene import DriveControl, LiveRig
 from .viewpoint import Viewpoint
 
 _STATUS_PERIOD = 1.0  # s
@@ -36,7 +36,7 @@ class CameraPictures(Protocol):
         ...
 
 
-class RigPage(BodiesPage):
+class RigPage(ScenePage):
     """The page of a live rig: a slider for every drive, check boxes for what is shown, and its cameras.
 
     Args:
@@ -79,7 +79,7 @@ class RigPage(BodiesPage):
                     sliders[arm, drive.name] = self._add_slider(drive)
         return sliders
 
-    def _add_slider(self, drive: Drive) -> viser.GuiSliderHandle[float]:
+    def _add_slider(self, drive: DriveControl) -> viser.GuiSliderHandle[float]:
         # A slider counts its steps from its lower end. If that is a whole number of steps, so are all values.
         low, high = math.ceil(drive.low / _STEP) * _STEP, math.floor(drive.high / _STEP) * _STEP
         slider = self._server.gui.add_slider(
@@ -95,7 +95,7 @@ class RigPage(BodiesPage):
             return None
         low, high = min(_MARGINS[0], rig.margin), max(_MARGINS[1], rig.margin)
         slider = self._server.gui.add_slider("margin (m)", low, high, step=_STEP, initial_value=rig.margin)
-        slider.on_update(lambda _: self._live.place(slider.value))
+        slider.on_update(lambda _: self._live.set_margin(slider.value))
         return slider
 
     def _add_switches(self, *, boards: bool) -> None:

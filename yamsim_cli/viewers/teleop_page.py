@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from ..core.errors import counted
+from ..core.errors import count_noun
 from ..core.geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
-from .address import PageAddress
-from .bodies_page import BodiesPage
-from .driven import Driven, DriveStatus
+from .page_address import PageAddress
+from .scene_page import ScenePage
+from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)
@@ -41,10 +41,10 @@ _KEYS = (
 )
 
 
-class TeleopPage(BodiesPage):
+class TeleopPage(ScenePage):
     """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and obstacles in its path."""
 
-    def __init__(self, arm: Driven, viewpoint: Viewpoint, address: PageAddress) -> None:
+    def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False
@@ -120,7 +120,7 @@ class TeleopPage(BodiesPage):
 
     def _take_typed(self) -> None:
         if self._fields.typed:
-            self._arm.aim(self._fields.take(self._arm.target))
+            self._arm.set_target_pose(self._fields.take(self._arm.target))
 
     def _start_or_stop(self) -> None:
         if self._arm.status.recording:
@@ -131,35 +131,35 @@ class TeleopPage(BodiesPage):
     # A coroutine runs in the server's own loop, where a client that comes back is counted first.
     async def _disconnect(self, _: viser.ClientHandle) -> None:
         if not self._server.get_clients():
-            self._arm.leave()
+            self._arm.pause_unattended()
 
     def _switch_magnet(self) -> None:
         self._arm.set_magnet(not self._arm.status.magnet)
 
     def _move(self, shift: tuple[float, float, float], turn: float) -> None:
         target = self._arm.target
-        self._arm.aim(pose(target[:3, 3] + shift, rotation_z(turn) @ target[:3, :3]))
+        self._arm.set_target_pose(pose(target[:3, 3] + shift, rotation_z(turn) @ target[:3, :3]))
 
     def _point_down(self) -> None:
         target = self._arm.target
-        y = rotation_z(heading_of(target))[:, 0]
+        y = rotation_z(hand_heading(target))[:, 0]
         down = np.array([0.0, 0.0, -1.0])
-        self._arm.aim(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
+        self._arm.set_target_pose(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
 
     # A coroutine runs in the server's own loop, so that a drag's steps stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         with self._acting:
             self._take_typed()
             self._dragged = event.phase != "end"
-            self._arm.aim(pose_from_quat(event.target.position, event.target.wxyz))
+            self._arm.set_target_pose(pose_from_quat(event.target.position, event.target.wxyz))
 
     def _show_target(self) -> None:
         target = self._arm.target
         self._gizmo.position, self._gizmo.wxyz = target[:3, 3], quat_from_rotation(target[:3, :3])
         self._fields.show(target)
 
-    def _show(self, status: DriveStatus) -> None:
-        self._ball.color = _GREEN if status.free else _RED
+    def _show(self, status: TeleopStatus) -> None:
+        self._ball.color = _GREEN if status.can_follow else _RED
         self._notice.content = _notice(status)
         self._start.disabled = status.recording
         self._stop.disabled = self._discard.disabled = not status.recording
@@ -171,21 +171,21 @@ class TeleopPage(BodiesPage):
         if self._arm.paused:
             state += ", paused"
         waiting = f", {status.waiting} being judged and rendered" if status.waiting else ""
-        done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
+        done = f"{count_noun(status.episodes, 'episode')}, {status.failures} failed{waiting}"
         task = "  \n".join(filter(None, (status.prompt and f"**{status.prompt}**", status.goal)))
         self._status.content = f"{task}\n\n" * bool(task) + f"{whose}{state}  \n{done}  \n{status.message}"
 
 
-def _notice(status: DriveStatus) -> str:
+def _notice(status: TeleopStatus) -> str:
     """HTML with the reasons why the hand cannot reach its target, in red; or that the hand follows, in green."""
     reasons = []
-    if status.blocked:
-        reasons.append(f"{status.blocked} is in the way")
-    if status.apart:
-        reasons.append(f"the target is {status.apart * 100:.1f} cm out of reach")
+    if status.obstacle:
+        reasons.append(f"{status.obstacle} is in the way")
+    if status.target_distance:
+        reasons.append(f"the target is {status.target_distance * 100:.1f} cm out of reach")
     if status.at_limit:
         reasons.append(f"{', '.join(status.at_limit)} at its stop")
-    held = ", and holds the object" if status.holds else ""
+    held = ", and holds the object" if status.magnet_holds else ""
     text = "; ".join(reasons) or f"the hand follows{held}"
     red, green, blue = _RED if reasons else _GREEN
     style = f"color: rgb({red}, {green}, {blue}); padding: 0 1em 0.5em; font-size: 0.9em"
@@ -230,14 +230,14 @@ class TargetFields:
             if number != shown:
                 T[axis, 3] = number
         if heading != shown_heading:
-            T[:3, :3] = rotation_z(np.radians(heading) - heading_of(target)) @ target[:3, :3]
+            T[:3, :3] = rotation_z(np.radians(heading) - hand_heading(target)) @ target[:3, :3]
         self._shown = ((x, y, z), heading)
         return T
 
     def show(self, target: Array) -> None:
         """Show the target, unless someone is typing."""
         x, y, z = (round(float(part), 3) for part in target[:3, 3])
-        numbers = ((x, y, z), round(float(np.degrees(heading_of(target))), 1))
+        numbers = ((x, y, z), round(float(np.degrees(hand_heading(target))), 1))
         # Compared with the last shown numbers: the fields may hold typed numbers that are not noted yet.
         if self.typed or numbers == self._shown:
             return
@@ -251,6 +251,6 @@ class TargetFields:
             self._typed_at = time.monotonic()
 
 
-def heading_of(T: Array) -> float:
+def hand_heading(T: Array) -> float:
     """The direction of the hand's y axis, along which the fingers close, in the world's xy plane, rad."""
     return float(np.arctan2(T[1, 1], T[0, 1]))

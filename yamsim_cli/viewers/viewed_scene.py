@@ -66,7 +66,7 @@ class ViewedScene(abc.ABC):
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveControl:
     """One position drive that a person can set.
 
     Attributes:
@@ -116,12 +116,12 @@ class LiveRig(ViewedScene):
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
-    def command(self, drive: Drive, value: float) -> None:
+    def command(self, drive: DriveControl, value: float) -> None:
         """Set a drive's command, in its unit; a value outside its range is clipped."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
 
-    def place(self, margin: float) -> None:
+    def set_margin(self, margin: float) -> None:
         """Change the distance (m) between the arms; boards and mounts move with them."""
         with self.lock:
             self.rig = self.rig.model_copy(update={"margin": margin})
@@ -156,11 +156,11 @@ class LiveRig(ViewedScene):
                 self._owed -= steps * timestep
 
 
-def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:
+def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> DriveControl:
     actuator = model.actuator(arm.prefix + name).id
     low, high = (float(end) for end in model.actuator_ctrlrange[actuator])
     home = float(model.key_ctrl[0, actuator])
-    return Drive(arm.name, name, actuator, low, high, home, "rad" if name in arm.robot.joint_drives else "m")
+    return DriveControl(arm.name, name, actuator, low, high, home, "rad" if name in arm.robot.joint_drives else "m")
 
 
 class EpisodePlayer(ViewedScene):

@@ -43,7 +43,7 @@ class Viewpoint:
         return self.look_at - self.distance * np.array(sight)
 
 
-def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
+def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
     """A view of a table and its arms.
 
     Args:
@@ -53,7 +53,7 @@ def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoin
     return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 
 
-def frame_rig(rig: RigConfig) -> Viewpoint:
+def rig_viewpoint(rig: RigConfig) -> Viewpoint:
     """A view of all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])

@@ -52,7 +52,7 @@ def read_settings(settings: StationSettings) -> StationForm:
         ValueError: a setting is not valid.
     """
     try:
-        return StationForm.of(settings)
+        return StationForm.from_settings(settings)
     except YamsimError as error:
         raise ValueError(str(error)) from None
 

@@ -58,7 +58,7 @@ class YamsimRobotConfig(RobotConfig):
         if self.reset_time_s is None:
             self.reset_time_s = _seconds_of_flag("dataset.reset_time_s")
         try:
-            self.form = StationForm.of(self.settings)
+            self.form = StationForm.from_settings(self.settings)
         except YamsimError as error:
             raise ValueError(str(error)) from None
 

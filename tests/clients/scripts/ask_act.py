@@ -16,5 +16,5 @@ told = np.load(observed)
 client = LeRobotClient(folder, load_config(PolicyConfig, "policies", "lerobot_export", Locations.find(os.environ)))
 client.begin(0)
 message = {"observation.state": told["state"], "observation.images.scene_camera": told["scene"], "task": "a task"}
-np.save(out, client.ask(message)["action"])
-print(json.dumps({"asks": client.asks, "execute": client.execute}))
+np.save(out, client.infer(message)["action"])
+print(json.dumps({"asks": client.input_keys, "execute": client.execute}))

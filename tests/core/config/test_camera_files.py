@@ -396,7 +396,7 @@ def test_the_cameras_of_a_file(locations: Locations) -> None:
         "calibration_results.json:left": ["calibration_results.json:left"],
         "camchain.yaml": ["camchain.yaml:cam0"],
     }.items():
-        assert list(map(str, CameraConfig.within(Path(name)))) == parts
+        assert list(map(str, CameraConfig.paths_in_file(Path(name)))) == parts
 
 
 def test_a_name_where_there_is_none_and_files_that_are_not_there(locations: Locations) -> None:

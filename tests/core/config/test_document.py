@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.files.documents.document import Document, dump_yaml, load_yaml, parse_yaml
+from yamsim_cli.core.files.documents.yaml_document import Document, dump_yaml, load_yaml, parse_yaml
 
 
 def value_of(text: str):
@@ -183,7 +183,7 @@ def test_an_override_below_a_plain_value_leaves_it_to_be_named_when_checked(valu
 
 def test_a_grafted_document_keeps_its_own_places():
     document = parse_yaml("rig: single\nseed: 1\n", "record.yaml")
-    document.graft(("rig",), parse_yaml("# note\nname: x\n", "rig.yaml"))
+    document.insert_document(("rig",), parse_yaml("# note\nname: x\n", "rig.yaml"))
     assert document.data == {"rig": {"name": "x"}, "seed": 1}
     assert document.place(("rig", "name")) == "rig.yaml:2"
     assert document.place(("seed",)) == "record.yaml:2"

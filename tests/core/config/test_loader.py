@@ -2,14 +2,14 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.config.loader import KINDS, REVISION, load_config, model_of, parse_config, validate_file
+from yamsim_cli.core.config.loader import KINDS, REVISION, config_model, load_config, parse_config, validate_file
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.config.robot_names import families, model_named, revised
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.robot_families import find_families, other_revision, resolve_model_name
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
-from yamsim_cli.core.expert.skills.checked import check_config
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.expert.skills.program_checks import check_task_config
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 
 SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_names(kind)]
@@ -62,14 +62,14 @@ def record(tmp_path, locations):
             text = text.replace(old, new)
         path = tmp_path / "mine.yaml"
         path.write_text(text)
-        return load_config(RecordConfig, "record", str(path), locations, overrides, check_config)
+        return load_config(RecordConfig, "record", str(path), locations, overrides, check_task_config)
 
     return load
 
 
 @pytest.mark.parametrize(("kind", "name"), SHIPPED)
 def test_every_shipped_config_is_valid_and_survives_being_written_down(kind, name, locations):
-    model = model_of(kind)
+    model = config_model(kind)
     config = load_config(model, kind, name, locations)
     if kind not in BY_NAME:
         again = parse_config(model, dump_yaml(config.model_dump(mode="json")), "resolved.yaml", locations)
@@ -87,7 +87,7 @@ def test_a_datasets_own_config_needs_no_other_file_but_its_robots(config, locati
 
 
 def test_an_unknown_kind_is_named_with_the_valid_ones():
-    message = refusal(model_of, "rig")
+    message = refusal(config_model, "rig")
     assert message.startswith("unknown kind of config 'rig'; did you mean 'rigs'?")
     assert all(kind in message for kind in KINDS)
 
@@ -263,7 +263,7 @@ def test_a_check_across_several_keys_needs_no_value_in_its_message(tmp_path, loc
     path.write_text(
         locations.config_file("scenes", "tabletop").read_text().replace("safety_plane: -0.5", "safety_plane: 1")
     )
-    message = refusal(validate_file, model_of("scenes"), path, locations)
+    message = refusal(validate_file, config_model("scenes"), path, locations)
     assert "safety_plane 1.0 m must lie below the table's top" in message
     assert "{" not in message
 
@@ -340,7 +340,7 @@ def test_what_a_number_or_a_list_has_to_look_like(tmp_path, locations, old, new,
     text = locations.config_file(kind, "default" if kind == "record" else "pickplace").read_text()
     assert old in text
     (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
-    found = refusal(validate_file, model_of(kind), tmp_path / "mine.yaml", locations)
+    found = refusal(validate_file, config_model(kind), tmp_path / "mine.yaml", locations)
     assert f": {message}" in found
     assert "tuple" not in found
 
@@ -352,9 +352,9 @@ def test_a_config_of_another_kind_is_recognized(kind, wanted, locations):
             "quality": "fast", "record": "default", "tasks": "pickplace"}[kind]  # fmt: skip
     path = locations.config_file(kind, name)
     if kind == wanted:
-        assert load_config(model_of(wanted), wanted, str(path), locations)
+        assert load_config(config_model(wanted), wanted, str(path), locations)
     else:
-        message = refusal(load_config, model_of(wanted), wanted, str(path), locations)
+        message = refusal(load_config, config_model(wanted), wanted, str(path), locations)
         assert message.startswith(f"{path}: is of the kind {kind!r}, to judge by its keys ")
         assert message.endswith(f"give one of {wanted!r}")
 
@@ -373,11 +373,11 @@ def _rig(name: str, locations: Locations, revision: str | None = None) -> RigCon
 
 
 def test_a_family_means_its_newest_revision(locations: Locations) -> None:
-    assert list(families(locations)) == ["big_yam", "yam", "yam_pro", "yam_ultra"]
-    assert model_named("yam_ultra", locations) == "yam_ultra_v2"
-    assert model_named("yam", locations) == "yam_v1"
-    assert model_named("i2rt_yam", locations) == "i2rt_yam"
-    assert revised("yam_v1", "menagerie", locations) == "i2rt_yam"
+    assert list(find_families(locations)) == ["big_yam", "yam", "yam_pro", "yam_ultra"]
+    assert resolve_model_name("yam_ultra", locations) == "yam_ultra_v2"
+    assert resolve_model_name("yam", locations) == "yam_v1"
+    assert resolve_model_name("i2rt_yam", locations) == "i2rt_yam"
+    assert other_revision("yam_v1", "menagerie", locations) == "i2rt_yam"
 
 
 @pytest.mark.parametrize(

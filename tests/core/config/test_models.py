@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from yamsim_cli.core.config.objects.object_config import Grasp, ObjectConfig
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.scene import FixedCamera
-from yamsim_cli.core.config.things.thing import Grasp, ObjectConfig
-from yamsim_cli.core.files.documents.base import Name, Quaternion, Range, Rgba
+from yamsim_cli.core.files.documents.config_base import Name, Quaternion, Range, Rgba
 
 
 def models_in(model: BaseModel):

@@ -9,12 +9,12 @@ import pytest
 
 from tests.programs import STATION, written
 from yamsim_cli.core.config.loader import load_config, parse_config
-from yamsim_cli.core.config.older_tasks import upgrade_task
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.task_migration import upgrade_task
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.expert.skills.checked import check_config
-from yamsim_cli.core.files.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.expert.skills.program_checks import check_task_config
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
 
 TIMING = {"physics_steps_per_tick": 16, "timestep": 0.002, "ticks_per_frame": 2}
@@ -66,7 +66,7 @@ OLDER = {"pickplace": PICKPLACE, "handover": HANDOVER}
 
 
 def _loaded(folder: Path, task: dict[str, Any], locations: Locations, name: str) -> ProgramTask:
-    return load_config(ProgramTask, "tasks", str(written(folder, task, name)), locations, check=check_config)
+    return load_config(ProgramTask, "tasks", str(written(folder, task, name)), locations, check=check_task_config)
 
 
 def _shipped(name: str, locations: Locations) -> dict[str, Any]:
@@ -103,10 +103,10 @@ def test_a_datasets_own_task_is_read_as_it_was(name: str, arm: str, locations: L
     assert task.target_predicate is not None
     assert [item.model_dump() for item in task.objects] == [item.model_dump() for item in words.values()]
     assert task.language_prompt == now.task.language_prompt
-    assert task.played_by(task.typical_cast).language_task == older["language_task"].format(object="banana")
+    assert task.with_objects_of(task.typical_roles).language_task == older["language_task"].format(object="banana")
     assert (task.start_joints, read.grasp) == ((0.0, 1.0, 1.0, 0.0, 0.0, 0.0), "weld")
     assert (task.target_predicate.radius, task.timing.settle_ticks) == (0.03, 30)
-    assert (read.acting, read.starts) == (now.acting, now.starts)
+    assert (read.acting_indices, read.starts) == (now.acting_indices, now.starts)
 
 
 def test_a_task_that_is_data_stays_as_it_is(locations: Locations) -> None:

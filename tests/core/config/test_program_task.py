@@ -14,11 +14,11 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.expert.planning.arm_tools import start_stands
-from yamsim_cli.core.expert.skills.checked import check_config
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.expert.planning.arm_solvers import start_postures
+from yamsim_cli.core.expert.skills.program_checks import check_task_config
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 PICK: dict[str, Any] = {"pick": {"thing": "cube"}}
 
@@ -209,7 +209,7 @@ BAD = {
 
 
 def _load(file: Path, locations: Locations) -> object:
-    return load_config(ProgramTask, "tasks", str(file), locations, check=check_config)
+    return load_config(ProgramTask, "tasks", str(file), locations, check=check_task_config)
 
 
 @pytest.mark.parametrize("fault", BAD)
@@ -266,7 +266,7 @@ def test_a_task_without_a_start_is_told_when_it_is_opened(
     changes: dict[tuple[str, ...], Any], key: str, said: str, tmp_path: Path
 ) -> None:
     file = written(tmp_path, changed(changes))
-    opener = Opener(os.environ, lambda text: None, "--{}".format)
+    opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
     with pytest.raises(ConfigError) as caught:
         opener.open("default", renders=False, task=str(file))
     text = str(caught.value)
@@ -306,11 +306,11 @@ ONE_ARM: dict[str, Any] = changed(
 
 def test_a_thing_may_have_the_name_of_its_object(tmp_path: Path) -> None:
     task = session_of(tmp_path, ONE_ARM).config.task
-    cast = task.cast_of({"object": (1,), "target": (0,)})
-    assert dict(cast.things) == {"object": ("cube_blue",), "target": ("plate",)}
-    assert dict(cast.kinds) == {"cube_blue": "cube_blue", "plate": "plate"}
+    cast = task.assign_roles({"object": (1,), "target": (0,)})
+    assert dict(cast.objects_by_role) == {"object": ("cube_blue",), "target": ("plate",)}
+    assert dict(cast.config_names) == {"cube_blue": "cube_blue", "plate": "plate"}
     assert task.possible_names("object") == ("cube_red", "cube_blue")
-    assert [item.name for item in task.played_by(cast).objects] == ["cube_blue", "plate"]
+    assert [item.name for item in task.with_objects_of(cast).objects] == ["cube_blue", "plate"]
 
 
 @pytest.mark.parametrize(("arm", "other"), [("right", "left"), ("left", "right")])
@@ -318,12 +318,12 @@ def test_of_two_arms_one_may_act(arm: str, other: str, tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm=arm).config
     assert [one.side for one in config.acting_arms] == [arm]
     assert (config.rig.arms[config.first_arm].side, config.rig.arms[config.second_arm].side) == (arm, other)
-    place = config.rig.place_y(config.first_arm)
+    place = config.rig.base_y(config.first_arm)
     assert config.starts["object"].y == pytest.approx((0.10 + place, 0.14 + place))
     assert config.starts["target"].y == pytest.approx((-0.16 - place, -0.14 - place))
     assert all(start.from_arm is None for start in config.starts.values())
     acting = config.acting_scene_arms[0]
-    assert [stand.opening > 0 for stand in start_stands(config)] == [k == acting for k in range(2)]
+    assert [stand.opening > 0 for stand in start_postures(config)] == [k == acting for k in range(2)]
 
 
 def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
 def test_what_is_said_has_the_names_of_what_is_there(tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm="left").config
     assert config.task.language_prompt == "by the left, not the right: cube red on it"
-    played = config.task.played_by(config.task.cast_of({"object": (1,), "target": (0,)}))
+    played = config.task.with_objects_of(config.task.assign_roles({"object": (1,), "target": (0,)}))
     assert played.phrasings.training == ("by the left, not the right: cube blue on it",)
     assert played.language_task == "put_cube_blue"
 
@@ -389,4 +389,4 @@ def test_what_is_new_in_tasks_is_left_out_of_datasets_that_do_not_use_it(tmp_pat
 
 @pytest.mark.parametrize("name", Locations.find(os.environ).config_names("tasks"))
 def test_every_task_of_ours_is_valid(name: str, locations: Locations) -> None:
-    load_config(ProgramTask, "tasks", name, locations, check=check_config)
+    load_config(ProgramTask, "tasks", name, locations, check=check_task_config)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config, parse_config
-from yamsim_cli.core.config.things.made import MADE, made_files
-from yamsim_cli.core.config.things.primitives import Capsule
-from yamsim_cli.core.config.things.shapes import RackShape
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.generated import MADE, generated_mesh_files
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.config.objects.primitives import Capsule
+from yamsim_cli.core.config.objects.shapes import RackShape
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.solid import filling, open_edges
+from yamsim_cli.core.geometry.closed_surface import open_edges, uniform_mass_properties
 from yamsim_cli.core.geometry.stl import read_stl
-from yamsim_cli.core.scene.things.thing import add_object
+from yamsim_cli.core.scene.objects.scene_object import add_object
 
 # Width, depth and height, cm. Source: KitchenBench 0.6, nominal sizes of its asset classes.
 NOMINAL = {
@@ -50,10 +50,10 @@ def test_the_list_is_whole() -> None:
 def test_it_is_closed_and_as_large_as_it_is_to_be(name: str, locations: Locations) -> None:
     item = thing(name, locations)
     assert item.shape is not None
-    surfaces = [read_stl(data) for data in made_files(item.name, item.shape).values()]
+    surfaces = [read_stl(data) for data in generated_mesh_files(item.name, item.shape).values()]
     for vertices, faces in surfaces:
         assert open_edges(faces) == 0
-        assert filling(vertices, faces).volume > 0
+        assert uniform_mass_properties(vertices, faces).volume > 0
     points = np.concatenate([vertices for vertices, _ in surfaces])
     assert points[:, 2].min() == pytest.approx(0, abs=5e-4)
     # Within 5 %, or 3 mm of what is small.
@@ -163,9 +163,9 @@ def test_a_name_without_what_stands_in_front(asked: str, found: str, locations: 
 )
 def test_solid_things_may_rest_in_any_way(name: str, any_way: bool, locations: Locations) -> None:
     item = load_config(ObjectConfig, "objects", name, locations)
-    assert item.rests_any_way is any_way
-    assert item.model_copy(update={"rests": "any"}).rests_any_way
-    assert not item.model_copy(update={"rests": "upright"}).rests_any_way
+    assert item.rests_in_any_pose is any_way
+    assert item.model_copy(update={"rests": "any"}).rests_in_any_pose
+    assert not item.model_copy(update={"rests": "upright"}).rests_in_any_pose
     assert "rests" not in item.model_dump()
 
 

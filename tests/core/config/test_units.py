@@ -12,12 +12,12 @@ import pytest
 from pydantic import BaseModel
 
 from yamsim_cli.core.config.loader import KINDS, load_config, parse_config, validate_file
+from yamsim_cli.core.config.objects.primitives import Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things.primitives import Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.files.documents.base import Config
-from yamsim_cli.core.files.documents.document import dump_yaml
-from yamsim_cli.core.files.documents.units import Within
+from yamsim_cli.core.files.documents.config_base import Config
+from yamsim_cli.core.files.documents.units import QuantityBounds
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 
 Replace = Callable[[str, str, str], str]
@@ -164,7 +164,7 @@ def test_every_quantity_has_its_bounds() -> None:
                 parts = list(_inside(info.annotation))
                 numbers = float in parts or info.annotation is float
                 marks = [*info.metadata, *(mark for part in parts for mark in getattr(part, "__metadata__", ()))]
-                if numbers and not any(isinstance(mark, Within) for mark in marks) and name not in PLAIN:
+                if numbers and not any(isinstance(mark, QuantityBounds) for mark in marks) and name not in PLAIN:
                     bare.append(f"{model.__name__}.{name}")
     assert bare == []
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 
 CAMERA = "scene_camera"
@@ -46,7 +46,7 @@ def frame(k: int = 0, seed: int = 0) -> dict:
 
 
 @dataclass(frozen=True)
-class Made:
+class HandmadeEpisode:
     """An episode ready to be published."""
 
     record: EpisodeRecord
@@ -66,7 +66,7 @@ class Made:
 
 def made(
     episode: int, attempt: int | None = None, frames: list[dict] | None = None, outcome: OutcomeRecord = SUCCESS
-) -> Made:
+) -> HandmadeEpisode:
     frames = [frame(k, episode) for k in range(FRAMES)] if frames is None else frames
     files = {lowdim_name(k): dump_frame(data) for k, data in enumerate(frames)}
     files |= {image_name(CAMERA, k): jpeg(seed=10 * episode + k) for k in range(len(frames))}
@@ -91,7 +91,7 @@ def made(
         content_sha256=content_hash(frames),
         files=file_hashes(files),
     )
-    return Made(record, files)
+    return HandmadeEpisode(record, files)
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -99,7 +99,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def publish(writer: DatasetWriter, episode: Made) -> None:
+def publish(writer: DatasetWriter, episode: HandmadeEpisode) -> None:
     writer.publish(episode.record, episode.files)
     writer.log(episode.attempt)
 
@@ -108,7 +108,7 @@ def failed_attempt(attempt: int) -> AttemptRecord:
     return AttemptRecord(attempt=attempt, seed=7, episode=None, outcome=FAILURE, layout={})
 
 
-def write_dataset(path: Path, *episodes: Made) -> Path:
+def write_dataset(path: Path, *episodes: HandmadeEpisode) -> Path:
     """Writes a dataset of these episodes, three by default."""
     with DatasetWriter(path, CONFIG, OpenMode.NEW) as writer:
         for episode in episodes or [made(k) for k in range(3)]:

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from yamsim_cli.core.dataset.truth_files import dump_arrays, dump_depth, load_arrays, load_depth
+from yamsim_cli.core.dataset.ground_truth_files import dump_arrays, dump_depth, load_arrays, load_depth
 from yamsim_cli.core.errors import DatasetError
 
 MOST = 10_000

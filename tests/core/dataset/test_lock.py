@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, tree
-from yamsim_cli.core.dataset.writing.opening import DirectoryLock, OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import DirectoryLock, OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ResourceError, UsageError
 
@@ -26,7 +26,7 @@ def recorder(path: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that records into `path`."""
     code = (
         "from pathlib import Path\n"
-        "from yamsim_cli.core.dataset.writing.opening import OpenMode\n"
+        "from yamsim_cli.core.dataset.writing.directory_claim import OpenMode\n"
         "from yamsim_cli.core.dataset.writing.writer import DatasetWriter\n"
         f"writer = DatasetWriter(Path({str(path)!r}), {CONFIG!r}, OpenMode.RESUME)\n"
         "print('recording', flush=True)\n"
@@ -81,7 +81,7 @@ def test_a_lock_that_its_holder_just_removed_is_not_mistaken_for_the_new_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between our opening the file and locking it, the holder ends and a third recorder begins."""
-    first = DirectoryLock.take(tmp_path)
+    first = DirectoryLock.acquire(tmp_path)
     third: list[DirectoryLock] = []
     real = fcntl.flock
 
@@ -89,12 +89,12 @@ def test_a_lock_that_its_holder_just_removed_is_not_mistaken_for_the_new_one(
         if not third:
             first.release()
             third.append(None)  # type: ignore[arg-type]
-            third[0] = DirectoryLock.take(tmp_path)
+            third[0] = DirectoryLock.acquire(tmp_path)
         real(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", slow)
     with pytest.raises(ResourceError, match="is being recorded into"):
-        DirectoryLock.take(tmp_path)
+        DirectoryLock.acquire(tmp_path)
     third[0].release()
 
 
@@ -105,8 +105,8 @@ def mark(directory: Path, pid: int, host: str) -> None:
 def test_a_file_left_by_another_machine_counts_where_locks_do_not_reach_it(tmp_path: Path) -> None:
     mark(tmp_path, 12, "elsewhere")
     with pytest.raises(ResourceError, match=r"by process 12 on elsewhere, and .* if it has ended, delete .*/\.lock"):
-        DirectoryLock.take(tmp_path, reaches_others=False)
-    DirectoryLock.take(tmp_path, reaches_others=True).release()
+        DirectoryLock.acquire(tmp_path, reaches_others=False)
+    DirectoryLock.acquire(tmp_path, reaches_others=True).release()
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def no_flock(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"pid": "x", "host": 1}'])
 def test_without_locks_a_file_that_says_nothing_blocks_nobody(tmp_path: Path, content: str) -> None:
     (tmp_path / ".lock").write_text(content)
-    DirectoryLock.take(tmp_path).release()
+    DirectoryLock.acquire(tmp_path).release()
 
 
 @pytest.mark.usefixtures("no_flock")
@@ -129,7 +129,7 @@ def test_without_locks_a_process_that_has_ended_blocks_nobody(tmp_path: Path) ->
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     mark(tmp_path, ended.pid, HOST)
-    DirectoryLock.take(tmp_path).release()
+    DirectoryLock.acquire(tmp_path).release()
 
 
 @pytest.mark.usefixtures("no_flock")
@@ -137,7 +137,7 @@ def test_without_locks_a_process_that_has_ended_blocks_nobody(tmp_path: Path) ->
 def test_without_locks_a_process_that_may_live_is_believed(tmp_path: Path, host: str) -> None:
     mark(tmp_path, os.getppid(), host)
     with pytest.raises(ResourceError, match=f"by process {os.getppid()} on {host}"):
-        DirectoryLock.take(tmp_path)
+        DirectoryLock.acquire(tmp_path)
 
 
 def test_other_faults_of_the_disk_are_not_taken_for_a_missing_lock(
@@ -148,4 +148,4 @@ def test_other_faults_of_the_disk_are_not_taken_for_a_missing_lock(
 
     monkeypatch.setattr(fcntl, "flock", fail)
     with pytest.raises(OSError, match="Input/output error"):
-        DirectoryLock.take(tmp_path)
+        DirectoryLock.acquire(tmp_path)

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
+from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
 from yamsim_cli.core.dataset.lowdim import (
     SimulationData,
     content_hash,
     dump_frame,
-    flat,
+    flatten_frame,
+    frame_array_shapes,
     frame_data,
     has_simulation,
     load_frame,
     recorded_actions,
-    shapes,
 )
 from yamsim_cli.core.errors import DatasetError
 
@@ -63,7 +63,7 @@ def test_a_frames_keys_come_in_one_order():
 def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
     K = np.diag([5.0, 6.0, 1.0])
     data = frame_data(
-        **{key: np.zeros((1, *shape)) for key, shape in shapes(1, 7).items()},
+        **{key: np.zeros((1, *shape)) for key, shape in frame_array_shapes(1, 7).items()},
         timestamp=0,
         intrinsics={"scene": np.eye(3), "wrist": K},
         extrinsics={},
@@ -171,7 +171,7 @@ def test_a_pickle_that_names_anything_but_arrays_is_refused_by_name(module, name
     assert list(tmp_path.iterdir()) == []
 
 
-class Nest:
+class NestedPickle:
     class Bomb:
         def __reduce__(self):
             return eval, ("open('pwned', 'w')",)
@@ -180,7 +180,7 @@ class Nest:
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_a_bomb_deep_inside_a_frame_is_refused_in_any_protocol(tmp_path, monkeypatch, protocol):
     monkeypatch.chdir(tmp_path)
-    data = pickle.dumps({"deep": [({"x": Nest.Bomb()},)]}, protocol)
+    data = pickle.dumps({"deep": [({"x": NestedPickle.Bomb()},)]}, protocol)
     with pytest.raises(DatasetError, match=r"(builtins|__builtin__)\.eval"):
         load_frame(data)
     assert list(tmp_path.iterdir()) == []
@@ -245,7 +245,7 @@ def test_the_content_hash_changes_with_any_value(change):
 
 
 def test_a_flat_frame_names_what_its_dictionaries_hold():
-    entries = flat(frame())
+    entries = flatten_frame(frame())
     assert list(entries)[:4] == ["joints", "timestamp", f"intrinsics[{CAMERA}]", f"extrinsics[{CAMERA}]"]
     assert entries[f"intrinsics[{CAMERA}]"] is not None
 
@@ -257,7 +257,7 @@ CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 
 
 def simulated() -> dict:
-    plain = {key: np.zeros((1, *shape)) for key, shape in shapes(1, 7).items()}
+    plain = {key: np.zeros((1, *shape)) for key, shape in frame_array_shapes(1, 7).items()}
     return frame_data(
         **plain,
         timestamp=0.064,
@@ -283,8 +283,8 @@ def test_simulation_data_comes_last_and_keeps_every_bit():
 def test_a_frame_has_all_simulation_data_or_none():
     assert has_simulation(simulated())
     assert not has_simulation(frame())
-    assert frame_faults(simulated(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
-    assert frame_faults(frame(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
+    assert frame_faults(simulated(), expected_specs(OBJECTS, [CAMERA], 1, 7)) == []
+    assert frame_faults(frame(), expected_specs(OBJECTS, [CAMERA], 1, 7)) == []
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_a_frame_has_all_simulation_data_or_none():
     ],
 )
 def test_each_fault_of_simulation_data_is_named(change, fault):
-    (found,) = frame_faults(simulated() | change, expected_forms(OBJECTS, [CAMERA], 1, 7))
+    (found,) = frame_faults(simulated() | change, expected_specs(OBJECTS, [CAMERA], 1, 7))
     assert found.endswith(fault)
 
 

@@ -3,7 +3,16 @@ import json
 import pytest
 
 from tests.core.dataset.making import FAILURE, SUCCESS, failed_attempt, made
-from yamsim_cli.core.dataset.layout import episode_directories
+from yamsim_cli.core.attempt_data import (
+    Attempt,
+    AttemptJob,
+    AttemptPayload,
+    FailureCause,
+    Layout,
+    MotionMargins,
+    Outcome,
+)
+from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.records import (
     AttemptRecord,
     EpisodeRecord,
@@ -12,11 +21,10 @@ from yamsim_cli.core.dataset.records import (
     attempt_record,
     file_hashes,
     from_json,
-    plain,
+    record_data,
     to_json,
 )
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Margins, Outcome
 
 MANIFEST = Manifest(
     task="pickplace",
@@ -35,7 +43,7 @@ def test_a_record_reads_back_as_it_was_written(record, indent):
     text = to_json(record, indent=indent)
     assert text.endswith(b"\n")
     assert from_json(type(record), text, "x") == record
-    assert json.loads(text) == plain(record)
+    assert json.loads(text) == record_data(record)
     assert to_json(from_json(type(record), text, "x"), indent=indent) == text
 
 
@@ -45,7 +53,7 @@ def test_without_indent_a_record_is_one_line():
 
 
 def test_keys_of_a_later_version_are_kept_out_of_the_way():
-    data = plain(made(3).record) | {"added_later": 1}
+    data = record_data(made(3).record) | {"added_later": 1}
     assert from_json(EpisodeRecord, json.dumps(data), "x") == made(3).record
 
 
@@ -60,14 +68,14 @@ def test_keys_of_a_later_version_are_kept_out_of_the_way():
 )
 def test_the_first_fault_of_a_record_is_named(change, message):
     with pytest.raises(DatasetError) as caught:
-        from_json(EpisodeRecord, json.dumps(plain(made(3).record) | change), "episode.json")
+        from_json(EpisodeRecord, json.dumps(record_data(made(3).record) | change), "episode.json")
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("key", ["episode", "attempt", "seed", "files", "content_sha256", "outcome", "cameras"])
 def test_a_missing_key_is_named(key):
-    data = plain(made(3).record)
+    data = record_data(made(3).record)
     del data[key]
     with pytest.raises(DatasetError, match=f"^here: {key}: Field required"):
         from_json(EpisodeRecord, json.dumps(data), "here")
@@ -82,20 +90,20 @@ def test_what_is_no_record_is_a_dataset_error(text):
 
 
 def test_an_attempt_is_written_down_with_its_outcome():
-    payload = EpisodePayload(
-        Attempt(EpisodeJob(seed=7, attempt=4), Layout.of({"banana": (1.0, 2.0, 3.0, 0.5)})),
+    payload = AttemptPayload(
+        Attempt(AttemptJob(seed=7, attempt=4), Layout.from_places({"banana": (1.0, 2.0, 3.0, 0.5)})),
         outcome=Outcome(
             False,
-            Cause.DROPPED,
+            FailureCause.DROPPED,
             "at 1.2 s",
             dxy=0.2,
             dz=-0.01,
             speed=0.3,
-            margins=Margins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01),
+            margins=MotionMargins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01),
         ),
     )
     record = attempt_record(payload, None)
-    assert plain(record) == {
+    assert record_data(record) == {
         "attempt": 4,
         "seed": 7,
         "episode": None,
@@ -144,7 +152,7 @@ def test_an_attempt_is_written_down_with_its_outcome():
     ],
 )
 def test_an_outcome_can_be_scored_by_another_threshold(change, within):
-    assert SUCCESS.model_copy(update=change).within(0.05, max_height=0.1) is within
+    assert SUCCESS.model_copy(update=change).is_within(0.05, max_height=0.1) is within
 
 
 def test_hashes_come_in_the_order_of_paths():

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from yamsim_cli.core.dataset.unpickle import MAX_BYTES, ForbiddenPickleError, read_pickle
+from yamsim_cli.core.dataset.safe_unpickle import MAX_BYTES, ForbiddenPickleError, read_pickle
 from yamsim_cli.core.errors import DatasetError
 
 PROTO = b"\x80\x04"

@@ -8,11 +8,11 @@ import pytest
 
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish, tree
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.ledger import LINE_LOST, Ledger
-from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
-from yamsim_cli.core.files.documents.document import load_yaml
+from yamsim_cli.core.files.documents.yaml_document import load_yaml
 
 
 def resume(path: Path, config: dict = CONFIG, mode: OpenMode = OpenMode.RESUME) -> DatasetWriter:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tests.attempts import start_of
+from yamsim_cli.core.attempt_data import JointPath
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.commands import path_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.types import JointPath
 
 
 @pytest.fixture(scope="module")

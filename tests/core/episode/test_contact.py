@@ -14,17 +14,17 @@ import pytest
 from tests.attempts import all_actions, planned
 from tests.cli.run_cli import yamsim
 from tests.unrendered import SIZE, write_dataset
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, FailureCause, JointPath
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.episode.commands import path_actions
-from yamsim_cli.core.episode.engine import repeat
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Actions, Attempt, Cause, JointPath
 from yamsim_cli.datasets.verify import ACTIONS, SEED, EpisodeVerifier, Tolerances
 
 HELD_SLIP = 0.0075  # m, how far a thing that a hand holds may move in it
@@ -33,7 +33,7 @@ FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px
 
 
 # An attempt, and what acts in it.
-Succeeded = tuple[Attempt, Actions]
+Succeeded = tuple[Attempt, ActionSequence]
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +91,8 @@ def test_no_two_frames_are_the_same(original: Path) -> None:
     assert (np.abs(np.diff(speeds, axis=0)).max(axis=0) < (5, 5, 5, 10, 10, 10)).all()
 
 
-def _rerun(simulator: Simulator, attempt: Attempt, actions: Actions) -> tuple[Cause | None, str]:
-    outcome = repeat(simulator, attempt, actions, EXPERT_RULES).outcome
+def _rerun(simulator: Simulator, attempt: Attempt, actions: ActionSequence) -> tuple[FailureCause | None, str]:
+    outcome = run_actions(simulator, attempt, actions, EXPERT_RULES).outcome
     return outcome.cause, outcome.detail
 
 
@@ -103,15 +103,15 @@ def test_fingers_that_open_on_the_way_drop_it(simulator: Simulator, succeeded: S
     # Lifted, and not yet over the plate.
     ctrl[closed[len(closed) // 3] :, 6] = 0.04
     assert _rerun(simulator, attempt, replace(acting, ctrl=ctrl)) == (
-        Cause.GOAL, "on(banana, plate): they do not touch"
+        FailureCause.GOAL, "on(banana, plate): they do not touch"
     )  # fmt: skip
 
 
 def test_a_slippery_object_slips(friction: RecordConfig, locations: Locations, succeeded: Succeeded) -> None:
     slippery = Simulator(Session(friction, locations))
     slippery.scene.model.geom_friction[:] = 0.02
-    outcome = repeat(slippery, *succeeded, EXPERT_RULES).outcome
-    assert outcome.cause is Cause.GOAL
+    outcome = run_actions(slippery, *succeeded, EXPERT_RULES).outcome
+    assert outcome.cause is FailureCause.GOAL
     assert outcome.margins is not None and outcome.margins.slip is not None
     assert outcome.margins.slip > HELD_SLIP
 
@@ -122,7 +122,7 @@ def test_a_hand_that_comes_down_beside_it_knocks_it_away(simulator: Simulator, s
     assert attempt.start is not None
     moved = attempt.start.copy()
     moved[address : address + 2] += (0.02, 0.02)
-    assert _rerun(simulator, replace(attempt, start=moved), acting)[0] is Cause.GOAL
+    assert _rerun(simulator, replace(attempt, start=moved), acting)[0] is FailureCause.GOAL
 
 
 def test_an_arm_that_touches_the_table_fails_whatever_becomes_of_the_object(
@@ -139,8 +139,8 @@ def test_an_arm_that_touches_the_table_fails_whatever_becomes_of_the_object(
     ctrl = longer[0]
     ctrl[-ticks:, 0] += np.minimum(np.arange(ticks) / turn, 1.0) * 0.8
     ctrl[-bow:, 1] += np.linspace(0, 1.5, bow)
-    cause, detail = _rerun(simulator, attempt, Actions(*longer))
-    assert cause is Cause.COLLIDED
+    cause, detail = _rerun(simulator, attempt, ActionSequence(*longer))
+    assert cause is FailureCause.COLLIDED
     assert "finger" in detail
     assert "table" in detail
     (seconds,) = re.findall(r"touch after (\S+) s$", detail)
@@ -152,7 +152,7 @@ def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: 
     ctrl = acting.ctrl.copy()
     ctrl[-20:, 0] += 2.0
     cause, detail = _rerun(simulator, attempt, replace(acting, ctrl=ctrl))
-    assert cause is Cause.LIMITS
+    assert cause is FailureCause.LIMITS
     assert "of its motor's speed" in detail
 
 
@@ -195,8 +195,8 @@ def test_the_drive_is_told_to_close_further_than_the_object_lets_it(simulator: S
         joints=np.zeros((n + 1, 6)),
         torques=np.zeros((n, 6)),
         gripper=np.full(n, 0.018),
-        grip=np.array([0.0, 15.0, 1000.0]),
-        magnet=(False,) * n,
+        grip_force=np.array([0.0, 15.0, 1000.0]),
+        weld_on=(False,) * n,
         tick=0.032,
     )
     # 2 x 15 N over 2000 N/m; and no further than the drive can be told.

@@ -8,16 +8,23 @@ import numpy as np
 import pytest
 
 from tests.attempts import all_actions, planned, start_of
+from yamsim_cli.core.attempt_data import ActionSequence, FailureCause
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import Simulated, repeat
-from yamsim_cli.core.episode.episode import Episode, EpisodeGoal, Played
-from yamsim_cli.core.episode.expert import sides
-from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES, End, EndReason, EndRule, EpisodeRules
+from yamsim_cli.core.episode.episode import Episode, EpisodeGoal, EpisodeResult
+from yamsim_cli.core.episode.episode_rules import (
+    EXPERT_RULES,
+    REPLAY_RULES,
+    EndReason,
+    EndRule,
+    EpisodeEnd,
+    EpisodeRules,
+)
+from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
+from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.types import Actions, Cause
 
 HOLD = 8  # control ticks in the 0.25 s for which the goal of `pickplace` has to hold
 SUCCESS_RULES = EpisodeRules(EndRule.SUCCESS)
@@ -29,7 +36,7 @@ def simulator(config: RecordConfig, locations: Locations) -> Simulator:
 
 
 @pytest.fixture(scope="module")
-def done(simulator: Simulator) -> Simulated:
+def done(simulator: Simulator) -> SimulatedAttempt:
     """A demonstration that succeeds."""
     done = planned(simulator, 4)
     assert done.outcome.success, done.outcome
@@ -37,7 +44,7 @@ def done(simulator: Simulator) -> Simulated:
 
 
 def goal_of(simulator: Simulator, hold_ticks: int = HOLD) -> EpisodeGoal:
-    return EpisodeGoal(simulator.config.task.goal, simulator.cast, hold_ticks)
+    return EpisodeGoal(simulator.config.task.goal, simulator.roles, hold_ticks)
 
 
 def open_at(
@@ -45,16 +52,16 @@ def open_at(
 ) -> Episode:
     task = simulator.config.task
     return Episode(
-        simulator.scene, start, task.timing, sides(simulator.config), goal or goal_of(simulator), rules
+        simulator.scene, start, task.timing, arm_sides(simulator.config), goal or goal_of(simulator), rules
     )  # fmt: skip
 
 
-def still(simulator: Simulator, start: Array, ticks: int) -> Actions:
+def still(simulator: Simulator, start: Array, ticks: int) -> ActionSequence:
     """Actions with which the arm holds its place."""
     (arm,) = simulator.scene.arms
     ctrl = np.zeros(simulator.scene.model.nu)
     ctrl[arm.drives] = place = start[arm.recorded_qpos]
-    return Actions(np.tile(ctrl, (ticks, 1)), np.zeros((ticks, 1), bool), np.tile(place, (ticks, 1, 1)))
+    return ActionSequence(np.tile(ctrl, (ticks, 1)), np.zeros((ticks, 1), bool), np.tile(place, (ticks, 1, 1)))
 
 
 def put(simulator: Simulator, qpos: Array, thing: str, place: Array) -> None:
@@ -75,12 +82,12 @@ def over_plate(simulator: Simulator, start: Array) -> Array:
     return over
 
 
-def played_to(episode: Episode, actions: Actions) -> Played:
+def played_to(episode: Episode, actions: ActionSequence) -> EpisodeResult:
     episode.act(actions)
     return episode.finish()
 
 
-def assert_same(one: Played, other: Played) -> None:
+def assert_same(one: EpisodeResult, other: EpisodeResult) -> None:
     assert len(one.states) == len(other.states)
     for before, after in zip(one.states, other.states, strict=True):
         assert before.time == after.time
@@ -94,14 +101,16 @@ def assert_same(one: Played, other: Played) -> None:
         np.testing.assert_array_equal(T, other.T_at_end[name])
 
 
-def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(simulator: Simulator, done: Simulated) -> None:
+def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
+    simulator: Simulator, done: SimulatedAttempt
+) -> None:
     assert done.played is not None and done.attempt.start is not None
     actions = all_actions(done.states)
     whole = played_to(open_at(simulator, done.attempt.start, EXPERT_RULES), actions)
     assert_same(whole, done.played)
     pieces = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for first, last in ((0, 1), (1, 8), (8, 8), (8, 75), (75, len(actions.ctrl))):
-        pieces.act(Actions(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last]))
+        pieces.act(ActionSequence(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last]))
     assert_same(pieces.finish(), whole)
     ticks = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
@@ -110,23 +119,23 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(simulator: Si
 
 
 def test_what_happened_in_another_episode_leaves_no_trace(
-    simulator: Simulator, done: Simulated, over_plate: Array
+    simulator: Simulator, done: SimulatedAttempt, over_plate: Array
 ) -> None:
     """The scene's model is shared, and welds are written into it."""
     other = planned(simulator, 9)
     assert other.outcome.success
     open_at(simulator, over_plate).act(still(simulator, over_plate, 10))
-    again = repeat(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
+    again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     assert again.played is not None and done.played is not None
     assert_same(again.played, done.played)
 
 
-def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: Simulated) -> None:
+def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: SimulatedAttempt) -> None:
     """If each frame's first command is held for the whole frame, the episode ends in another state."""
     actions, (arm,) = all_actions(done.states), simulator.scene.arms
     every = simulator.config.task.timing.ticks_per_frame
     held = np.array([actions.ctrl[k - k % every] for k in range(len(actions.ctrl))])
-    again = repeat(simulator, done.attempt, replace(actions, ctrl=held), REPEATED_RULES)
+    again = run_actions(simulator, done.attempt, replace(actions, ctrl=held), REPLAY_RULES)
     apart = [
         np.abs((before.qpos - after.qpos)[arm.joint_qpos]).max()
         for before, after in zip(done.states, again.states, strict=True)
@@ -155,7 +164,7 @@ def test_the_state_is_looked_at_after_every_physics_step(simulator: Simulator, s
     np.testing.assert_allclose(times, np.arange(2 * timing.physics_steps_per_tick + 1) * timing.timestep)
 
 
-def test_the_arm_follows_the_references_of_a_demonstration(simulator: Simulator, done: Simulated) -> None:
+def test_the_arm_follows_the_references_of_a_demonstration(simulator: Simulator, done: SimulatedAttempt) -> None:
     (arm,) = simulator.scene.arms
     reached = np.array([state.qpos[arm.joint_qpos] for state in done.states[1:]])
     wanted = np.array([state.actions.joints[-1, 0, : arm.dof] for state in done.states[:-1]])
@@ -193,8 +202,8 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     assert (episode.held_ticks, episode.succeeds) == (HOLD - 1, False)
     assert episode.status == "the goal holds, and has to for 0.0 s more"
     played = episode.finish()
-    assert played.end == End(
-        EndReason.ACTOR, first + HOLD - 1, Cause.GOAL,
+    assert played.end == EpisodeEnd(
+        EndReason.ACTOR, first + HOLD - 1, FailureCause.GOAL,
         "the goal has held for 0.22 s, and has to hold for 0.26 s",
     )  # fmt: skip
     # The verdict is that of the last tick at which the goal did not hold.
@@ -206,14 +215,14 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     assert (longer.held_ticks, longer.succeeds, longer.status) == (HOLD, True, "the goal holds")
     played = longer.finish()
     assert played.success and played.verdict is not None and played.verdict.reached
-    assert (played.end, played.held_ticks) == (End(EndReason.ACTOR, first + HOLD), HOLD)
+    assert (played.end, played.held_ticks) == (EpisodeEnd(EndReason.ACTOR, first + HOLD), HOLD)
 
 
 def test_a_goal_without_a_hold_time_holds_at_once(simulator: Simulator, over_plate: Array) -> None:
     first = _first_held(simulator, over_plate)
     episode = open_at(simulator, over_plate, SUCCESS_RULES, goal_of(simulator, hold_ticks=0))
     episode.act(still(simulator, over_plate, 40))
-    assert episode.end == End(EndReason.SUCCESS, first)
+    assert episode.end == EpisodeEnd(EndReason.SUCCESS, first)
 
 
 def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_on(
@@ -222,18 +231,18 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
     first = _first_held(simulator, over_plate)
     at_success = open_at(simulator, over_plate, SUCCESS_RULES)
     at_success.act(still(simulator, over_plate, 40))
-    assert at_success.end == End(EndReason.SUCCESS, first + HOLD)
+    assert at_success.end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
     assert at_success.ticks == len(at_success.actions.ctrl) == first + HOLD
     # Nothing acts any more.
     before = at_success.data.qpos.copy()
     at_success.act(still(simulator, over_plate, 3))
     np.testing.assert_array_equal(at_success.data.qpos, before)
-    assert at_success.finish().end == End(EndReason.SUCCESS, first + HOLD)
+    assert at_success.finish().end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
 
     by_actor = open_at(simulator, over_plate)
     by_actor.act(still(simulator, over_plate, 40))
     assert by_actor.end is None and by_actor.ticks == 40
-    assert by_actor.finish().end == End(EndReason.ACTOR, 40)
+    assert by_actor.finish().end == EpisodeEnd(EndReason.ACTOR, 40)
 
     # An actor can leave out the rest.
     waiting = open_at(simulator, over_plate)
@@ -255,8 +264,8 @@ def test_what_is_put_and_taken_back_counts_only_where_success_ends_the_episode(
         episode.act(still(simulator, over_plate, 4))
         ends[rules.end] = episode.finish()
     taken_back = ends[EndRule.ACTOR]
-    assert taken_back.end == End(
-        EndReason.ACTOR, first + held + 4, Cause.GOAL, "on(banana, plate): they do not touch"
+    assert taken_back.end == EpisodeEnd(
+        EndReason.ACTOR, first + held + 4, FailureCause.GOAL, "on(banana, plate): they do not touch"
     )  # fmt: skip
     assert taken_back.held_ticks == 0
     assert ends[EndRule.SUCCESS].success is (held >= HOLD)
@@ -278,7 +287,7 @@ def test_an_interruption_starts_the_hold_time_anew(simulator: Simulator, start: 
 def test_the_time_limit_ends_it(simulator: Simulator, start: Array, over_plate: Array) -> None:
     episode = open_at(simulator, start, EpisodeRules(max_ticks=5))
     episode.act(still(simulator, start, 9))
-    assert episode.end == End(EndReason.TIME_LIMIT, 5, Cause.GOAL, "on(banana, plate): they do not touch")
+    assert episode.end == EpisodeEnd(EndReason.TIME_LIMIT, 5, FailureCause.GOAL, "on(banana, plate): they do not touch")
     # Success at the last tick counts.
     last = _first_held(simulator, over_plate) + HOLD
     for limit, reason in ((last, EndReason.SUCCESS), (last - 1, EndReason.TIME_LIMIT)):
@@ -289,7 +298,7 @@ def test_the_time_limit_ends_it(simulator: Simulator, start: Array, over_plate: 
         assert (episode.end.cause is None) is (reason is EndReason.SUCCESS)
 
 
-def _bows(simulator: Simulator, start: Array, ticks: int = 60) -> Actions:
+def _bows(simulator: Simulator, start: Array, ticks: int = 60) -> ActionSequence:
     """Actions by which the arm bows until its fingers are on the table, slowly enough for its motors."""
     actions, (arm,) = still(simulator, start, ticks), simulator.scene.arms
     actions.ctrl[:, arm.arm_ctrl[1]] += np.linspace(0, 1.5, ticks)
@@ -301,15 +310,17 @@ def test_a_strict_rule_ends_it_at_the_first_forbidden_contact(simulator: Simulat
     strict = open_at(simulator, start, EXPERT_RULES)
     strict.act(actions)
     assert strict.end is not None
-    assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, Cause.COLLIDED)
+    assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, FailureCause.COLLIDED)
     assert "table" in strict.end.detail and "finger" in strict.end.detail
     assert 0 < strict.end.tick < len(actions.ctrl)
     # The tick before ends without one.
     shorter = open_at(simulator, start, EXPERT_RULES)
-    shorter.act(Actions(*(part[: strict.end.tick - 1] for part in (actions.ctrl, actions.magnet, actions.joints))))
+    shorter.act(
+        ActionSequence(*(part[: strict.end.tick - 1] for part in (actions.ctrl, actions.magnet, actions.joints)))
+    )
     assert shorter.end is None and shorter.finish().collision is None
 
-    free = open_at(simulator, start, REPEATED_RULES)
+    free = open_at(simulator, start, REPLAY_RULES)
     free.act(actions)
     played = free.finish()
     assert (played.end.reason, played.end.tick, played.collision) == (
@@ -326,21 +337,21 @@ def test_a_strict_rule_ends_it_at_an_exceeded_limit(simulator: Simulator, start:
     strict = open_at(simulator, start, EXPERT_RULES)
     strict.act(actions)
     assert strict.end is not None
-    assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, Cause.LIMITS)
+    assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, FailureCause.LIMITS)
     assert 5 < strict.end.tick < 20
-    free = open_at(simulator, start, REPEATED_RULES)
+    free = open_at(simulator, start, REPLAY_RULES)
     free.act(actions)
     margins = free.finish().margins
     assert free.ticks == 20 and margins is not None and max(margins.velocity, margins.torque) >= 1
 
 
 def test_physics_that_breaks_down_ends_it_whatever_the_rules(simulator: Simulator, start: Array) -> None:
-    episode = open_at(simulator, start, REPEATED_RULES)
+    episode = open_at(simulator, start, REPLAY_RULES)
     episode.act(still(simulator, start, 2))
     episode.data.qvel[simulator.scene.object_dof["banana"] + 2] = 1e20
     episode.act(still(simulator, start, 5))
     assert episode.end is not None
-    assert (episode.end.reason, episode.end.tick, episode.end.cause) == (EndReason.UNSTABLE, 3, Cause.UNSTABLE)
+    assert (episode.end.reason, episode.end.tick, episode.end.cause) == (EndReason.UNSTABLE, 3, FailureCause.UNSTABLE)
     assert "physics broke down within 0.0" in episode.end.detail
 
 
@@ -350,7 +361,7 @@ def test_without_a_goal_nobody_succeeds_and_nothing_failed(simulator: Simulator,
     )
     episode.act(still(simulator, over_plate, 30))
     assert (episode.verdict, episode.succeeds, episode.status, episode.end) == (None, False, "", None)
-    assert episode.finish().end == End(EndReason.ACTOR, 30)
+    assert episode.finish().end == EpisodeEnd(EndReason.ACTOR, 30)
 
 
 def test_an_episode_in_which_nothing_acts_has_neither_states_nor_margins(simulator: Simulator, start: Array) -> None:

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from tests.attempts import all_actions, planned
+from yamsim_cli.core.attempt_data import ArmPosture, Layout
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import repeat
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.scene.compiled import Kind
-from yamsim_cli.core.scene.compiling import breakdown
-from yamsim_cli.core.types import Layout, Stand
+from yamsim_cli.core.scene.compilation import physics_failure
+from yamsim_cli.core.scene.compiled import GeomOwner
 
 # Both on the table, out of the hand's way.
 _ASIDE = Layout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
@@ -36,7 +36,7 @@ def _bends(model: mujoco.MjModel) -> list[int]:
 
 def test_all_of_a_finger_is_a_finger(simulator: Simulator) -> None:
     model, kinds = simulator.scene.model, simulator.scene.geom_kind
-    for side, kind in (("left", Kind.LEFT_FINGER), ("right", Kind.RIGHT_FINGER)):
+    for side, kind in (("left", GeomOwner.LEFT_FINGER), ("right", GeomOwner.RIGHT_FINGER)):
         of_side = [k for k in range(model.ngeom) if model.geom(k).name.startswith(side)]
         assert len(of_side) > 20
         assert (kinds[of_side] == kind).all()
@@ -47,7 +47,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
     """Told at once, or within 1.3 s, to be where the tips would be 6 cm under the table's top."""
     scene, model = simulator.scene, simulator.scene.model
     data = mujoco.MjData(model)
-    stand = Stand(np.array(simulator.config.rig.arms[0].robot.start), 0.0375)
+    stand = ArmPosture(np.array(simulator.config.rig.arms[0].robot.start), 0.0375)
     start = scene.start_qpos(_ASIDE, [stand])
     scene.reset(data, start)
     table = data.geom("table").xpos[2] + model.geom("table").size[2]
@@ -60,7 +60,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
         for tick in range(ticks + 60):
             data.ctrl[shoulder] = begin + min(1.0, (tick + 1) / ticks) * (to - begin)
             mujoco.mj_step(model, data, 16)
-            assert breakdown(data) is None
+            assert physics_failure(data) is None
             most = max(most, float(np.abs(data.qpos[bends]).max()))
             lowest = min(
                 lowest, min(float(data.geom(f"{side}_foot_collide_tip_8").xpos[2]) for side in ("left", "right"))
@@ -79,7 +79,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
 def test_an_attempt_comes_out_the_same_from_its_actions(simulator: Simulator) -> None:
     done = planned(simulator, 7)
     assert done.outcome.success, done.outcome.detail
-    again = repeat(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
+    again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     for one, other in zip(done.states, again.states, strict=True):
         # With the fingers' bends.
         assert len(one.qpos) == 6 + 2 * (1 + 8) + 2 * 7

@@ -15,15 +15,22 @@ from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode import Episode
-from yamsim_cli.core.episode.expert import sides
-from yamsim_cli.core.episode.grasps import ClothGrasp, FrictionGrasp, WeldGrasp, attach, grasp_of, weld_holds
-from yamsim_cli.core.episode.held import SETTLED_TICKS, HeldThings
-from yamsim_cli.core.episode.rules import MAGNET_REACH, EpisodeRules
+from yamsim_cli.core.episode.episode_rules import MAGNET_REACH, EpisodeRules
+from yamsim_cli.core.episode.expert import arm_sides
+from yamsim_cli.core.episode.grasps import (
+    ClothGraspSimulator,
+    FrictionGraspSimulator,
+    WeldGraspSimulator,
+    is_weld_active,
+    make_grasp_simulator,
+    set_weld_pose,
+)
+from yamsim_cli.core.episode.held_objects import SETTLED_TICKS, HeldObjectMonitor
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from yamsim_cli.core.scene.compiled import CompiledScene, SceneArm
-from yamsim_cli.core.sim.world import world_of
+from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
+from yamsim_cli.core.sim.sim_world import make_sim_world
 
 ON, OFF = [True], [False]
 
@@ -49,46 +56,46 @@ def at_hand(simulator: Simulator, below: float, thing: str = "banana") -> mujoco
     return data
 
 
-def weld_of(scene: CompiledScene) -> tuple[SceneArm, int]:
+def weld_of(scene: CompiledScene) -> tuple[ArmAddresses, int]:
     assert scene.arm.weld is not None
     return scene.arm, scene.arm.weld
 
 
 def test_the_grasp_follows_from_the_scene(simulator: Simulator, friction: Simulator, tmp_path: Path) -> None:
-    assert isinstance(grasp_of(simulator.scene, None), WeldGrasp)
-    assert isinstance(grasp_of(friction.scene, None), FrictionGrasp)
+    assert isinstance(make_grasp_simulator(simulator.scene, None), WeldGraspSimulator)
+    assert isinstance(make_grasp_simulator(friction.scene, None), FrictionGraspSimulator)
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        assert isinstance(grasp_of(first_attempt(simulators)[0].scene, None), ClothGrasp)
+        assert isinstance(make_grasp_simulator(first_attempt(simulators)[0].scene, None), ClothGraspSimulator)
 
 
 def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.02)
-    (arm, weld), grasp = weld_of(scene), grasp_of(scene, MAGNET_REACH)
+    (arm, weld), grasp = weld_of(scene), make_grasp_simulator(scene, MAGNET_REACH)
     ctrl = data.ctrl.copy()
-    assert list(grasp.update(data, ctrl, OFF)) == [False] and not weld_holds(data, arm)
-    assert list(grasp.update(data, ctrl, ON)) == [True] and weld_holds(data, arm)
+    assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
+    assert list(grasp.update(data, ctrl, ON)) == [True] and is_weld_active(data, arm)
     assert scene.model.eq_obj2id[weld] == scene.model.body("banana").id
-    assert list(grasp.update(data, ctrl, OFF)) == [False] and not weld_holds(data, arm)
+    assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
 
 
 @pytest.mark.parametrize(("reach", "takes"), [(MAGNET_REACH, False), (None, True), (0.5, True)])
 def test_a_magnet_takes_nothing_out_of_its_reach(simulator: Simulator, reach: float | None, takes: bool) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.12)
-    assert list(grasp_of(scene, reach).update(data, data.ctrl, ON)) == [takes]
+    assert list(make_grasp_simulator(scene, reach).update(data, data.ctrl, ON)) == [takes]
 
 
 @pytest.mark.parametrize("thing", ["banana", "plate"])
 def test_a_magnet_takes_the_nearest_thing(simulator: Simulator, thing: str) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.04, thing)
     _, weld = weld_of(scene)
-    assert list(grasp_of(scene, None).update(data, data.ctrl, ON)) == [True]
+    assert list(make_grasp_simulator(scene, None).update(data, data.ctrl, ON)) == [True]
     assert scene.model.body(int(scene.model.eq_obj2id[weld])).name == thing
 
 
 def test_a_magnet_that_stays_on_keeps_what_it_holds(simulator: Simulator) -> None:
     """However near something else comes meanwhile."""
     scene, data = simulator.scene, at_hand(simulator, 0.03)
-    (_, weld), grasp = weld_of(scene), grasp_of(scene, None)
+    (_, weld), grasp = weld_of(scene), make_grasp_simulator(scene, None)
     grasp.update(data, data.ctrl, ON)
     plate, banana = scene.object_qpos["plate"], scene.object_qpos["banana"]
     data.qpos[plate : plate + 3], data.qpos[banana + 2] = data.site("pinch_site").xpos, 0.5
@@ -101,7 +108,7 @@ def test_attaching_moves_nothing(simulator: Simulator) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.03)
     arm, weld = weld_of(scene)
     before = data.body("banana").xpos.copy()
-    attach(scene.model, arm, data, scene.model.body("banana").id)
+    set_weld_pose(scene.model, arm, data, scene.model.body("banana").id)
     data.eq_active[weld] = True
     mujoco.mj_step(scene.model, data, 50)
     mujoco.mj_kinematics(scene.model, data)
@@ -111,7 +118,7 @@ def test_attaching_moves_nothing(simulator: Simulator) -> None:
 
 def test_a_magnet_has_no_effect_where_friction_holds(friction: Simulator) -> None:
     data = at_hand(friction, 0.02)
-    assert list(grasp_of(friction.scene, None).update(data, data.ctrl, ON)) == [False]
+    assert list(make_grasp_simulator(friction.scene, None).update(data, data.ctrl, ON)) == [False]
     task, start = friction.config.task, start_of(friction)
     episode = Episode(friction.scene, start, task.timing, ("right",), None)
     for _ in range(3):
@@ -130,7 +137,7 @@ def test_records_say_whether_a_weld_holds_and_not_what_was_commanded(simulator: 
     near.step(command, ON)
     assert (far.actions.magnet[0, 0], near.actions.magnet[0, 0]) == (False, True)
     assert (far.held, near.held) == ((False,), (True,))
-    assert near.world.holders("banana") == {"right"}
+    assert near.world.holding_sides("banana") == {"right"}
 
 
 def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp_path: Path) -> None:
@@ -151,7 +158,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
         along, across = flat[8] / np.linalg.norm(flat[8]), flat[72] / np.linalg.norm(flat[72])
         placed = site.xpos + np.outer(flat @ along, turned[:, 0]) + np.outer(flat @ across, turned[:, 2])
         start[cloth.qpos] = placed - cloth.rest
-        episode = Episode(scene, start, config.task.timing, sides(config), None)
+        episode = Episode(scene, start, config.task.timing, arm_sides(config), None)
         # It is taken before it falls.
         for opening, ticks, holds in ((0.004, 1, False), (-0.004, 10, True), (0.02, 5, False)):
             command = np.array([start[one.recorded_qpos] for one in scene.arms])
@@ -159,7 +166,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
             for _ in range(ticks):
                 episode.step(command, [False, False])
             assert bool(episode.actions.magnet[-1, 0]) is holds, opening
-            assert episode.world.holders("napkin") == ({sides(config)[0]} if holds else frozenset())
+            assert episode.world.holding_sides("napkin") == ({arm_sides(config)[0]} if holds else frozenset())
         # A weld there is none, whatever holds.
         assert episode.held == (False, False)
 
@@ -169,9 +176,9 @@ class InHand:
 
     def __init__(self, simulator: Simulator) -> None:
         self.scene, self.data = simulator.scene, at_hand(simulator, 0.03)
-        self.world = world_of(self.scene, self.data, sides(simulator.config))
-        self.things = HeldThings(self.scene, self.world)
-        self.grasp = grasp_of(self.scene, None)
+        self.world = make_sim_world(self.scene, self.data, arm_sides(simulator.config))
+        self.things = HeldObjectMonitor(self.scene, self.world)
+        self.grasp = make_grasp_simulator(self.scene, None)
         self.address = self.scene.object_qpos["banana"]
         self.place: Array = self.data.qpos[self.address : self.address + 3].copy()
         self.R: Array = self.data.body("banana").xmat.reshape(3, 3).copy()
@@ -185,7 +192,7 @@ class InHand:
         mujoco.mj_kinematics(self.scene.model, self.data)
         mujoco.mj_collision(self.scene.model, self.data)
         for _ in range(ticks):
-            self.things.watch(self.world.holding())
+            self.things.watch(self.world.holding_sides_by_object())
         return self.things.slip, self.things.tilt
 
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from tests.attempts import planned
+from yamsim_cli.core.attempt_data import AttemptJob, AttemptPayload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.records import from_json
-from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
-from yamsim_cli.core.episode.runner import EpisodeRunner
+from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.png import decode_labels
-from yamsim_cli.core.types import EpisodeJob, EpisodePayload
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -32,17 +32,17 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 @pytest.fixture(scope="module")
-def runner(config: RecordConfig, locations: Locations) -> Iterator[EpisodeRunner]:
-    with EpisodeRunner(Session(config, locations), render=True) as runner:
+def runner(config: RecordConfig, locations: Locations) -> Iterator[AttemptRunner]:
+    with AttemptRunner(Session(config, locations), render=True) as runner:
         yield runner
 
 
 @pytest.fixture(scope="module")
-def payload(runner: EpisodeRunner) -> EpisodePayload:
-    return runner.run(EpisodeJob(0, 0))
+def payload(runner: AttemptRunner) -> AttemptPayload:
+    return runner.run(AttemptJob(0, 0))
 
 
-def test_every_image_has_its_depth_and_segmentation(payload: EpisodePayload) -> None:
+def test_every_image_has_its_depth_and_segmentation(payload: AttemptPayload) -> None:
     labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
     known = {label.id for label in labels.labels}
     for camera in CAMERAS:
@@ -55,7 +55,7 @@ def test_every_image_has_its_depth_and_segmentation(payload: EpisodePayload) -> 
         assert array_faults(load_truth(payload.files[truth_name(camera)]), labels, payload.frames) == []
 
 
-def test_truth_agrees_with_lowdim(payload: EpisodePayload) -> None:
+def test_truth_agrees_with_lowdim(payload: AttemptPayload) -> None:
     labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
     banana = labels.objects.index("banana")
     for camera in CAMERAS:
@@ -68,7 +68,7 @@ def test_truth_agrees_with_lowdim(payload: EpisodePayload) -> None:
             np.testing.assert_allclose(T, frame["banana_pose"], atol=1e-5)
 
 
-def test_boxes_and_segmentation_are_of_the_same_frame(payload: EpisodePayload) -> None:
+def test_boxes_and_segmentation_are_of_the_same_frame(payload: AttemptPayload) -> None:
     labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
     parts = [label.id for label in labels.labels if label.instance == "arm1"]
     truth = load_truth(payload.files[truth_name("scene_camera")])
@@ -78,25 +78,25 @@ def test_boxes_and_segmentation_are_of_the_same_frame(payload: EpisodePayload) -
 
 
 def test_another_worker_gives_the_same_bytes(
-    payload: EpisodePayload, config: RecordConfig, locations: Locations
+    payload: AttemptPayload, config: RecordConfig, locations: Locations
 ) -> None:
     """Whatever it made before."""
-    with EpisodeRunner(Session(config, locations), render=True) as other:
-        other.run(EpisodeJob(0, 1))
-        assert other.run(EpisodeJob(0, 0)).files == payload.files
+    with AttemptRunner(Session(config, locations), render=True) as other:
+        other.run(AttemptJob(0, 1))
+        assert other.run(AttemptJob(0, 0)).files == payload.files
 
 
 def test_truth_changes_nothing_else(
-    payload: EpisodePayload, make_config: Callable[..., RecordConfig], locations: Locations
+    payload: AttemptPayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    with EpisodeRunner(Session(make_config(CHANGES | {("truth",): False}), locations), render=True) as plain:
-        files = plain.run(EpisodeJob(0, 0)).files
+    with AttemptRunner(Session(make_config(CHANGES | {("truth",): False}), locations), render=True) as plain:
+        files = plain.run(AttemptJob(0, 0)).files
     assert {name: payload.files[name] for name in files} == files
     assert {name.split("/")[0] for name in payload.files.keys() - files.keys()} == {"depth", "segmentation", "truth"}
 
 
 def test_boards_change_no_physics(
-    payload: EpisodePayload, make_config: Callable[..., RecordConfig], locations: Locations
+    payload: AttemptPayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     with Simulator(Session(make_config({("boards",): True}), locations)) as simulator:
         states = planned(simulator, 0).states

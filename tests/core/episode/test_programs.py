@@ -11,30 +11,30 @@ import numpy as np
 import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, FailureCause
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
-from yamsim_cli.core.dataset.checks.problem import Problems
+from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
-from yamsim_cli.core.dataset.records import CastRecord, to_json
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.records import RoleAssignmentRecord, to_json
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.episode import sampling
-from yamsim_cli.core.episode.engine import demonstrate, repeat
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import demonstrate, run_actions
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.jpeg import JpegReader
-from yamsim_cli.core.sim.settle import settle
-from yamsim_cli.core.sim.world import SimWorld
-from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
-from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.sim.settling import settle_objects
+from yamsim_cli.core.sim.sim_world import SimWorld
+from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.datasets.checks.episode import check_episode
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Tolerances
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
-from yamsim_cli.recording.collect import Notifier
-from yamsim_cli.recording.destination import Output
-from yamsim_cli.recording.executors import ThisProcess
+from yamsim_cli.recording.collect import RecordCallbacks
+from yamsim_cli.recording.executor_factories import InlineExecutorFactory
 from yamsim_cli.recording.recorder import record
+from yamsim_cli.recording.recording_output import RecordingOutput
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +49,8 @@ def simulators(session: Session) -> Iterator[Simulators]:
 
 
 def recorded(session: Session, out: Path) -> Path:
-    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     return out
 
 
@@ -87,7 +87,7 @@ def test_a_record_says_who_played_what_and_how_far_the_goal_was_from_failing(dat
 
 @pytest.mark.render
 def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) -> None:
-    problems = Problems()
+    problems = ProblemCollector()
     (directory,), recorded = find_episodes(dataset)
     context = read_context(dataset, recorded, locations, problems)
     with JpegReader() as reader:
@@ -102,8 +102,10 @@ def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators
     done = demonstrate(simulator, attempt)
     assert done.outcome.success, done.outcome
     acted = [state.actions for state in done.states]
-    whole = Actions(*(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints")))
-    again = repeat(simulator, attempt, whole, EXPERT_RULES)
+    whole = ActionSequence(
+        *(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints"))
+    )
+    again = run_actions(simulator, attempt, whole, EXPERT_RULES)
     assert again.outcome == replace(done.outcome, recoveries=())
     assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.states, again.states, strict=True))
 
@@ -111,7 +113,7 @@ def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators
 def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
     simulator, attempt = first_attempt(simulators)
     outcome = demonstrate(simulator, attempt, grips=False).outcome
-    assert not outcome.success and outcome.cause in (Cause.SLIPPED, Cause.DROPPED, Cause.GOAL)
+    assert not outcome.success and outcome.cause in (FailureCause.SLIPPED, FailureCause.DROPPED, FailureCause.GOAL)
 
 
 def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
@@ -119,14 +121,14 @@ def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, away)) as simulators:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
-    assert outcome.cause is Cause.UNREACHABLE
+    assert outcome.cause is FailureCause.UNREACHABLE
     assert [(one.step, one.skill, one.frame) for one in outcome.recoveries] == [(0, "pick", 0), (0, "pick", 0)]
 
 
 def test_standing_still_reaches_nothing_and_what_is_said_reaches_the_policy(session: Session, tmp_path: Path) -> None:
     with TrialRunner(session, PolicyChoice("hold_still", tmp_path, time_limit=1.0)) as runner:
-        result = runner.run(EpisodeJob(0, 0))
-    assert not result.outcome.success and result.outcome.cause == Cause.GOAL and result.ticks == 31
+        result = runner.run(AttemptJob(0, 0))
+    assert not result.outcome.success and result.outcome.cause == FailureCause.GOAL and result.ticks == 31
     assert [measure.what for measure in result.outcome.measures] == ["on(cube, plate)"]
 
 
@@ -135,7 +137,7 @@ def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, met)) as simulators:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
-    assert attempt.layout is None and outcome.cause is Cause.NO_LAYOUT
+    assert attempt.layout is None and outcome.cause is FailureCause.NO_LAYOUT
     assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
 
 
@@ -151,14 +153,14 @@ def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
         simulator, attempt = first_attempt(simulators)
         done = demonstrate(simulator, attempt)
-    assert done.outcome.cause is Cause.TIME
+    assert done.outcome.cause is FailureCause.TIME
     ticks = sum(len(state.actions.ctrl) for state in done.states)
     assert ticks <= 3.0 / 0.032 + 1
 
 
 def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
-    made = [simulators.of(EpisodeJob(0, k)) for k in range(8)]
-    kinds = {simulator.cast.kinds["cube"] for simulator in made if simulator.cast}
+    made = [simulators.get(AttemptJob(0, k)) for k in range(8)]
+    kinds = {simulator.roles.config_names["cube"] for simulator in made if simulator.roles}
     assert kinds == {"cube_red", "cube_blue"} and len(set(map(id, made))) == 2
 
 
@@ -168,8 +170,8 @@ def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, task)) as simulators:
         for number in range(6):
             simulator, attempt = first_attempt(simulators, number)
-            assert attempt.cast is not None and attempt.layout is not None
-            factor = attempt.cast.sizes["cube"]
+            assert attempt.roles is not None and attempt.layout is not None
+            factor = attempt.roles.scale_factors["cube"]
             (cube,) = (item for item in simulator.config.task.objects if item.name == "cube")
             assert cube.shape is not None and cube.inertia.mass == pytest.approx(0.06179 * factor**3, rel=0.01)
             # It stands on the table, so its middle is half an edge above.
@@ -177,14 +179,16 @@ def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
             assert high - low == pytest.approx(0.045 * factor, abs=1e-4)
             edges.add(factor)
     assert edges == {0.8, 1.2}
-    line = CastRecord.model_validate_json(to_json(CastRecord(things={}, kinds={}, sizes={"cube": 0.8})))
-    assert line.sizes == {"cube": 0.8} and "sizes" not in CastRecord(things={}, kinds={}).model_dump()
+    line = RoleAssignmentRecord.model_validate_json(
+        to_json(RoleAssignmentRecord(things={}, kinds={}, sizes={"cube": 0.8}))
+    )
+    assert line.sizes == {"cube": 0.8} and "sizes" not in RoleAssignmentRecord(things={}, kinds={}).model_dump()
 
 
 def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
     simulator.replica.show(attempt.start)  # type: ignore[arg-type]
     world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, ("right",), ["cube"])
-    low, high = world.bounds("cube")
+    low, high = world.aabb("cube")
     return float(low[2]), float(high[2])
 
 
@@ -211,11 +215,11 @@ def test_a_start_in_which_a_thing_still_moves_is_drawn_again(
 ) -> None:
     simulator, calm = first_attempt(simulators)
     speeds = [1.0, 0.0]
-    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=speeds.pop(0)))
-    again = sampling.sample(simulator, calm.job)
+    monkeypatch.setattr(sampling, "settle_objects", lambda *given: settle_objects(*given)._replace(speed=speeds.pop(0)))
+    again = sampling.sample_attempt(simulator, calm.job)
     assert not speeds and again.layout is not None and calm.layout is not None
     assert not np.allclose(again.layout.T_in_world["cube"], calm.layout.T_in_world["cube"])
     # Where things move in every draw, the first one is used.
-    monkeypatch.setattr(sampling, "settle", lambda *given: settle(*given)._replace(speed=1.0))
-    restless = sampling.sample(simulator, calm.job)
+    monkeypatch.setattr(sampling, "settle_objects", lambda *given: settle_objects(*given)._replace(speed=1.0))
+    restless = sampling.sample_attempt(simulator, calm.job)
     assert restless.start is not None and np.array_equal(restless.start, calm.start)

@@ -14,16 +14,16 @@ import pytest
 from tests.attempts import all_actions, planned
 from tests.cli.run_cli import yamsim
 from tests.unrendered import SIZE, change_frame, read_frame, write_dataset
+from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
-from yamsim_cli.core.episode.engine import repeat
-from yamsim_cli.core.episode.payload import frames
-from yamsim_cli.core.episode.rules import EXPERT_RULES
+from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import inverse
-from yamsim_cli.core.types import Cause
 from yamsim_cli.photos.overlay.photos import episode_photos
 
 OBJECTS = ("banana", "plate")
@@ -40,7 +40,7 @@ def _frames(config: RecordConfig, locations: Locations) -> Frames:
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, config.seed, 1)
         assert done.outcome.success, done.outcome.detail
-        return frames(simulator, done.attempt, done.states)
+        return frame_records(simulator, done.attempt, done.states)
 
 
 @pytest.fixture(scope="module")
@@ -109,8 +109,8 @@ def test_either_arm_does_the_very_same_before_its_own_base(left: Frames, right: 
 def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     first = left[0]
-    assert frame_faults(first, expected_forms(OBJECTS, cameras, 2, 7)) == []
-    assert frame_faults(first, expected_forms(OBJECTS, cameras, 1, 7)) != []
+    assert frame_faults(first, expected_specs(OBJECTS, cameras, 2, 7)) == []
+    assert frame_faults(first, expected_specs(OBJECTS, cameras, 1, 7)) != []
     assert (first["ctrl"].shape, first["ee_pose"].shape, first["magnet"].shape) == ((14,), (2, 4, 4), (2,))
     assert first["sim_magnet"].shape == (2, 2)
     np.testing.assert_allclose(first["T_right_base_in_left_base"][:3, 3], (0, -0.7, 0), atol=1e-6)
@@ -127,7 +127,7 @@ def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(le
 def test_simulation_data_of_another_number_of_arms_are_a_fault(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     for magnet in (np.ones(2, bool), np.ones((2, 3), bool)):
-        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, expected_forms(OBJECTS, cameras, 2, 7))
+        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, expected_specs(OBJECTS, cameras, 2, 7))
         assert "sim_magnet" in fault
 
 
@@ -160,7 +160,7 @@ def test_the_banana_goes_from_one_arm_to_the_other_in_the_air_and_level(handed: 
 def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
     assert set(handed[0]["extrinsics"]) == set(cameras)
-    assert frame_faults(handed[0], expected_forms(OBJECTS, cameras, 2, 7)) == []
+    assert frame_faults(handed[0], expected_specs(OBJECTS, cameras, 2, 7)) == []
     # Which of them it would be of could not be told.
     assert "K_wrist" not in handed[0]
 
@@ -172,8 +172,8 @@ def test_arms_that_meet_fail_the_attempt(handover: RecordConfig, locations: Loca
         # While the hands are together, the left arm turns towards the right one.
         ctrl, (begin, _) = actions.ctrl.copy(), _held(actions.magnet[:, 0])
         ctrl[begin : begin + 25, simulator.scene.arms[0].arm_ctrl[0]] -= np.linspace(0, 0.8, 25)
-        outcome = repeat(simulator, done.attempt, replace(actions, ctrl=ctrl), EXPERT_RULES).outcome
-    assert outcome.cause is Cause.COLLIDED
+        outcome = run_actions(simulator, done.attempt, replace(actions, ctrl=ctrl), EXPERT_RULES).outcome
+    assert outcome.cause is FailureCause.COLLIDED
     assert "arm2_" in outcome.detail
 
 
@@ -189,8 +189,8 @@ def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handov
     frame = read_frame(dataset / "ep_000000", 0)
     T_right_in_cam = inverse(frame["extrinsics"]["scene_camera"]) @ frame["T_right_base_in_left_base"]
     np.testing.assert_allclose(photo.T_base_in_cam, T_right_in_cam, atol=1e-5)
-    assert photo.stands is not None
-    stands = [[*stand.joints, stand.opening] for stand in photo.stands]
+    assert photo.postures is not None
+    stands = [[*stand.joints, stand.opening] for stand in photo.postures]
     np.testing.assert_allclose(stands, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
 
 

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 
 from tests.attempts import all_actions, planned
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.config.variation import ArmVariation, Variation
 from yamsim_cli.core.dataset.lowdim import load_frame
-from yamsim_cli.core.episode.engine import demonstrate, repeat, with_room
-from yamsim_cli.core.episode.payload import frames, render
-from yamsim_cli.core.episode.rules import EXPERT_RULES
-from yamsim_cli.core.episode.runner import EpisodeRunner
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.attempt_payload import frame_records, render_cameras
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
+from yamsim_cli.core.episode.execution import demonstrate, run_actions, with_reserved_distractors
+from yamsim_cli.core.episode.runner import AttemptRunner
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.robots.dynamics import Dynamics
-from yamsim_cli.core.sim.readings import sensed
-from yamsim_cli.core.types import Attempt, EpisodeJob
+from yamsim_cli.core.sim.encoder_readings import delayed_positions
 
 N = 6
 VISUAL = {("randomization",): "default", ("randomization", "mass"): None, ("randomization", "friction"): None}
@@ -57,13 +57,13 @@ def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
     placed = 0
     for number in range(N):
         done = planned(visual, 0, number)
-        model = visual.varied(done.attempt).model
+        model = visual.set_variation(done.attempt).model
         distractors = done.attempt.variation.distractors
         placed += len(distractors)
         for name in distractors:
             body = model.body(name).id
             assert model.geom_contype[model.geom_bodyid == body].any()
-        again = repeat(visual, done.attempt, all_actions(done.states), EXPERT_RULES)
+        again = run_actions(visual, done.attempt, all_actions(done.states), EXPERT_RULES)
         for one, two in zip(done.states, again.states, strict=True):
             np.testing.assert_array_equal(one.qpos, two.qpos)
     assert placed >= 10
@@ -85,7 +85,7 @@ def test_distractors_stand_clear_of_everything(visual: Simulator, config: Record
     rests = {item.name: item.rest_height for item in visual.config.randomization.extras}
     for number in range(3):
         done = planned(visual, 0, number)
-        model = visual.varied(done.attempt).model
+        model = visual.set_variation(done.attempt).model
         distractors = done.attempt.variation.distractors
         assert distractors
         assert set(distractors) <= set(rests)
@@ -124,15 +124,15 @@ def test_masses_and_friction_change_physics(make_config: Callable[..., RecordCon
         heavy = planned(simulator, 0)
         assert 2.0 <= heavy.attempt.variation.mass["banana"] <= 3.0
         actions, plain = all_actions(heavy.states), replace(heavy.attempt, variation=Variation())
-        light = repeat(simulator, plain, actions, EXPERT_RULES)
+        light = run_actions(simulator, plain, actions, EXPERT_RULES)
         assert not np.array_equal(light.states[-1].qpos, heavy.states[-1].qpos)
-        again = repeat(simulator, heavy.attempt, actions, EXPERT_RULES)
+        again = run_actions(simulator, heavy.attempt, actions, EXPERT_RULES)
         np.testing.assert_array_equal(again.states[-1].qpos, heavy.states[-1].qpos)
 
 
 def test_what_is_sampled_is_never_changed(visual: Simulator) -> None:
     """Distractors come with another value, whose attempt is otherwise the same."""
-    attempt = sample(visual, EpisodeJob(0, 0))
+    attempt = sample_attempt(visual, AttemptJob(0, 0))
     before = deepcopy(asdict(attempt))
     done = demonstrate(visual, attempt)
     assert not attempt.variation.distractors
@@ -145,8 +145,8 @@ def test_what_is_sampled_is_never_changed(visual: Simulator) -> None:
 
 def test_who_acts_in_an_attempt_finds_room_among_its_distractors(visual: Simulator) -> None:
     """As a recording of the same numbers has them; and nothing is planned where there are none."""
-    attempt = sample(visual, EpisodeJob(0, 1))
-    furnished = with_room(visual, attempt)
+    attempt = sample_attempt(visual, AttemptJob(0, 1))
+    furnished = with_reserved_distractors(visual, attempt)
     assert furnished.variation == planned(visual, 0, 1).attempt.variation
     assert furnished.variation.distractors
 
@@ -157,10 +157,10 @@ def test_an_attempt_is_the_same_whatever_was_made_before(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     session = Session(make_config({("randomization",): "default"} | MANY | SMALL | {("truth",): True}), locations)
-    jobs = [EpisodeJob(0, k) for k in (0, 4, 5)]
-    with EpisodeRunner(session, render=True) as runner:
+    jobs = [AttemptJob(0, k) for k in (0, 4, 5)]
+    with AttemptRunner(session, render=True) as runner:
         payloads = {job: runner.run(job) for job in jobs}
-    with EpisodeRunner(session, render=True) as other:
+    with AttemptRunner(session, render=True) as other:
         for job in (jobs[2], jobs[0]):
             made = other.run(job)
             assert made.files == payloads[job].files
@@ -175,10 +175,10 @@ def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_
     config = make_config({("randomization",): "arms"} | SMALL)
     with Simulator(Session(config, locations)) as simulator:
         one, other = planned(simulator, 0, 0), planned(simulator, 0, 1)
-        seen = frames(simulator, one.attempt, one.states)
+        seen = frame_records(simulator, one.attempt, one.states)
         # Of the second attempt, which the scene was varied as last, and of the first from its record.
-        again = repeat(simulator, one.attempt, all_actions(one.states), EXPERT_RULES)
-        told = frames(simulator, one.attempt, again.states)
+        again = run_actions(simulator, one.attempt, all_actions(one.states), EXPERT_RULES)
+        told = frame_records(simulator, one.attempt, again.states)
     with Simulator(Session(config, locations)) as fresh:
         alone = planned(fresh, 0, 1)
 
@@ -206,9 +206,9 @@ def test_an_arms_draw_is_added_to_its_own_delays(
         arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
         config = config.model_copy(update={"rig": config.rig.model_copy(update={"arms": (arm,)})})
         with Simulator(Session(config, locations)) as simulator:
-            attempt = sample(simulator, EpisodeJob(0, 0))
+            attempt = sample_attempt(simulator, AttemptJob(0, 0))
             by = (ArmVariation(drawn, drawn, 0.0, 0.0, (0.0,) * 6),)
-            scene = simulator.varied(replace(attempt, variation=Variation(arm_dynamics=by)))
+            scene = simulator.set_variation(replace(attempt, variation=Variation(arm_dynamics=by)))
             data = mujoco.MjData(scene.model)
             assert attempt.start is not None
             scene.reset(data, attempt.start)
@@ -216,7 +216,7 @@ def test_an_arms_draw_is_added_to_its_own_delays(
             found = []
             for _ in range(30):
                 scene.step(data)
-                read = sensed(scene, data)
+                read = delayed_positions(scene, data)
                 assert read is not None
                 found.append([float(data.qpos[scene.arm.joint_qpos[0]]), float(read[0, 0])])
             return np.array(found)
@@ -239,7 +239,7 @@ def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: Record
     for y in (-0.25, 0.25):
         place = (0.6, y, config.table.top, 0.0)
         moved = replace(done.attempt, variation=replace(done.attempt.variation, distractors={"apple": place}))
-        images.append(render(visual, moved, qpos, ["scene_camera"])["scene_camera"].astype(int))
+        images.append(render_cameras(visual, moved, qpos, ["scene_camera"])["scene_camera"].astype(int))
         numbers = visual.renderer.segment(visual.replica.data, "scene_camera")
         columns = np.nonzero(np.isin(numbers, np.flatnonzero(model.geom_bodyid == model.body("apple").id)))[1]
         # The camera looks back at the arm, so that +y is on its right.
@@ -252,8 +252,8 @@ def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: Record
 @pytest.mark.render
 def test_lowdim_tells_the_camera_that_was(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("randomization",): "default"} | SMALL)
-    with EpisodeRunner(Session(config, locations), render=True) as runner:
-        one, two = (load_frame(runner.run(EpisodeJob(0, k)).files["lowdim/000000.pkl"]) for k in range(2))
+    with AttemptRunner(Session(config, locations), render=True) as runner:
+        one, two = (load_frame(runner.run(AttemptJob(0, k)).files["lowdim/000000.pkl"]) for k in range(2))
     for key in ("intrinsics", "extrinsics"):
         assert not np.allclose(one[key]["scene_camera"], two[key]["scene_camera"], atol=1e-3)
 
@@ -264,10 +264,10 @@ def test_pictures_of_the_same_states_differ(make_config: Callable[..., RecordCon
 
     def seen(simulator: Simulator, attempt: Attempt) -> np.ndarray:
         assert start is not None
-        return render(simulator, attempt, start, ["scene_camera"])["scene_camera"].astype(int)
+        return render_cameras(simulator, attempt, start, ["scene_camera"])["scene_camera"].astype(int)
 
     with Simulator(Session(make_config(VISUAL | SMALL), locations)) as simulator:
-        attempts = [sample(simulator, EpisodeJob(0, k)) for k in range(4)]
+        attempts = [sample_attempt(simulator, AttemptJob(0, k)) for k in range(4)]
         start = attempts[0].start
         images = [seen(simulator, attempt) for attempt in attempts]
         plain = seen(simulator, replace(attempts[0], variation=Variation()))

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from yamsim_cli.core.files.mounts import Mount, mount_at, network_mount, parse_mounts, read_mounts
+from yamsim_cli.core.files.filesystem_mounts import Mount, mount_at, network_mount, parse_mounts, read_mounts
 
 TABLE = """\
 22 27 0:21 / /proc rw,relatime - proc proc rw
@@ -60,7 +60,7 @@ def test_lines_that_make_no_sense_are_passed_over() -> None:
     assert mount_at(PurePosixPath("/x"), []) is None
 
 
-class Links:
+class FakeLinks:
     """Links on a disk, and a memory of what was asked."""
 
     def __init__(self, links: dict[str, str]) -> None:
@@ -91,7 +91,7 @@ class Links:
     ],
 )
 def test_where_a_path_leads(path: str, wanted: str | None) -> None:
-    links = Links(
+    links = FakeLinks(
         {
             "/data/to_home": "/home/me/out",
             "/data/relative": "../mnt/new",
@@ -105,7 +105,7 @@ def test_where_a_path_leads(path: str, wanted: str | None) -> None:
 
 
 def test_nothing_on_a_network_mount_is_asked() -> None:
-    links = Links({"/data/link": "/home/me"})
+    links = FakeLinks({"/data/link": "/home/me"})
     for path in ("/home/me/data", "/data/link/deeper", "/net/server", "/mnt/new/x/y"):
         network_mount(Path(path), MOUNTS, links)
     network = [PurePosixPath(mount.point) for mount in MOUNTS if mount.is_network and mount.number != 41]
@@ -151,7 +151,7 @@ def test_a_mount_that_hangs_is_recognised_without_hanging(tmp_path: Path) -> Non
         server.send_signal(signal.SIGSTOP)
         code = (
             "from pathlib import Path\n"
-            "from yamsim_cli.core.files.mounts import network_mount, read_mounts\n"
+            "from yamsim_cli.core.files.filesystem_mounts import network_mount, read_mounts\n"
             f"print(network_mount(Path({str(point / 'deep' / 'er')!r}), read_mounts()).kind)"
         )
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}

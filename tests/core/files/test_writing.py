@@ -11,11 +11,11 @@ from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files import writing as files
 from yamsim_cli.core.files.writing import (
     append_line,
+    describe_refusal,
     exclusive_lock,
-    move_aside,
-    obstacle,
+    move_to_backup,
     publish_directory,
-    refusal,
+    why_not_directory,
     write_file,
     write_outputs,
 )
@@ -170,7 +170,7 @@ def test_what_is_in_the_way_is_moved_to_the_first_free_name(tmp_path):
     for k in (1, 2):
         path.mkdir()
         (path / "f").write_text(str(k))
-        assert move_aside(path) == tmp_path / f"dataset.old-{k}"
+        assert move_to_backup(path) == tmp_path / f"dataset.old-{k}"
     assert tree(tmp_path) == {"dataset.old-1/f": b"1", "dataset.old-2/f": b"2"}
 
 
@@ -180,21 +180,21 @@ def test_where_one_stands_is_not_moved_aside(tmp_path, monkeypatch, path):
     (here / "below").mkdir(parents=True)
     monkeypatch.chdir(here)
     with pytest.raises(UsageError, match=r"cannot be moved aside, because you are in it: run from another directory"):
-        move_aside(Path(path.format(here=here)))
+        move_to_backup(Path(path.format(here=here)))
     assert Path.cwd() == here
 
 
 def test_a_directory_without_a_name_of_its_own_is_moved_by_its_real_one(tmp_path, monkeypatch):
     (tmp_path / "dataset/below").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    assert move_aside(Path("dataset/below/..")) == tmp_path / "dataset.old-1"
+    assert move_to_backup(Path("dataset/below/..")) == tmp_path / "dataset.old-1"
     assert (tmp_path / "dataset.old-1/below").is_dir()
 
 
 def test_a_link_to_where_one_stands_is_moved_and_nothing_else(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link").symlink_to(tmp_path)
-    assert move_aside(Path("link")) == Path("link.old-1")
+    assert move_to_backup(Path("link")) == Path("link.old-1")
     assert Path("link.old-1").resolve() == Path.cwd()
 
 
@@ -221,14 +221,16 @@ def test_what_keeps_a_directory_from_being_there(tmp_path, path, told):
     os.mkfifo(tmp_path / "pipe")
     for name, target in {"link": "gone", "loop": "loop", "to_file": "file", "to_dataset": "dataset"}.items():
         (tmp_path / name).symlink_to(target)
-    assert obstacle(tmp_path / path) == (told and told.format(here=tmp_path))
+    assert why_not_directory(tmp_path / path) == (told and told.format(here=tmp_path))
 
 
 def test_a_refusal_names_what_is_in_the_way_where_that_is_the_reason(tmp_path):
     (tmp_path / "file").touch()
-    said = {number: refusal(OSError(number, os.strerror(number)), tmp_path / "file") for number in (17, 20, 28)}
+    said = {
+        number: describe_refusal(OSError(number, os.strerror(number)), tmp_path / "file") for number in (17, 20, 28)
+    }
     assert said == {17: "it is a file", 20: "it is a file", 28: "No space left on device"}
-    assert refusal(OSError(20, "Not a directory"), tmp_path) == "Not a directory"
+    assert describe_refusal(OSError(20, "Not a directory"), tmp_path) == "Not a directory"
 
 
 def test_a_lock_keeps_another_process_out_until_it_is_let_go(tmp_path):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.meshes import ball, box
-from yamsim_cli.core.geometry.deviation import deviation, distances, sample_surface
+from yamsim_cli.core.geometry.surface_distance import distances_to_surface, hausdorff_distance, sample_surface
 
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]), np.array([[0, 1, 2]])
 
@@ -20,24 +20,24 @@ TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]), np.array([[0, 1, 2]])
     ],
 )
 def test_distance_of_a_point_from_a_triangle(point, distance):
-    assert distances(np.array([point], float), TRIANGLE, 10.0) == pytest.approx([distance], abs=1e-12)
+    assert distances_to_surface(np.array([point], float), TRIANGLE, 10.0) == pytest.approx([distance], abs=1e-12)
 
 
 def test_a_triangle_without_area_is_its_edges():
     line = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0, 0]]), np.array([[0, 1, 2]])
-    np.testing.assert_allclose(distances(np.array([[1.0, 1, 0], [3, 0, 0]]), line, 5.0), [1, 1])
+    np.testing.assert_allclose(distances_to_surface(np.array([[1.0, 1, 0], [3, 0, 0]]), line, 5.0), [1, 1])
 
 
 def test_beyond_the_limit_is_infinitely_far():
-    far = distances(np.array([[0.0, 0, 0.9], [0, 0, 1.1]]), TRIANGLE, 1.0)
+    far = distances_to_surface(np.array([[0.0, 0, 0.9], [0, 0, 1.1]]), TRIANGLE, 1.0)
     np.testing.assert_allclose(far, [0.9, np.inf])
 
 
 def test_sorting_points_into_cells_changes_nothing():
     rng = np.random.default_rng(1)
     points, surface = rng.uniform(-0.5, 1.5, (3000, 3)), box(cuts=5)
-    together = distances(points, surface, 3.0)
-    alone = np.concatenate([distances(point[None], surface, 3.0) for point in points[:200]])
+    together = distances_to_surface(points, surface, 3.0)
+    alone = np.concatenate([distances_to_surface(point[None], surface, 3.0) for point in points[:200]])
     np.testing.assert_array_equal(together[:200], alone)
     # Far from the cube outside, and inside it, the distance is known.
     outside = np.linalg.norm(np.maximum(np.maximum(-points, points - 1), 0), axis=1)
@@ -51,16 +51,16 @@ def test_deviation_looks_from_both_sides():
     kept = ~(without_a_side[0][faces][..., 2] == 1).all(axis=1)
     holed = without_a_side[0], faces[kept]
     # All of what is left lies on the whole; the middle of the missing side is half an edge from what is left.
-    assert deviation(whole, whole, 1.0, 500) == pytest.approx(0, abs=1e-12)
+    assert hausdorff_distance(whole, whole, 1.0, 500) == pytest.approx(0, abs=1e-12)
     for pair in ((whole, holed), (holed, whole)):
-        assert deviation(*pair, 1.0, 3000) == pytest.approx(0.5, abs=0.03)
+        assert hausdorff_distance(*pair, 1.0, 3000) == pytest.approx(0.5, abs=0.03)
 
 
 def test_deviation_of_a_shifted_body():
     vertices, faces = box(cuts=3)
     shifted = vertices + np.array([0, 0, 0.25]), faces
-    assert deviation((vertices, faces), shifted, 1.0, 1000) == pytest.approx(0.25)
-    assert deviation((vertices, faces), shifted, 0.2, 1000) == np.inf
+    assert hausdorff_distance((vertices, faces), shifted, 1.0, 1000) == pytest.approx(0.25)
+    assert hausdorff_distance((vertices, faces), shifted, 0.2, 1000) == np.inf
 
 
 def test_points_lie_on_the_surface_and_everywhere_on_it():

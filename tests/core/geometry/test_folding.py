@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.folding import Fold, fold_plans, outline_area, sheet_area
+from yamsim_cli.core.geometry.cloth_folding import Fold, fold_plans, outline_area, sheet_area
 
 
 def _exactly(how: Fold, side: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, descend
+from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
 
 
@@ -42,7 +42,7 @@ class Valley(LeastSquares[Array, Linear]):
         self.wall = wall
         self.costs: list[Array] = []
 
-    def linearized(self, state: Array, before: Linear | None) -> Linear | None:
+    def linearize(self, state: Array, before: Linear | None) -> Linear | None:
         x, y = state[..., 0], state[..., 1]
         if (x < self.wall).any():
             return None
@@ -50,27 +50,27 @@ class Valley(LeastSquares[Array, Linear]):
         slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 0] = -20 * x, 10.0, -1.0
         return Linear(np.stack([10 * (y - x**2), 1 - x], axis=-1), slope)
 
-    def moved(self, state: Array, step: Array) -> Array:
+    def apply_step(self, state: Array, step: Array) -> Array:
         return state + step
 
-    def settled(self, state: Array, known: Linear, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: Array, known: Linear, step: Array, gain: Array) -> bool:
         self.costs.append(np.asarray(known.cost))
         return bool((np.abs(step) < 1e-9).all())
 
-    def better_of(
+    def select_better(
         self, better: NDArray[np.bool_], there: tuple[Array, Linear], here: tuple[Array, Linear]
     ) -> tuple[Array, Linear]:
         if better.ndim == 0:
-            return super().better_of(better, there, here)
+            return super().select_better(better, there, here)
         state = np.where(better[:, None], there[0], here[0])
-        found = self.linearized(state, None)
+        found = self.linearize(state, None)
         assert found is not None
         return state, found
 
 
 def test_it_follows_a_curved_valley_and_never_climbs() -> None:
     valley = Valley()
-    found = descend(valley, np.array([-1.2, 1.0]), 100)
+    found = solve_least_squares(valley, np.array([-1.2, 1.0]), 100)
     assert found is not None
     assert found[0] == pytest.approx([1.0, 1.0], abs=1e-7)
     assert (np.diff(valley.costs) <= 0).all()
@@ -78,26 +78,26 @@ def test_it_follows_a_curved_valley_and_never_climbs() -> None:
 
 def test_many_at_once_end_where_each_would() -> None:
     starts = np.array([[-1.2, 1.0], [3.0, -2.0], [1.0, 1.0], [0.0, 40.0]])
-    together = descend(Valley(), starts, 200)
+    together = solve_least_squares(Valley(), starts, 200)
     assert together is not None
     for start, end in zip(starts, together[0], strict=True):
-        alone = descend(Valley(), start, 200)
+        alone = solve_least_squares(Valley(), start, 200)
         assert alone is not None
         assert end == pytest.approx(alone[0], abs=1e-6)
 
 
 def test_steps_into_what_cannot_be_told_are_taken_back() -> None:
-    found = descend(Valley(wall=-1.3), np.array([-1.2, 1.0]), 200)
+    found = solve_least_squares(Valley(wall=-1.3), np.array([-1.2, 1.0]), 200)
     assert found is not None
     assert found[0] == pytest.approx([1.0, 1.0], abs=1e-6)
-    assert descend(Valley(wall=0.0), np.array([-1.2, 1.0]), 200) is None
+    assert solve_least_squares(Valley(wall=0.0), np.array([-1.2, 1.0]), 200) is None
 
 
 def test_what_nothing_depends_on_stays() -> None:
     class Flat(Valley):
-        def linearized(self, state: Array, before: Linear | None) -> Linear:
+        def linearize(self, state: Array, before: Linear | None) -> Linear:
             return Linear(np.array([state[0] - 2.0, 0.0]), np.array([[1.0, 0.0], [0.0, 0.0]]))
 
-    found = descend(Flat(), np.array([0.0, 5.0]), 50)
+    found = solve_least_squares(Flat(), np.array([0.0, 5.0]), 50)
     assert found is not None
     assert found[0] == pytest.approx([2.0, 5.0])

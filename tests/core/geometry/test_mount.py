@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.geometry.mount import mount_mesh, union_of_boxes
+from yamsim_cli.core.geometry.board_mount import mount_mesh, union_of_boxes
 
 # Source: configs/rigs/single.yaml and russet.yaml.
 X, Y, Z = (2.41, 225.23), (-69.57, 30.43), (-9.41, 4.26)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from yamsim_cli.core.geometry.cloth_flattening import candidate_pulls, fit_flat_places, max_displacement, unevenness
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
-from yamsim_cli.core.geometry.smoothing import candidate_pulls, flat_places, max_displacement, unevenness
 
 _THICK, _SPACING = 0.005, 0.025
 
@@ -36,8 +36,8 @@ def test_a_flat_sheet_is_even_whichever_side_is_up() -> None:
     for side in (1.0, -1.0):
         points = _placed(_rest() * [1.0, side, 1.0])
         assert unevenness(points, _rest(), _THICK) == pytest.approx(0.0, abs=1e-9)
-        assert np.allclose(flat_places(points, _rest(), _THICK), points[..., :2])
-        assert not any(pull.arch for pull in candidate_pulls(points, _rest(), _THICK, _SPACING))
+        assert np.allclose(fit_flat_places(points, _rest(), _THICK), points[..., :2])
+        assert not any(pull.arch_ratio for pull in candidate_pulls(points, _rest(), _THICK, _SPACING))
 
 
 def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
@@ -46,10 +46,12 @@ def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
     assert max_displacement(points, _rest(), _THICK) == pytest.approx(0.1 * np.sqrt(2), abs=2e-3)
     assert unevenness(points, _rest(), _THICK) > 0.02
     unfolding = [
-        pull for pull in candidate_pulls(points, _rest(), _THICK, _SPACING) if pull.points == ((8, 8),) and pull.arch
+        pull
+        for pull in candidate_pulls(points, _rest(), _THICK, _SPACING)
+        if pull.points == ((8, 8),) and pull.arch_ratio
     ]
     assert len(unfolding) == 1
-    assert np.allclose(unfolding[0].to[0], flat[8, 8, :2], atol=2e-3)
+    assert np.allclose(unfolding[0].targets[0], flat[8, 8, :2], atol=2e-3)
 
 
 def test_what_lies_under_another_layer_or_stands_up_is_not_taken() -> None:
@@ -73,8 +75,8 @@ def test_bold_pulls_go_farther() -> None:
         max(
             float(np.linalg.norm(to - points[point][:2]))
             for pull in candidate_pulls(points, _rest(), _THICK, _SPACING, bold)
-            if not pull.arch
-            for point, to in zip(pull.points, pull.to, strict=True)
+            if not pull.arch_ratio
+            for point, to in zip(pull.points, pull.targets, strict=True)
         )
         for bold in (1.0, 3.0)
     ]
@@ -86,9 +88,9 @@ def test_two_corners_are_drawn_apart_by_a_twentieth_more_than_the_sheet_is_long(
     pairs = [
         pull
         for pull in candidate_pulls(points, _rest(), _THICK, _SPACING, 3.0)
-        if len(pull.points) == 2 and not pull.arch
+        if len(pull.points) == 2 and not pull.arch_ratio
     ]
     assert len(pairs) == 6
     for pull in pairs:
         one, other = (_rest().reshape(9, 9, 3)[point] for point in pull.points)
-        assert np.linalg.norm(pull.to[0] - pull.to[1]) <= 1.05 * np.linalg.norm(one - other) + 1e-9
+        assert np.linalg.norm(pull.targets[0] - pull.targets[1]) <= 1.05 * np.linalg.norm(one - other) + 1e-9

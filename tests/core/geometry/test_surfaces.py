@@ -7,18 +7,26 @@ import math
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.columns import columns, water_level
-from yamsim_cli.core.geometry.loft import loft, moved, outline, ring, thickened, tube, turned
-from yamsim_cli.core.geometry.solid import depth_in_hull, filling, open_edges, spread_points
+from yamsim_cli.core.geometry.closed_surface import depth_in_hull, open_edges, spread_points, uniform_mass_properties
+from yamsim_cli.core.geometry.height_map import compute_height_map, water_level
+from yamsim_cli.core.geometry.loft import (
+    loft,
+    loft_closed,
+    revolve,
+    rounded_rectangle,
+    shell_profile,
+    transform_surface,
+    tube,
+)
 
 
 def block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:
-    return loft([outline(x / 2, y / 2, 0.0, 0.0), outline(x / 2, y / 2, 0.0, z)])
+    return loft([rounded_rectangle(x / 2, y / 2, 0.0, 0.0), rounded_rectangle(x / 2, y / 2, 0.0, z)])
 
 
 def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
-    surface = moved(block(0.2, 0.1, 0.3), (0.5, -0.2, 0.1))
-    found = filling(*surface)
+    surface = transform_surface(block(0.2, 0.1, 0.3), (0.5, -0.2, 0.1))
+    found = uniform_mass_properties(*surface)
     assert open_edges(surface[1]) == 0
     assert found.volume == pytest.approx(0.006)
     assert found.centre == pytest.approx([0.5, -0.2, 0.25])
@@ -28,10 +36,10 @@ def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
 
 def test_a_shell_is_closed_and_as_thick_as_it_was_told() -> None:
     inside = np.array([[0, 0.004], [0.04, 0.004], [0.042, 0.006], [0.042, 0.1]])
-    surface = turned(thickened(inside, 0.004), 96)
+    surface = revolve(shell_profile(inside, 0.004), 96)
     assert open_edges(surface[1]) == 0
     wall, floor = math.pi * (0.046**2 - 0.042**2) * 0.1, math.pi * 0.042**2 * 0.004
-    assert filling(*surface).volume == pytest.approx(wall + floor, rel=0.03)
+    assert uniform_mass_properties(*surface).volume == pytest.approx(wall + floor, rel=0.03)
 
 
 def test_a_tube_and_a_ring_are_closed() -> None:
@@ -39,10 +47,10 @@ def test_a_tube_and_a_ring_are_closed() -> None:
     angle = 2 * np.pi * np.arange(12) / 12
     loops = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(12, z)])
              for r, z in ((0.02, 0.0), (0.03, 0.0), (0.03, 0.05), (0.02, 0.05))]  # fmt: skip
-    hoop = ring(loops)
+    hoop = loft_closed(loops)
     for surface in (rod, hoop):
         assert open_edges(surface[1]) == 0
-        assert filling(*surface).volume > 0
+        assert uniform_mass_properties(*surface).volume > 0
 
 
 @pytest.mark.parametrize("missing", [1, 5])
@@ -66,14 +74,14 @@ def test_spread_points_are_even() -> None:
 
 def test_water_stands_in_a_cup_up_to_its_rim_and_runs_through_a_hoop() -> None:
     inside = np.array([[0, 0.004], [0.05, 0.004], [0.05, 0.1]])
-    grid = columns(turned(thickened(inside, 0.004), 64), 48)
+    grid = compute_height_map(revolve(shell_profile(inside, 0.004), 64), 48)
     depth = np.where(np.isfinite(grid.top), water_level(grid.top) - np.where(np.isfinite(grid.top), grid.top, 0), 0)
     assert depth.max() == pytest.approx(0.0965, abs=0.003)
     assert depth.sum() * grid.cell**2 == pytest.approx(math.pi * 0.05**2 * 0.096, rel=0.06)
     angle = 2 * np.pi * np.arange(48) / 48
-    hoop = ring([np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(48, z)])
+    hoop = loft_closed([np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(48, z)])
                  for r, z in ((0.04, 0.0), (0.05, 0.0), (0.05, 0.05), (0.04, 0.05))])  # fmt: skip
-    through = columns(hoop, 48)
+    through = compute_height_map(hoop, 48)
     level = water_level(through.top)
     there = np.isfinite(through.top)
     assert level[there] == pytest.approx(through.top[there], abs=1e-9)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.images.image_files import grey_of, read_image, read_mask
+from yamsim_cli.core.images.image_files import read_image, read_mask, to_grey
 from yamsim_cli.core.images.png import encode_png
 
 HEIGHT, WIDTH = 48, 64
@@ -55,11 +55,11 @@ def test_alpha_is_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_grey_becomes_three_equal_channels(tmp_path: Path, suffix: str) -> None:
-    grey = grey_of(picture())
+    grey = to_grey(picture())
     image = read_image(saved(tmp_path / f"a{suffix}", grey))
     assert image.shape == (HEIGHT, WIDTH, 3)
     assert np.abs(image.astype(int) - grey[..., None]).max() <= (0 if suffix == ".png" else 12)
-    assert np.abs(grey_of(image).astype(int) - image[..., 0]).max() <= 1
+    assert np.abs(to_grey(image).astype(int) - image[..., 0]).max() <= 1
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -14,7 +14,7 @@ import pytest
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.images.video import BT601, BT709, Matrix, VideoWriter
+from yamsim_cli.core.images.video import BT601, BT709, ColorMatrix, VideoWriter
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")
 
@@ -67,7 +67,7 @@ def as_tagged(frame: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("matrix", [BT601, BT709])
-def test_colours_come_back_and_say_how_they_are_meant(tmp_path: Path, matrix: Matrix) -> None:
+def test_colours_come_back_and_say_how_they_are_meant(tmp_path: Path, matrix: ColorMatrix) -> None:
     colours = np.array([(200, 30, 30), (30, 180, 40), (40, 50, 210), (235, 235, 235), (10, 10, 10)], np.uint8)
     image = colours.repeat(32, axis=0)[None].repeat(64, axis=0)
     with VideoWriter(tmp_path / "c.mp4", 0.1, matrix=matrix) as video:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, first_attempt, session_of
-from yamsim_cli.core.dataset.layout import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, Visibility, array_faults, load_truth
 from yamsim_cli.core.dataset.records import from_json
-from yamsim_cli.core.dataset.truth_files import TruthLabels, Visibility, array_faults, load_truth
-from yamsim_cli.core.episode.payload import EpisodeTruth
+from yamsim_cli.core.episode.attempt_payload import GroundTruthCollector
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.rendering.frame_truth import FrameTruth, drawn_sides, measure_frame
-from yamsim_cli.core.scene.cloth import triangles
+from yamsim_cli.core.scene.cloth import grid_triangles
 
 pytestmark = pytest.mark.render
 
@@ -26,7 +26,7 @@ SIDES = ("top_left", "top_right", "bottom_right", "bottom_left")
 
 
 @dataclass
-class Stage:
+class NapkinScene:
     """A napkin on a table; `start` is MuJoCo's positions with it flat there, arms away."""
 
     simulator: Simulator
@@ -58,16 +58,16 @@ class Stage:
 
 
 @pytest.fixture(scope="module", params=["640x480", "160x120"])
-def stage(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[Stage]:
+def stage(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[NapkinScene]:
     """A pixel is 2.4 mm wide where the napkin lies, or 10 mm, more than a layer is thick."""
     session = session_of(tmp_path_factory.mktemp("cloth"), FOLD, truth=True, size=request.param)
     with Simulators(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-        simulator.varied(attempt)
-        yield Stage(simulator, attempt.start)
+        simulator.set_variation(attempt)
+        yield NapkinScene(simulator, attempt.start)
 
 
-def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Stage) -> None:
+def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: NapkinScene) -> None:
     truth = stage.truth()
     names = stage.simulator.labels.names
     assert names.cloths == {"napkin": (9, 9)}
@@ -90,9 +90,9 @@ def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Stage
     assert truth.arrays["pixels"][names.instances.index("napkin")] == len(seen)
 
 
-def test_files_hold_what_their_labels_say(stage: Stage) -> None:
+def test_files_hold_what_their_labels_say(stage: NapkinScene) -> None:
     simulator = stage.simulator
-    truth = EpisodeTruth(simulator.labels, [CAMERA], simulator.scene.T_base_in_world)
+    truth = GroundTruthCollector(simulator.labels, [CAMERA], simulator.scene.T_base_in_world)
     simulator.replica.show(stage.start)
     for _ in range(2):
         truth.add(simulator.replica.data, CAMERA, simulator.renderer)
@@ -103,7 +103,7 @@ def test_files_hold_what_their_labels_say(stage: Stage) -> None:
     assert arrays["napkin_visible"].dtype == bool
 
 
-def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: Stage) -> None:
+def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: NapkinScene) -> None:
     points, radius = stage.points, stage.simulator.scene.cloths["napkin"].radius
     # The upper layer reaches over the edges of the lower one, which would else be seen from the side.
     fold = points[4, 4]
@@ -118,7 +118,7 @@ def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: Stage) -> None:
     ]  # fmt: skip
 
 
-def test_what_is_out_of_the_picture_is_outside(stage: Stage) -> None:
+def test_what_is_out_of_the_picture_is_outside(stage: NapkinScene) -> None:
     points = stage.points
     away = stage.truth(stage.moved(points + np.array([0.0, 5.0, 0.0])))
     assert not away.arrays["napkin_visible"].any()
@@ -129,13 +129,13 @@ def test_what_is_out_of_the_picture_is_outside(stage: Stage) -> None:
     assert not behind.arrays["keypoint_depth"][list(stage.corners(behind).values())].any()
 
 
-def test_under_the_table_all_of_it_is_hidden(stage: Stage) -> None:
+def test_under_the_table_all_of_it_is_hidden(stage: NapkinScene) -> None:
     truth = stage.truth(stage.moved(stage.points - (0.0, 0.0, 0.03)))
     assert not truth.arrays["napkin_visible"].any()
     assert stage.visibility(truth) == [Visibility.HIDDEN] * 4
 
 
-def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: Stage) -> None:
+def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: NapkinScene) -> None:
     """A sheet bent at random, against the triangles that MuJoCo hands to OpenGL."""
     cloth, qpos = stage.simulator.scene.cloths["napkin"], stage.start.copy()
     qpos[cloth.qpos] += np.random.default_rng(0).normal(size=cloth.qpos.shape) * 0.01
@@ -145,5 +145,5 @@ def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: Stage) -> None
     data = stage.simulator.replica.data
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
     drawn = np.array(scene.flexface[: 9 * scene.flexfaceused[0]]).reshape(-1, 3)
-    for side in drawn_sides(cloth.points(qpos), triangles(*cloth.grid), cloth.radius):
+    for side in drawn_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.radius):
         assert np.abs(drawn[None] - side[:, None]).max(axis=2).min(axis=1).max() < 1e-6

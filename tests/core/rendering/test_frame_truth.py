@@ -13,16 +13,16 @@ import pytest
 from tests.attempts import start_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
+from yamsim_cli.core.dataset.ground_truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.images.png import decode_labels, encode_labels
-from yamsim_cli.core.rendering.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
-from yamsim_cli.core.rendering.labels import Keypoint, SceneLabels, scene_labels
+from yamsim_cli.core.rendering.frame_truth import FrameTruth, instance_boxes, is_visible, measure_frame
 from yamsim_cli.core.rendering.renderer import SceneRenderer
-from yamsim_cli.core.sim.replica import Replica
+from yamsim_cli.core.rendering.scene_labels import LabelledKeypoint, SceneLabels, scene_labels
+from yamsim_cli.core.sim.state_replay import StateReplay
 
 pytestmark = pytest.mark.render
 
@@ -33,10 +33,10 @@ POSES = ([0, 1.92, 2.22, -1.55, 0, 0], [0.9, 1.2, 1.5, -0.5, 0.4, 1.0], [-1.2, 1
 
 
 @dataclass
-class Stage:
+class TruthScene:
     """A scene to be measured: `truth` is of what it shows now. `start` is MuJoCo's positions at the start."""
 
-    replica: Replica
+    replica: StateReplay
     renderer: SceneRenderer
     labels: SceneLabels
     config: RecordConfig
@@ -76,18 +76,18 @@ class Stage:
 
 
 @pytest.fixture(scope="module")
-def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Iterator[Stage]:
+def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Iterator[TruthScene]:
     config = make_config({("wrist",): True, ("boards",): True, ("image", "size_px"): SIZE, ("render",): "fast"})
     simulator = Simulator(Session(config, locations))
     model = simulator.scene.model
     labels = scene_labels(model, config.rig, ("banana", "plate"), boards=True)
     with SceneRenderer(model, SIZE) as renderer:
-        stage = Stage(simulator.replica, renderer, labels, config, start_of(simulator))
+        stage = TruthScene(simulator.replica, renderer, labels, config, start_of(simulator))
         stage.pose(POSES[0])
         yield stage
 
 
-def seen(stage: Stage, joints: list[float], kind: str, camera: str = CAMERA) -> Iterator[tuple[int, FrameTruth]]:
+def seen(stage: TruthScene, joints: list[float], kind: str, camera: str = CAMERA) -> Iterator[tuple[int, FrameTruth]]:
     stage.pose(joints)
     truth = stage.truth(camera)
     for k, record in enumerate(stage.labels.names.keypoints):
@@ -95,7 +95,7 @@ def seen(stage: Stage, joints: list[float], kind: str, camera: str = CAMERA) -> 
             yield k, truth
 
 
-def test_labels_name_what_is_seen(stage: Stage) -> None:
+def test_labels_name_what_is_seen(stage: TruthScene) -> None:
     names = stage.labels.names
     assert [label.id for label in names.labels] == list(range(len(names.labels)))
     assert names.links == [
@@ -117,13 +117,13 @@ def transform(T: Array, point: Array) -> Array:
     return np.asarray(T[:3, :3] @ point + T[:3, 3])
 
 
-def test_labels_are_those_of_the_geoms(stage: Stage) -> None:
+def test_labels_are_those_of_the_geoms(stage: TruthScene) -> None:
     ids = stage.renderer.segment(stage.replica.data, CAMERA)
     expected = np.append(stage.labels.of_geom, 0)[ids]
     np.testing.assert_array_equal(stage.truth().labels, expected)
 
 
-def test_depth_of_the_table_lies_on_its_plane(stage: Stage) -> None:
+def test_depth_of_the_table_lies_on_its_plane(stage: TruthScene) -> None:
     truth = stage.truth()
     inside = cv2.erode((truth.labels == stage.number("table")).astype(np.uint8), np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(inside)
@@ -135,7 +135,7 @@ def test_depth_of_the_table_lies_on_its_plane(stage: Stage) -> None:
     assert np.abs(upper[:, 2] - top).max() < 0.001
 
 
-def test_depth_of_the_board_lies_on_its_plane(stage: Stage) -> None:
+def test_depth_of_the_board_lies_on_its_plane(stage: TruthScene) -> None:
     truth = stage.truth()
     inside = cv2.erode((truth.labels == stage.number("base_board")).astype(np.uint8), np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(inside)
@@ -148,7 +148,7 @@ def test_depth_of_the_board_lies_on_its_plane(stage: Stage) -> None:
     assert (np.abs(in_board[:, 0]) < board.board.width / 2).all()
 
 
-def test_nothing_is_0_mm_away(stage: Stage) -> None:
+def test_nothing_is_0_mm_away(stage: TruthScene) -> None:
     stage.pose(POSES[0])
     truth = stage.truth(WRIST)
     model, data = stage.replica.scene.model, stage.replica.data
@@ -163,7 +163,7 @@ def test_nothing_is_0_mm_away(stage: Stage) -> None:
 @pytest.mark.parametrize("joints", POSES)
 @pytest.mark.parametrize("kind", ["axis", "corner"])
 def test_a_visible_point_of_a_surface_lies_on_its_body_and_agrees_with_depth(
-    stage: Stage, joints: list[float], kind: str
+    stage: TruthScene, joints: list[float], kind: str
 ) -> None:
     count = 0
     for k, truth in seen(stage, joints, kind):
@@ -182,7 +182,7 @@ def test_a_visible_point_of_a_surface_lies_on_its_body_and_agrees_with_depth(
 
 
 @pytest.mark.parametrize("joints", POSES)
-def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: Stage, joints: list[float]) -> None:
+def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: TruthScene, joints: list[float]) -> None:
     """A ray from the camera through the whole scene is another way to find what hides a point."""
     stage.pose(joints)
     truth = stage.truth()
@@ -213,7 +213,7 @@ def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: Stag
 
 
 @pytest.mark.parametrize("joints", POSES)
-def test_a_visible_joint_lies_on_a_link_it_joins(stage: Stage, joints: list[float]) -> None:
+def test_a_visible_joint_lies_on_a_link_it_joins(stage: TruthScene, joints: list[float]) -> None:
     model, count = stage.replica.scene.model, 0
     for k, truth in seen(stage, joints, "joint"):
         record = stage.labels.names.keypoints[k]
@@ -227,7 +227,7 @@ def test_a_visible_joint_lies_on_a_link_it_joins(stage: Stage, joints: list[floa
     assert count >= 2
 
 
-def test_what_something_hides_is_hidden(stage: Stage) -> None:
+def test_what_something_hides_is_hidden(stage: TruthScene) -> None:
     """The plate, set up before the board, hides it."""
     stage.pose(POSES[0])
     corners = [k for k, record in enumerate(stage.labels.names.keypoints) if record.kind == "corner"]
@@ -243,7 +243,7 @@ def test_what_something_hides_is_hidden(stage: Stage) -> None:
     assert (stage.truth(WRIST).arrays["visibility"][corners] == Visibility.OUTSIDE).all()
 
 
-def test_poses_are_those_of_the_bodies_in_the_camera(stage: Stage) -> None:
+def test_poses_are_those_of_the_bodies_in_the_camera(stage: TruthScene) -> None:
     stage.pose(POSES[1])
     truth = stage.truth()
     T_cam = stage.config.rig.T_base_in_world(0) @ truth.arrays["T_cam_in_base"]
@@ -253,7 +253,7 @@ def test_poses_are_those_of_the_bodies_in_the_camera(stage: Stage) -> None:
             np.testing.assert_allclose(T_cam @ T, pose(body.xpos, body.xmat.reshape(3, 3)), atol=1e-12)
 
 
-def test_boxes_are_tight_around_what_is_seen(stage: Stage) -> None:
+def test_boxes_are_tight_around_what_is_seen(stage: TruthScene) -> None:
     stage.pose(POSES[0])
     truth = stage.truth()
     names = stage.labels.names
@@ -277,7 +277,7 @@ def test_what_is_not_seen_has_an_empty_box() -> None:
     assert pixels.tolist() == [0, 2]
 
 
-def test_truth_lies_on_the_picture(stage: Stage) -> None:
+def test_truth_lies_on_the_picture(stage: TruthScene) -> None:
     """The banana is the only yellow thing: its mask in the picture is that of the segmentation, but for its edge."""
     stage.pose(POSES[0])
     image = stage.renderer.render(stage.replica.data, CAMERA).astype(int)
@@ -288,7 +288,7 @@ def test_truth_lies_on_the_picture(stage: Stage) -> None:
     assert both / either > 0.75
 
 
-def test_label_images_come_back(stage: Stage) -> None:
+def test_label_images_come_back(stage: TruthScene) -> None:
     labels = stage.truth().labels
     found = decode_labels(encode_labels(labels))
     np.testing.assert_array_equal(found, labels)
@@ -307,9 +307,9 @@ def test_the_same_body_in_front_of_a_point_hides_it(nearer_mm: int, slant: float
     v, u = np.mgrid[:24, :32]
     rays = np.stack([(u - 15.5) / 100, (v - 11.5) / 100, np.ones(u.shape)], axis=-1)
     depth = np.rint(1000 * (normal @ p) / (rays @ normal)) - nearer_mm
-    point = Keypoint(KeypointRecord(name="point", body="link", kind="axis"), 1, np.zeros(3), normal, (7,))
+    point = LabelledKeypoint(KeypointRecord(name="point", body="link", kind="axis"), 1, np.zeros(3), normal, (7,))
     pixel = tuple(np.rint(project(K, p)[0]).astype(int).tolist())
     labels = np.full((24, 32), 7, np.uint8)
-    assert is_seen(point, p, normal, K, pixel, labels, depth.astype(np.uint16)) == seen
-    assert not is_seen(point, p, -normal, K, pixel, labels, depth.astype(np.uint16))
-    assert not is_seen(point, p, normal, K, pixel, labels + np.uint8(1), depth.astype(np.uint16))
+    assert is_visible(point, p, normal, K, pixel, labels, depth.astype(np.uint16)) == seen
+    assert not is_visible(point, p, -normal, K, pixel, labels, depth.astype(np.uint16))
+    assert not is_visible(point, p, normal, K, pixel, labels + np.uint8(1), depth.astype(np.uint16))

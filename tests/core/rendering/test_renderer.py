@@ -24,7 +24,7 @@ from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.sim.replica import Replica
+from yamsim_cli.core.sim.state_replay import StateReplay
 
 pytestmark = pytest.mark.render
 SIZE = (640, 480)
@@ -48,17 +48,17 @@ def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
 
 
 @pytest.fixture(scope="module")
-def replica(simulator: Simulator) -> Replica:
+def replica(simulator: Simulator) -> StateReplay:
     return replica_of(simulator)
 
 
-def replica_of(simulator: Simulator) -> Replica:
+def replica_of(simulator: Simulator) -> StateReplay:
     """The scene with objects where a seed puts them, ready to be drawn."""
     simulator.replica.show(start_of(simulator))
     return simulator.replica
 
 
-def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
+def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: StateReplay, scene: CompiledScene) -> None:
     for camera in scene.cameras:
         image = renderer.render(replica.data, camera)
         assert image.shape == (480, 640, 3)
@@ -66,13 +66,13 @@ def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: Replic
         assert image.std() > 20
 
 
-def test_drawing_again_gives_the_same_bytes(renderer: SceneRenderer, replica: Replica) -> None:
+def test_drawing_again_gives_the_same_bytes(renderer: SceneRenderer, replica: StateReplay) -> None:
     first = renderer.render(replica.data, "scene_camera").copy()
     renderer.render(replica.data, "right_wrist_camera")
     assert (renderer.render(replica.data, "scene_camera") == first).all()
 
 
-def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
+def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: StateReplay, scene: CompiledScene) -> None:
     """A ball put at a known point shows up where intrinsics and extrinsics put it, to a tenth of a pixel."""
     model = scene.model
     K = renderer.intrinsics("scene_camera").K
@@ -110,7 +110,7 @@ def _ball_centroid(
     return np.array([columns.mean(), rows.mean()])
 
 
-def test_wrist_camera_sees_both_fingers(renderer: SceneRenderer, replica: Replica) -> None:
+def test_wrist_camera_sees_both_fingers(renderer: SceneRenderer, replica: StateReplay) -> None:
     K = renderer.intrinsics("right_wrist_camera").K
     T_base_in_cam = inverse(replica.T_cam_in_base("right_wrist_camera"))
     for side in ("left", "right"):
@@ -164,13 +164,13 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
     assert (depths[0] == depths[1]).all()
 
 
-def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica: Replica) -> None:
+def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica: StateReplay) -> None:
     image = np.zeros((480, 640, 3), np.uint8)
     assert renderer.render(replica.data, "scene_camera", image) is image
     assert (image == renderer.render(replica.data, "scene_camera")).all()
 
 
-def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: Replica, config: RecordConfig) -> None:
+def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: StateReplay, config: RecordConfig) -> None:
     """Where the table is seen, each pixel's ray reaches its top's plane at the depth that is read."""
     seen = renderer.segment(replica.data, "scene_camera") == replica.scene.model.geom("table").id
     rows, columns = np.nonzero(seen)

@@ -67,7 +67,7 @@ _STORED = 6
 
 
 @dataclass(frozen=True)
-class Sample:
+class ReferencePose:
     """One pose, in our terms: joints, then fingers (n,), rad and m; and what the maker's model makes of it.
 
     Attributes:
@@ -98,7 +98,7 @@ class MakersModel:
         """Joints and fingers (n,) anywhere between their stops."""
         return np.round(rng.uniform(*self._range.T) - self._closed, 6)
 
-    def sample(self, q: Array) -> Sample:
+    def sample(self, q: Array) -> ReferencePose:
         """What the model makes of joints and fingers (n,)."""
         model, data = self._model, mujoco.MjData(self._model)
         data.qpos[self._qpos] = q + self._closed
@@ -109,7 +109,7 @@ class MakersModel:
                 bodies[f"link_{side}_finger"] = _pose(data, name)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        return Sample(q, bodies, full[np.ix_(self._dof, self._dof)])
+        return ReferencePose(q, bodies, full[np.ix_(self._dof, self._dof)])
 
 
 def _pose(data: mujoco.MjData, name: str) -> Array:
@@ -181,7 +181,7 @@ def reference(wheel: Path) -> dict[str, Any]:
     return {"source": "dreamscale-i2rt 1.3.6.post1", "pairs": found}
 
 
-def _plain(sample: Sample) -> dict[str, Any]:
+def _plain(sample: ReferencePose) -> dict[str, Any]:
     upper = np.triu_indices(len(sample.q))
     return {
         "q": sample.q.tolist(),
@@ -190,13 +190,13 @@ def _plain(sample: Sample) -> dict[str, Any]:
     }
 
 
-def stored(plain: Mapping[str, Any]) -> Sample:
+def stored(plain: Mapping[str, Any]) -> ReferencePose:
     """A sample as it was before it was written down."""
     q = np.array(plain["q"])
     matrix = np.zeros((len(q), len(q)))
     matrix[np.triu_indices(len(q))] = plain["mass_matrix"]
     bodies = {name: np.vstack([np.reshape(T, (3, 4)), (0, 0, 0, 1)]) for name, T in plain["bodies"].items()}
-    return Sample(q, bodies, np.triu(matrix) + np.triu(matrix, 1).T)
+    return ReferencePose(q, bodies, np.triu(matrix) + np.triu(matrix, 1).T)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,9 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.robot import arm_spec, bare_arm
+from yamsim_cli.core.scene.arm_model import arm_spec, kinematic_model
 
 WHERE = Locations.find({})
 MINE = """
@@ -55,7 +55,7 @@ def test_a_mass_at_the_tip_hangs_where_fingers_meet_and_nothing_bears_it(tmp_pat
     assert (tip.mass[0], model.body_gravcomp[tip.id]) == (0.1, 0)
     assert np.allclose(tip.pos, model.site("pinch_site").pos)
     # Kinematics stay the arm's own.
-    assert bare_arm(_rig([_file(tmp_path)]).arms[0]).nq == 6
+    assert kinematic_model(_rig([_file(tmp_path)]).arms[0]).nq == 6
 
 
 def test_a_rigs_file_may_name_it_as_its_model(tmp_path: Path) -> None:

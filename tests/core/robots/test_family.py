@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.core.robots.makers_models import ARMS, GRIPPERS, MakersModel, Sample, stored
+from tests.core.robots.makers_models import ARMS, GRIPPERS, MakersModel, ReferencePose, stored
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
@@ -50,7 +50,7 @@ def _compiled(robot: Robot) -> mujoco.MjModel:
     return model
 
 
-def _farthest(robot: Robot, model: mujoco.MjModel, sample: Sample) -> tuple[float, float]:
+def _farthest(robot: Robot, model: mujoco.MjModel, sample: ReferencePose) -> tuple[float, float]:
     """The largest difference of a pose's entry, and of the mass matrix's, armature not counted."""
     names = [*robot.joint_names, *(robot.fingers.joints if robot.fingers else ())]
     joints = [model.joint(name) for name in names]

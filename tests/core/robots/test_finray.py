@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tests.hands import Grip, finger, grip, hand
+from tests.hands import GripResult, finger, grip, hand
 from tests.meshes import volume
 from tests.plane_frame import PlaneFrame, bent, compliance
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.geometry.stl import read_stl
 from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_arms, slip_stiffness
-from yamsim_cli.core.robots.finray.looks import meshes
+from yamsim_cli.core.robots.finray.finger_meshes import finger_mesh_files
 
 # Where things are held: from the middle to the last rib, m.
 HELD = (0.04, 0.05, 0.06, 0.065, 0.07)
@@ -113,12 +113,14 @@ def test_it_touches_more_of_a_cylinder_than_rigid_pads_do() -> None:
 
 
 @pytest.fixture(scope="module")
-def berries() -> tuple[Grip, Grip]:
+def berries() -> tuple[GripResult, GripResult]:
     rigid, soft = (grip(name, strawberry, 0.0, start=0.0375) for name in ("linear_4310", "finray"))
     return rigid, soft
 
 
-def test_told_to_close_it_presses_softer_on_a_strawberry_at_its_worst_too(berries: tuple[Grip, Grip]) -> None:
+def test_told_to_close_it_presses_softer_on_a_strawberry_at_its_worst_too(
+    berries: tuple[GripResult, GripResult],
+) -> None:
     rigid, soft = berries
     assert soft.forces[-1] < 0.75 * rigid.forces[-1]
     assert soft.forces.max() < 0.75 * rigid.forces.max()
@@ -134,7 +136,7 @@ def test_at_15_newtons_it_stands_still() -> None:
 
 
 def test_meshes_are_closed_and_look_outwards() -> None:
-    for name, data in meshes(finger()).items():
+    for name, data in finger_mesh_files(finger()).items():
         vertices, faces = read_stl(data)
         edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3))
         assert all(count == 1 and edges[b, a] == 1 for (a, b), count in edges.items()), name
@@ -145,15 +147,15 @@ def test_meshes_fill_what_the_boxes_weigh() -> None:
     """Walls that overlap at the stations count twice in the meshes."""
     model = hand("finray").compile()
     weighed = model.body_subtreemass[model.body("left_foot").id] / finger().density_kg_m3
-    filled = sum(volume(read_stl(data)) for data in meshes(finger()).values())
+    filled = sum(volume(read_stl(data)) for data in finger_mesh_files(finger()).values())
     overlapping = (2 * finger().segments - 2) * 0.0025 * finger().wall * finger().width
     assert filled - overlapping == pytest.approx(weighed, rel=0.1)
 
 
 def test_the_same_figures_give_the_same_bytes_and_others_others() -> None:
-    files = b"".join(meshes(finger()).values())
+    files = b"".join(finger_mesh_files(finger()).values())
     assert sha256_bytes(files) == "874b11b34241e48d26721dfffb2abb01b80c3001fc87fab528e34219ef9b0eac"
-    assert meshes(finger()) != meshes(finger(wall_mm=2.2))
+    assert finger_mesh_files(finger()) != finger_mesh_files(finger(wall_mm=2.2))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tests.made_up_robot import ARM, GRIPPER, RIG, write_robot
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.robot import arm_spec
+from yamsim_cli.core.scene.arm_model import arm_spec
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.robots.mjcf import parse
+from yamsim_cli.core.robots.mjcf import parse_mjcf
 from yamsim_cli.core.robots.models import Mjcf
 
 
@@ -123,8 +123,8 @@ def test_what_an_include_does_wrong_is_one_line(folder: Path, content: str | Non
 )
 def test_an_mjcf_that_names_other_files_is_refused(inside: str) -> None:
     with pytest.raises(ConfigError, match=r"^arm.xml: .*(valid|leave it out|write what)"):
-        parse(Mjcf(file="arm.xml", text=f"<mujoco>{inside}</mujoco>"))
+        parse_mjcf(Mjcf(file="arm.xml", text=f"<mujoco>{inside}</mujoco>"))
 
 
 def test_meshes_of_a_set_are_read() -> None:
-    parse(Mjcf(file="arm.xml", text='<mujoco><asset><mesh file="i2rt_yam/base.stl"/></asset></mujoco>'))
+    parse_mjcf(Mjcf(file="arm.xml", text='<mujoco><asset><mesh file="i2rt_yam/base.stl"/></asset></mujoco>'))

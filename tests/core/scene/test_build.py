@@ -13,8 +13,8 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.scene.compose import WELD, mesh_sets
-from yamsim_cli.core.sim.settle import AT_REST
+from yamsim_cli.core.scene.compose import WELD, visual_mesh_sets
+from yamsim_cli.core.sim.settling import AT_REST
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_wrist_camera_looks_along_the_fingers(simulator: Simulator) -> None:
 
 
 def test_mesh_sets_are_those_of_arm_and_objects(config: RecordConfig) -> None:
-    assert mesh_sets(task_blueprint(config)) == ("i2rt_yam_crank", "ycb")
+    assert visual_mesh_sets(task_blueprint(config)) == ("i2rt_yam_crank", "ycb")
 
 
 def test_a_seen_ring_is_one_thing_to_draw(scene: CompiledScene) -> None:

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from tests.programs import changed, session_of
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.scene import Table
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.geometry.se3 import Array, tilt
-from yamsim_cli.core.scene.casting import Placed, draw_cast, draw_phrasing, draw_places, gap
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.scene.start_sampling import (
+    ObjectPlacement,
+    footprint_distance,
+    sample_phrasing,
+    sample_placements,
+    sample_roles,
+)
 
 BLOCK = np.array([[-0.02, -0.03, 0.0], [0.02, 0.03, 0.05]])
 
@@ -33,30 +39,30 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return session_of(tmp_path_factory.mktemp("task"), THREE)
 
 
-def _places(session: Session, job: EpisodeJob) -> dict[str, Placed]:
+def _places(session: Session, job: AttemptJob) -> dict[str, ObjectPlacement]:
     task = session.config.task
-    cast = draw_cast(task, job)
-    found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
+    cast = sample_roles(task, job)
+    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert isinstance(found, dict)
     return found
 
 
 def test_the_same_numbers_give_the_same_draw(three: Session) -> None:
-    job, task = EpisodeJob(4, 7), three.config.task
-    assert draw_cast(task, job) == draw_cast(task, job)
-    assert draw_phrasing(task, job) == draw_phrasing(task, job)
+    job, task = AttemptJob(4, 7), three.config.task
+    assert sample_roles(task, job) == sample_roles(task, job)
+    assert sample_phrasing(task, job) == sample_phrasing(task, job)
     one, again = _places(three, job), _places(three, job)
     assert all(np.array_equal(one[name].T, again[name].T) for name in one)
-    other = _places(three, EpisodeJob(4, 8))
+    other = _places(three, AttemptJob(4, 8))
     assert not any(np.array_equal(one[name].T, other[name].T) for name in one)
 
 
 def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
     task = three.config.task
-    casts = [draw_cast(task, EpisodeJob(0, k)) for k in range(30)]
-    assert all(sorted(cast.kinds.values()) == ["cube_blue", "cube_green", "cube_red"] for cast in casts)
-    assert len({tuple(cast.kinds.values()) for cast in casts}) > 3
-    assert casts[0].of("cube") == ("cube_1", "cube_2", "cube_3")
+    casts = [sample_roles(task, AttemptJob(0, k)) for k in range(30)]
+    assert all(sorted(cast.config_names.values()) == ["cube_blue", "cube_green", "cube_red"] for cast in casts)
+    assert len({tuple(cast.config_names.values()) for cast in casts}) > 3
+    assert casts[0].objects_of("cube") == ("cube_1", "cube_2", "cube_3")
 
 
 def _outline(T: Array) -> Array:
@@ -74,7 +80,7 @@ def _outline(T: Array) -> Array:
 def test_things_have_their_distance(three: Session) -> None:
     nearest = math.inf
     for number in range(40):
-        placed = _places(three, EpisodeJob(1, number))
+        placed = _places(three, AttemptJob(1, number))
         for one, other in itertools.combinations(placed.values(), 2):
             a, b = _outline(one.T), _outline(other.T)
             nearest = min(nearest, float(np.linalg.norm(a[:, None] - b[None], axis=-1).min()))
@@ -86,18 +92,18 @@ def test_things_have_their_distance(three: Session) -> None:
 
 def test_a_gap_is_that_of_rectangles() -> None:
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    assert gap(square, square + np.array([1.5, 0.2])) == pytest.approx(0.5)
-    assert gap(square, square + np.array([0.5, 0.5])) < 0
+    assert footprint_distance(square, square + np.array([1.5, 0.2])) == pytest.approx(0.5)
+    assert footprint_distance(square, square + np.array([0.5, 0.5])) < 0
     turned = square @ np.array([[1, 1], [-1, 1]]) / math.sqrt(2)
-    assert gap(square, turned + np.array([0.5, 1.3])) == pytest.approx(0.3)
+    assert footprint_distance(square, turned + np.array([0.5, 1.3])) == pytest.approx(0.3)
 
 
 def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
     tight = changed({("starts", "cube"): {"x": [0.30, 0.32], "y": [0.0, 0.02]}}, THREE)
     session = session_of(tmp_path_factory.mktemp("task"), tight)
-    task, job = session.config.task, EpisodeJob(0, 0)
-    cast = draw_cast(task, job)
-    found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
+    task, job = session.config.task, AttemptJob(0, 0)
+    cast = sample_roles(task, job)
+    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert found in ("cube_2", "cube_3")
 
 
@@ -108,7 +114,7 @@ def test_things_lie_as_they_are_said_to(
     start = {"x": [0.3, 0.4], "y": [-0.1, 0.1], "attitudes": [attitude]}
     one = {("things", "cube", "count"): 1, ("starts", "cube"): start, ("expert",): [{"pick": {"thing": "cube"}}]}
     session = session_of(tmp_path_factory.mktemp("task"), changed(one, THREE))
-    placed = _places(session, EpisodeJob(0, 0))
+    placed = _places(session, AttemptJob(0, 0))
     assert tilt(placed["cube"].T[:3, :3]) == pytest.approx(leans, abs=1e-6)
 
 
@@ -117,9 +123,9 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     session = session_of(
         tmp_path_factory.mktemp("task"), on_it | {"goal": {"on": {"thing": "cube", "surface": "table"}}}
     )
-    task, job, table = session.config.task, EpisodeJob(0, 3), session.config.table
+    task, job, table = session.config.task, AttemptJob(0, 3), session.config.table
     assert isinstance(table, Table)
-    placed = draw_places(task, draw_cast(task, job), lambda name, opened: BLOCK, table, job)
+    placed = sample_placements(task, sample_roles(task, job), lambda name, opened: BLOCK, table, job)
     assert isinstance(placed, dict) and placed["cube"].on == "plate"
     apart = np.linalg.inv(placed["plate"].T) @ placed["cube"].T
     assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)
@@ -133,8 +139,8 @@ def test_places_fill_their_regions_evenly_although_things_need_room(config: Reco
     task = config.task.model_copy(update={"starts": config.starts})
     drawn: dict[str, list[Array]] = {name: [] for name in blocks}
     for number in range(1000):
-        found = draw_places(
-            task, task.typical_cast, lambda name, opened: blocks[name], config.table, EpisodeJob(5, number)
+        found = sample_placements(
+            task, task.typical_roles, lambda name, opened: blocks[name], config.table, AttemptJob(5, number)
         )
         assert isinstance(found, dict)
         for name, placed in found.items():

@@ -19,7 +19,7 @@ from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations, Meshes
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.viewers.show.compose import at_home, task_start
+from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start
 from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
@@ -44,9 +44,11 @@ def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> 
         where = replace(locations, meshes=meshes)
         if task is None:
             studio = load_config(SceneConfig, "scenes", "studio", locations)
-            return at_home(Blueprint(load_config(RigConfig, "rigs", rig, locations), studio), where)
-        config, home = task_start(Session(make_config({("rig",): rig, ("task",): task, ("grasp",): grasp}), where))
-        return at_home(task_blueprint(config), where, home)
+            return compose_at_home(Blueprint(load_config(RigConfig, "rigs", rig, locations), studio), where)
+        config, home = first_attempt_start(
+            Session(make_config({("rig",): rig, ("task",): task, ("grasp",): grasp}), where)
+        )
+        return compose_at_home(task_blueprint(config), where, home)
 
     return compose
 
@@ -118,7 +120,7 @@ def test_what_has_another_default_in_another_version_is_said(scene: Composed) ->
 
 def test_a_flag_that_is_off_stays_off(locations: Locations) -> None:
     studio = load_config(SceneConfig, "scenes", "studio", locations)
-    spec, _ = at_home(Blueprint(load_config(RigConfig, "rigs", "single", locations), studio), locations)
+    spec, _ = compose_at_home(Blueprint(load_config(RigConfig, "rigs", "single", locations), studio), locations)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD | mujoco.mjtDisableBit.mjDSBL_ISLAND
     spec.visual.headlight.active = 0
     model = spec.compile()

@@ -21,7 +21,7 @@ from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.viewers.show.compose import at_home, task_start, write_scene
+from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start, write_scene
 from yamsim_cli.viewers.show.scene_files import scene_files, zip_bytes
 
 RIGS = ("single", "bimanual", "russet")
@@ -54,7 +54,7 @@ def _rig(name: str, locations: Locations) -> RigConfig:
 
 
 def _compiled(name: str, locations: Locations, studio: SceneConfig) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    _, model = at_home(Blueprint(_rig(name, locations), studio), locations)
+    _, model = compose_at_home(Blueprint(_rig(name, locations), studio), locations)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -64,8 +64,8 @@ def _task(
     config: RecordConfig, locations: Locations, *, background: bool = True
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """A composed task, as its first attempt begins."""
-    config, home = task_start(Session(config, locations))
-    return at_home(task_blueprint(config, background=background), locations, home)
+    config, home = first_attempt_start(Session(config, locations))
+    return compose_at_home(task_blueprint(config, background=background), locations, home)
 
 
 def _in_plain_mujoco(scene: Path) -> str:
@@ -80,7 +80,7 @@ def _in_plain_mujoco(scene: Path) -> str:
 def test_a_composed_folder_runs_in_plain_mujoco(
     name: str, size: str, locations: Locations, studio: SceneConfig, tmp_path: Path
 ) -> None:
-    spec, model = at_home(Blueprint(_rig(name, locations), studio), locations)
+    spec, model = compose_at_home(Blueprint(_rig(name, locations), studio), locations)
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     # Moved, so that nothing can depend on where it was made.
     (tmp_path / "scene").rename(tmp_path / "elsewhere")
@@ -106,13 +106,15 @@ def test_what_is_written_is_what_was_compiled(config: RecordConfig, locations: L
 
 
 def test_composing_twice_gives_the_same_bytes(locations: Locations, studio: SceneConfig) -> None:
-    one, two = (scene_files(*at_home(Blueprint(_rig("russet", locations), studio), locations)) for _ in range(2))
+    one, two = (
+        scene_files(*compose_at_home(Blueprint(_rig("russet", locations), studio), locations)) for _ in range(2)
+    )
     assert one == two
     assert zip_bytes(one, "scene") == zip_bytes(two, "scene")
 
 
 def test_every_file_named_is_there_and_every_file_there_is_named(locations: Locations, studio: SceneConfig) -> None:
-    files = scene_files(*at_home(Blueprint(_rig("bimanual", locations), studio), locations))
+    files = scene_files(*compose_at_home(Blueprint(_rig("bimanual", locations), studio), locations))
     root = ElementTree.fromstring(files["scene.xml"])
     named = {element.get("file") for element in root.iter() if element.get("file")}
     assert named == set(files) - {"scene.xml"}
@@ -173,7 +175,7 @@ def test_the_mount_does_not_cover_the_board(name: str, locations: Locations, stu
 
 
 def test_boards_can_be_left_out(locations: Locations, studio: SceneConfig) -> None:
-    _, bare = at_home(Blueprint(_rig("bimanual", locations), studio, boards=False), locations)
+    _, bare = compose_at_home(Blueprint(_rig("bimanual", locations), studio, boards=False), locations)
     bodies = {bare.body(k).name for k in range(bare.nbody)}
     assert not any("board" in name or "mount" in name for name in bodies)
 
@@ -195,7 +197,7 @@ def _surroundings(model: mujoco.MjModel) -> dict[str, bool]:
 def test_the_background_can_be_left_out_and_a_tasks_table_stays(
     background: bool, config: RecordConfig, locations: Locations, studio: SceneConfig, tmp_path: Path
 ) -> None:
-    _, rig = at_home(Blueprint(_rig("bimanual", locations), studio, background=background), locations)
+    _, rig = compose_at_home(Blueprint(_rig("bimanual", locations), studio, background=background), locations)
     spec, task = _task(config, locations, background=background)
     for model in (rig, task):
         assert set(_surroundings(model).values()) == {background}, _surroundings(model)
@@ -209,7 +211,7 @@ def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tm
     (tmp_path / "mine.yaml").write_text(text)
     rig = load_config(RigConfig, "rigs", str(tmp_path / "mine.yaml"), locations)
     assert rig.name == "mine"
-    _, model = at_home(Blueprint(rig, studio), locations)
+    _, model = compose_at_home(Blueprint(rig, studio), locations)
     np.testing.assert_allclose(model.body("arm2_arm").pos + model.body("arm").pos, 0, atol=1e-12)
 
 
@@ -235,7 +237,7 @@ def test_loading_refuses_a_rig_that_cannot_be(change: tuple[str, str], message: 
 
 
 def test_output_in_the_way_is_kept(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:
-    spec, model = at_home(Blueprint(_rig("single", locations), studio), locations)
+    spec, model = compose_at_home(Blueprint(_rig("single", locations), studio), locations)
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "mine.txt").write_text("keep me")
     with pytest.raises(UsageError, match="--overwrite"):
@@ -250,7 +252,7 @@ def test_output_in_the_way_is_kept(locations: Locations, studio: SceneConfig, tm
 def test_an_old_scene_stays_where_it_is_until_the_new_one_is_on_the_disk(
     as_zip: bool, locations: Locations, studio: SceneConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec, model = at_home(Blueprint(_rig("single", locations), studio), locations)
+    spec, model = compose_at_home(Blueprint(_rig("single", locations), studio), locations)
     old = tmp_path / ("scene.zip" if as_zip else "scene")
     write_scene(spec, model, old, as_zip=as_zip, overwrite=False)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -273,7 +275,7 @@ def test_the_arms_rest_in_keyframe_home(
     name: str, grasp: str | None, make_config: Callable[..., RecordConfig], locations: Locations, studio: SceneConfig
 ) -> None:
     if grasp is None:
-        _, model = at_home(Blueprint(_rig(name, locations), studio), locations)
+        _, model = compose_at_home(Blueprint(_rig(name, locations), studio), locations)
         start = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
     else:
         config = make_config({("rig",): name, ("grasp",): grasp})

@@ -12,7 +12,7 @@ import pytest
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import ArmConfig, RigConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.robot import arm_spec, bare_arm, finger_places
+from yamsim_cli.core.scene.arm_model import arm_spec, finger_addresses, kinematic_model
 
 SIDES = ("left", "right")
 FINGERS = tuple(f"link_{side}_finger" for side in SIDES)
@@ -93,7 +93,7 @@ def test_drives(model: mujoco.MjModel) -> None:
 
 def test_one_drive_moves_both_fingers_between_their_stops(arm: ArmConfig, model: mujoco.MjModel) -> None:
     data = _at(model, 0.0)
-    addresses, signs = finger_places(model, arm.robot)
+    addresses, signs = finger_addresses(model, arm.robot)
     assert list(signs) == [1, 1]
     for wanted in (0.0475, -0.005):
         data.ctrl[6] = wanted
@@ -109,7 +109,7 @@ def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig) -> None:
     block_body.add_geom(name="block", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.02, 0.005, 0.005), mass=0.05)
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qpos[finger_places(model, arm.robot)[0]] = 0.03
+    data.qpos[finger_addresses(model, arm.robot)[0]] = 0.03
     # Closed on 20 mm each way and told to close further, with 2000 N/m.
     data.ctrl[6] = 0.005
     mujoco.mj_step(model, data, 1500)
@@ -119,7 +119,7 @@ def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig) -> None:
             mujoco.mj_contactForce(model, data, k, force)
             finger = model.geom_bodyid[contact.geom[contact.geom != block][0]]
             pressed[model.body(finger).name] += force[0]
-    opening = float(data.qpos[finger_places(model, arm.robot)[0][0]])
+    opening = float(data.qpos[finger_addresses(model, arm.robot)[0][0]])
     assert 0.018 < opening < 0.02
     assert list(pressed.values()) == pytest.approx([2000 * (opening - 0.005) / 2] * 2, rel=0.02)
 
@@ -148,7 +148,7 @@ def test_only_neighbours_pass_through_each_other(arm: ArmConfig) -> None:
 
 
 def test_bare_arm_reaches_to_the_pinch_site(arm: ArmConfig, model: mujoco.MjModel) -> None:
-    bare = bare_arm(arm)
+    bare = kinematic_model(arm)
     assert (bare.nq, bare.nu, bare.ngeom, bare.neq) == (6, 0, 0, 0)
     joints = (0.3, 1.2, 1.0, -0.4, 0.2, 0.5)
     data = mujoco.MjData(bare)

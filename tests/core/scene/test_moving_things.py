@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.scene.things.joints import motion
-from yamsim_cli.core.scene.things.thing import add_object
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.scene.objects.object_joints import joint_transform
+from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.viewers.show.scene_files import classic_xml
 
 INERTIA = {"mass_g": 100, "diagonal": [1e-4, 1e-4, 1e-4], "quat": [1, 0, 0, 0]}
@@ -87,7 +87,7 @@ def test_a_hinge_is_told_in_degrees_and_starts_where_it_is_told() -> None:
     assert model.joint("thing_part").range == pytest.approx(np.radians([-10, 90]))
     assert data.qpos[7] == pytest.approx(math.radians(30))
     mujoco.mj_forward(model, data)
-    expected = item.links[0].T_in_parent @ motion(item.links[0].joint, math.radians(30))
+    expected = item.links[0].T_in_parent @ joint_transform(item.links[0].joint, math.radians(30))
     assert data.body("thing_part").xpos - data.body("thing").xpos == pytest.approx(expected[:3, 3], abs=1e-9)
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.scene.arm_model import arm_spec, kinematic_model
 from yamsim_cli.core.scene.assets import AssetStore, load_lock, make_reduced
-from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 7))
 REFERENCE = Path(__file__).parents[2] / "data" / "kinematics_reference.json"
@@ -98,9 +98,9 @@ def test_gravity_is_compensated_from_link_2_on(arm: mujoco.MjModel) -> None:
 
 def test_grasp_site_can_be_moved_by_the_rig(config: RecordConfig) -> None:
     arm = config.rig.arms[0]
-    assert bare_arm(arm).site("grasp_site").pos[2] == 0.1347
+    assert kinematic_model(arm).site("grasp_site").pos[2] == 0.1347
     moved = arm.model_copy(update={"grasp_offset": 0.14465})
-    assert bare_arm(moved).site("grasp_site").pos[2] == 0.14465
+    assert kinematic_model(moved).site("grasp_site").pos[2] == 0.14465
 
 
 def test_pinch_site_lies_between_the_finger_tips(arm: mujoco.MjModel) -> None:
@@ -119,7 +119,7 @@ def test_pinch_site_lies_between_the_finger_tips(arm: mujoco.MjModel) -> None:
 
 
 def test_tool_site_can_be_moved_after_compiling(config: RecordConfig) -> None:
-    bare = bare_arm(config.rig.arms[0])
+    bare = kinematic_model(config.rig.arms[0])
     bare.site("tool").pos[:] = (0, 0, 0.1)
     data = mujoco.MjData(bare)
     mujoco.mj_kinematics(bare, data)

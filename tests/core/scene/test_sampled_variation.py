@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt_data import AttemptJob, Outcome
 from yamsim_cli.core.config.randomization import RandomizationConfig, SurfaceRanges
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.variation import Variation
 from yamsim_cli.core.dataset.records import AttemptRecord, OutcomeRecord, from_json, to_json
-from yamsim_cli.core.scene import sampled_variation
-from yamsim_cli.core.scene.randomness import Stream, generator
-from yamsim_cli.core.scene.sampled_variation import sample_variation
-from yamsim_cli.core.types import EpisodeJob, Outcome
+from yamsim_cli.core.scene import randomization_sampling as sampled_variation
+from yamsim_cli.core.scene.random_streams import Stream, random_generator
+from yamsim_cli.core.scene.randomization_sampling import sample_variation
 
-JOB = EpisodeJob(3, 5)
+JOB = AttemptJob(3, 5)
 # Part -> what of the draw is its own; distractors' places are drawn elsewhere.
 OWN = {
     "lights": {"lights"},
@@ -46,7 +46,7 @@ def randomized(make_config: Callable[..., RecordConfig]) -> RecordConfig:
     return make_config({("randomization",): "default", ("randomization", "arm_dynamics"): ARMS})
 
 
-def sampled(config: RecordConfig, job: EpisodeJob = JOB, **changes: Any) -> Variation:
+def sampled(config: RecordConfig, job: AttemptJob = JOB, **changes: Any) -> Variation:
     ranges = config.randomization.model_copy(update=changes)
     return sample_variation(ranges, job, len(config.scene.lights), config.task.objects, (6,))
 
@@ -59,7 +59,7 @@ def test_nothing_is_drawn_of_what_is_left_out(config: RecordConfig, randomized: 
 
 def test_the_same_attempt_draws_the_same(randomized: RecordConfig) -> None:
     assert sampled(randomized) == sampled(randomized)
-    for other in (EpisodeJob(3, 6), EpisodeJob(4, 5)):
+    for other in (AttemptJob(3, 6), AttemptJob(4, 5)):
         one, two = asdict(sampled(randomized)), asdict(sampled(randomized, other))
         same = {key for key, value in one.items() if value == two[key]}
         assert same == {"distractors"}
@@ -82,18 +82,18 @@ def test_distractors_change_no_other_draw_but_have_looks_of_their_own(randomized
 def test_no_two_parts_share_a_stream(randomized: RecordConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     used: list[Stream] = []
 
-    def noted(job: EpisodeJob, stream: Stream) -> np.random.Generator:
+    def noted(job: AttemptJob, stream: Stream) -> np.random.Generator:
         used.append(stream)
-        return generator(job, stream)
+        return random_generator(job, stream)
 
-    monkeypatch.setattr(sampled_variation, "generator", noted)
+    monkeypatch.setattr(sampled_variation, "random_generator", noted)
     sampled(randomized)
     assert len(used) == len(set(used)) == 12
 
 
 def test_draws_stay_in_their_ranges_and_fill_them(randomized: RecordConfig) -> None:
     ranges = randomized.randomization
-    draws = [sampled(randomized, EpisodeJob(0, k)) for k in range(300)]
+    draws = [sampled(randomized, AttemptJob(0, k)) for k in range(300)]
     assert ranges.mass
     assert ranges.lens_deg
     assert ranges.camera
@@ -126,13 +126,14 @@ def test_draws_stay_in_their_ranges_and_fill_them(randomized: RecordConfig) -> N
 def test_textures_come_up_as_often_as_their_weights_say(randomized: RecordConfig) -> None:
     for weights in ({"plain": 3.0, "noise": 1.0}, {"noise": 1.0, "plain": 3.0}):
         surface = SurfaceRanges(saturation=(0, 1), value=(0, 1), contrast=(0, 0.5), textures=weights)
-        found = Counter(sampled(randomized, EpisodeJob(0, k), table=surface).table.texture for k in range(400))  # type: ignore[union-attr]
+        found = Counter(sampled(randomized, AttemptJob(0, k), table=surface).table.texture for k in range(400))  # type: ignore[union-attr]
         assert 260 < found["plain"] < 340
 
 
 def test_streams_differ_whatever_splits_them() -> None:
     states = [
-        generator(JOB, Stream.NOISE, *of).integers(2**60) for of in [(), (0,), (1,), (0, 0), (0, 1), (1, 0), (0, 0, 0)]
+        random_generator(JOB, Stream.NOISE, *of).integers(2**60)
+        for of in [(), (0,), (1,), (0, 0), (0, 1), (1, 0), (0, 0, 0)]
     ]
     assert len(set(states)) == len(states)
 
@@ -142,7 +143,7 @@ def test_the_ledger_keeps_draws_and_leaves_out_what_was_not_drawn(randomized: Re
     without_arms = {"arm_dynamics": None} if left_out == "arm_dynamics" else {}
     drawn = Variation() if left_out == "randomized" else sampled(randomized, **without_arms)
     record = AttemptRecord(
-        attempt=5, seed=3, episode=None, outcome=OutcomeRecord.of(Outcome(False)), layout={}, randomized=drawn
+        attempt=5, seed=3, episode=None, outcome=OutcomeRecord.from_outcome(Outcome(False)), layout={}, randomized=drawn
     )
     text = to_json(record)
     assert not left_out or left_out.encode() not in text

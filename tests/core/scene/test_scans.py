@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.generated import MADE
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things.made import MADE
-from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
-from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.objects.fit import Scan
-from yamsim_cli.objects.importing.ycb import MASS_G
+from yamsim_cli.core.scene.objects.scene_object import add_object
+from yamsim_cli.objects.importing.ycb_import import MASS_G
+from yamsim_cli.objects.primitive_fit import Scan
 from yamsim_cli.objects.primitives import signed_distance
 
 # By how much (m) 99 % of a scan's outside may stick out of its primitives, and they out of its box.

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import recording_blueprint
-from yamsim_cli.core.scene.compiling import compile_spec
+from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 SIZE = (160, 120)
 QUALITIES = ("fast", "balanced", "high")
@@ -36,7 +36,7 @@ CHANGED = 4
 
 def scene(rig: str, quality: str) -> tuple[mujoco.MjModel, RecordConfig, Array]:
     """The scene of a recording with a box that can be moved, and where the box hangs above the table."""
-    opener = Opener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
+    opener = SessionOpener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
     where = opener.locations()
     config = opener.config("default", where, rig=rig, quality=quality, size=f"{SIZE[0]}x{SIZE[1]}", wrist=True)
     spec = compose(recording_blueprint(config), where)

@@ -11,13 +11,13 @@ import pytest
 
 from tests.meshes import box
 from tests.stand_in_meshes import stand_ins
+from yamsim_cli.core.config.mesh_provenance import PATTERN, PRIMITIVES, describe_remedy, mesh_differences
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.config.shown_meshes import PATTERN, PRIMITIVES, differences, remedy
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.scene.build import build_scene, noting_meshes
+from yamsim_cli.core.scene.build import build_scene, state_meshes
 
 Make = Callable[..., RecordConfig]
 ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb_small"
@@ -26,7 +26,7 @@ ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb
 @pytest.fixture
 def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
     def of(config: RecordConfig, meshes: dict[str, Path | None]) -> dict[str, str]:
-        said = noting_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
+        said = state_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
         assert said is not None
         for text in said.values():
             assert re.fullmatch(PATTERN, text)
@@ -43,7 +43,7 @@ def test_content_decides_and_not_where_it_lies(
     other = stand_ins(tmp_path / "c", locations, ARM, YCB)
     assert other[YCB]
     (other[YCB] / "011_banana.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
-    assert [text.split(":")[0] for text in differences(one, drawn(config, other))] == [YCB]
+    assert [text.split(":")[0] for text in mesh_differences(one, drawn(config, other))] == [YCB]
 
 
 def test_files_that_are_not_used_do_not_count(
@@ -131,5 +131,5 @@ FULL, OTHER = "full " + "0" * 64, "full " + "1" * 64
 def test_what_differs_is_named_with_what_to_do(
     recorded: dict[str, str], now: dict[str, str], told: str, todo: str
 ) -> None:
-    assert differences(recorded | {"b": FULL}, now | {"b": FULL}) == [told]
-    assert todo in remedy(recorded, now)
+    assert mesh_differences(recorded | {"b": FULL}, now | {"b": FULL}) == [told]
+    assert todo in describe_remedy(recorded, now)

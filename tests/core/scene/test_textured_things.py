@@ -12,11 +12,11 @@ import pytest
 from tests.mugs import HEIGHT, RADIUS, has_import_extra, mug, picture
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.assets import AssetStore, resolve_own
-from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.objects.importing.from_file import ImportedFile, import_file
-from yamsim_cli.objects.make import ImportOptions
-from yamsim_cli.objects.readers.read import UnitOptions, read_thing
+from yamsim_cli.core.scene.assets import AssetStore, resolve_user_set
+from yamsim_cli.core.scene.objects.scene_object import add_object
+from yamsim_cli.objects.building import ImportOptions
+from yamsim_cli.objects.importing.file_import import ImportedObjectFile, import_file
+from yamsim_cli.objects.readers.object_reader import UnitOptions, read_object
 from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
@@ -26,7 +26,7 @@ PLACES = [(0.25, 0.15), (0.75, 0.9), (0.6, 0.5), (0.1, 0.8)]
 
 
 @pytest.fixture(scope="module")
-def printed(tmp_path_factory: pytest.TempPathFactory, locations: Locations) -> tuple[ImportedFile, Locations]:
+def printed(tmp_path_factory: pytest.TempPathFactory, locations: Locations) -> tuple[ImportedObjectFile, Locations]:
     folder = tmp_path_factory.mktemp("printed")
     made = mug(24)
     made.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # y up
@@ -36,11 +36,11 @@ def printed(tmp_path_factory: pytest.TempPathFactory, locations: Locations) -> t
     return import_file(folder / "mug.glb", UnitOptions(), wishes, where, folder / "mug.yaml"), where
 
 
-def spec_of(printed: tuple[ImportedFile, Locations]) -> mujoco.MjSpec:
+def spec_of(printed: tuple[ImportedObjectFile, Locations]) -> mujoco.MjSpec:
     imported, where = printed
     name = imported.config.mesh.set
     spec = mujoco.MjSpec()
-    add_object(spec, imported.config, {name: resolve_own(AssetStore(where.assets), name)})
+    add_object(spec, imported.config, {name: resolve_user_set(AssetStore(where.assets), name)})
     return spec
 
 
@@ -76,9 +76,9 @@ def expected() -> list[Any]:
     return [pytest.approx(image[int((1 - v) * 511), int(u * 511)].astype(float), abs=12) for u, v in PLACES]
 
 
-def test_the_web_page_shows_the_picture(printed: tuple[ImportedFile, Locations]) -> None:
+def test_the_web_page_shows_the_picture(printed: tuple[ImportedObjectFile, Locations]) -> None:
     pytest.importorskip("viser")
-    from yamsim_cli.viewers.shapes import textured_mesh
+    from yamsim_cli.viewers.scene_nodes import textured_mesh
 
     model = spec_of(printed).compile()
     geom = model.geom("mug_look").id
@@ -92,13 +92,13 @@ def test_the_web_page_shows_the_picture(printed: tuple[ImportedFile, Locations])
     assert textured_mesh(model, model.geom("mug_collide_0").id) is None
 
 
-def origin(printed: tuple[ImportedFile, Locations]) -> np.ndarray:
+def origin(printed: tuple[ImportedObjectFile, Locations]) -> np.ndarray:
     return np.array(printed[0].config.mesh.origin)
 
 
 @pytest.mark.parametrize("reader", ["3.3", "4"])
 def test_a_composed_scene_is_read_back_with_its_picture(
-    printed: tuple[ImportedFile, Locations], tmp_path: Path, reader: Any
+    printed: tuple[ImportedObjectFile, Locations], tmp_path: Path, reader: Any
 ) -> None:
     spec = spec_of(printed)
     spec.modelname = "mug_scene"
@@ -106,7 +106,7 @@ def test_a_composed_scene_is_read_back_with_its_picture(
     for name, data in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(data)
-    (part,) = read_thing(tmp_path / "scene.xml", UnitOptions()).parts
+    (part,) = read_object(tmp_path / "scene.xml", UnitOptions()).parts
     (look,) = part.looks
     from yamsim_cli.core.images.png import decode_png
 
@@ -118,7 +118,7 @@ def test_a_composed_scene_is_read_back_with_its_picture(
 
 
 @pytest.mark.render
-def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedFile, Locations]) -> None:
+def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedObjectFile, Locations]) -> None:
     spec = spec_of(printed)
     spec.worldbody.add_camera(name="c", pos=[0, -0.4, HEIGHT / 2], xyaxes=[1, 0, 0, 0, 0, 1], fovy=20)
     spec.worldbody.add_light(pos=[0, -1, 0.05], dir=[0, 1, 0], ambient=[0.4] * 3, diffuse=[0.6] * 3)
@@ -135,18 +135,20 @@ def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedFile, Location
     assert image[138, 100, 1] > image[62, 100, 1] + 20
 
 
-def test_what_collides_by_files_needs_them(printed: tuple[ImportedFile, Locations]) -> None:
+def test_what_collides_by_files_needs_them(printed: tuple[ImportedObjectFile, Locations]) -> None:
     with pytest.raises(ResourceError, match=r"the set own-mug-.*, which mug collides by"):
         add_object(mujoco.MjSpec(), printed[0].config, {})
 
 
-def test_a_body_by_its_distance_is_for_newer_mujocos(printed: tuple[ImportedFile, Locations], tmp_path: Path) -> None:
+def test_a_body_by_its_distance_is_for_newer_mujocos(
+    printed: tuple[ImportedObjectFile, Locations], tmp_path: Path
+) -> None:
     imported, where = printed
     config = imported.config
     sdf = config.collision[0].model_dump() | {"type": "sdf"}
     changed = type(config).model_validate(config.model_dump() | {"collision": [sdf]})
     spec = mujoco.MjSpec()
-    add_object(spec, changed, {config.mesh.set: resolve_own(AssetStore(where.assets), config.mesh.set)})
+    add_object(spec, changed, {config.mesh.set: resolve_user_set(AssetStore(where.assets), config.mesh.set)})
     model = spec.compile()
     assert model.geom_type[model.geom("mug_collide_0").id] == mujoco.mjtGeom.mjGEOM_SDF
     with pytest.raises(UsageError, match="write it with --mujoco 4"):

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.config.variation import SurfaceVariation, Variation
@@ -14,10 +15,9 @@ from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.sampled_variation import sample_variation
-from yamsim_cli.core.scene.varied_model import VariedModel, pattern, scale_masses
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.opener import Opener
+from yamsim_cli.core.scene.randomization_sampling import sample_variation
+from yamsim_cli.core.scene.randomized_model import RandomizedModel, scale_masses, texture_image
+from yamsim_cli.session_opener import SessionOpener
 
 THINGS = {"drawer": "cabinet", "onto_napkin": "piece", "lift_tray": "tray"}
 STATISTICS = ("extent", "center", "meaninertia", "meanmass", "meansize")
@@ -36,12 +36,12 @@ def model(config: RecordConfig, locations: Locations) -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="module")
-def only(model: mujoco.MjModel, config: RecordConfig) -> VariedModel:
-    return VariedModel(model, config.randomization, config.scene)
+def only(model: mujoco.MjModel, config: RecordConfig) -> RandomizedModel:
+    return RandomizedModel(model, config.randomization, config.scene)
 
 
 @pytest.fixture
-def varied(only: VariedModel) -> VariedModel:
+def varied(only: RandomizedModel) -> RandomizedModel:
     only.apply(Variation())
     return only
 
@@ -58,20 +58,22 @@ def changed(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[
     return {name for name in before if not np.array_equal(before[name], after[name])}
 
 
-def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
+def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: RandomizedModel, config: RecordConfig) -> None:
     before = numbers(model)
     for k in range(5):
-        varied.apply(sample_variation(config.randomization, EpisodeJob(0, k), 2, config.task.objects, ()))
-        varied.place("mug", (0.6, 0.2, 0.0, 1.0))
+        varied.apply(sample_variation(config.randomization, AttemptJob(0, k), 2, config.task.objects, ()))
+        varied.place_distractor("mug", (0.6, 0.2, 0.0, 1.0))
         assert changed(before, numbers(model))
     varied.apply(Variation())
     assert changed(before, numbers(model)) == set()
 
 
-def test_only_mass_and_friction_touch_physics(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
+def test_only_mass_and_friction_touch_physics(
+    model: mujoco.MjModel, varied: RandomizedModel, config: RecordConfig
+) -> None:
     before = numbers(model)
     ranges = config.randomization.model_copy(update={"mass": None, "friction": None})
-    varied.apply(sample_variation(ranges, EpisodeJob(0, 0), 2, config.task.objects, ()))
+    varied.apply(sample_variation(ranges, AttemptJob(0, 0), 2, config.task.objects, ()))
     looks = ("light_", "mat_", "cam_", "geom_matid", "geom_group", "ambient", "diffuse")
     assert all(name.startswith(looks) for name in changed(before, numbers(model)))
 
@@ -83,11 +85,11 @@ def drawers() -> mujoco.MjModel:
 
 
 def scene_of(task: str) -> mujoco.MjModel:
-    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
     where = opener.locations()
     session = Session(opener.config("default", where, task=task, quality="fast"), where).without_meshes()
     with Simulators(session) as simulators:
-        return simulators.of(EpisodeJob(0, 0)).scene.model
+        return simulators.get(AttemptJob(0, 0)).scene.model
 
 
 @pytest.mark.parametrize("task", THINGS)
@@ -122,7 +124,7 @@ def test_all_bodies_of_a_thing_get_heavier_alike(drawers: mujoco.MjModel, factor
     scale_masses(drawers, {"cabinet": 1 / factor})
 
 
-def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     before = model.geom_friction.copy()
     varied.apply(Variation(friction={"banana": 0.5, "table": 2.0}))
     for geom in range(model.ngeom):
@@ -131,7 +133,7 @@ def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, va
         np.testing.assert_allclose(model.geom_friction[geom], before[geom] * [factor, 1, 1])
 
 
-def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     camera = model.cam(SCENE_CAMERA)
     before, quat, fovy = camera.pos.copy(), camera.quat.copy(), float(camera.fovy[0])
     varied.apply(Variation(lens_deg=2.0, camera=(0.1, 0.0, -0.2, 0.0, 0.0, 0.3)))
@@ -142,7 +144,7 @@ def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel,
     assert abs(expected @ camera.quat) == pytest.approx(1)
 
 
-def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     varied.apply(Variation(table=SurfaceVariation("plain", (RED, RED), 3, 0)))
     assert varied.textures == []
     material = model.material(int(model.geom("table").matid[0]))
@@ -150,17 +152,17 @@ def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: VariedM
     np.testing.assert_allclose(material.rgba[:3], RED, atol=1e-6)
 
 
-def test_a_texture_is_in_the_model_and_named(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_a_texture_is_in_the_model_and_named(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     surface = SurfaceVariation("noise", (GREY, RED), 3, 7)
     varied.apply(Variation(table=surface, floor=surface))
     assert varied.textures == [model.texture("table_textured").id, model.texture("floor_textured").id]
     assert model.material(int(model.geom("table").matid[0])).name == "table_textured"
-    start, image = int(model.tex_adr[varied.textures[0]]), pattern(surface)
+    start, image = int(model.tex_adr[varied.textures[0]]), texture_image(surface)
     np.testing.assert_array_equal(model.tex_data[start : start + image.size], image.ravel())
     assert model.geom("floor_tiles").group[0] > 2
 
 
-def test_a_checkered_floor_is_its_tiles(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_a_checkered_floor_is_its_tiles(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     varied.apply(Variation(floor=SurfaceVariation("checker", (GREY, RED), 3, 0)))
     assert varied.textures == []
     np.testing.assert_allclose(model.material("floor").rgba[:3], GREY, atol=1e-6)
@@ -168,19 +170,19 @@ def test_a_checkered_floor_is_its_tiles(model: mujoco.MjModel, varied: VariedMod
 
 
 def test_distractors_add_no_degree_of_freedom(
-    model: mujoco.MjModel, varied: VariedModel, make_config: Callable[..., RecordConfig], locations: Locations
+    model: mujoco.MjModel, varied: RandomizedModel, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     plain = build_scene(Session(make_config(), locations)).model
     assert (model.nq, model.nv, model.nu, model.neq) == (plain.nq, plain.nv, plain.nu, plain.neq)
 
 
-def test_an_absent_distractor_is_nowhere(model: mujoco.MjModel, varied: VariedModel) -> None:
+def test_an_absent_distractor_is_nowhere(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     mug = model.body("mug")
     geoms = np.flatnonzero(model.geom_bodyid == mug.id)
-    varied.place("mug", (0.4, 0.1, 0.0, 0.0))
+    varied.place_distractor("mug", (0.4, 0.1, 0.0, 0.0))
     assert (model.geom_contype[geoms] == 1).any()
     assert (model.geom_group[geoms] <= 2).any()
-    varied.place("mug", None)
+    varied.place_distractor("mug", None)
     assert not model.geom_contype[geoms].any()
     assert not model.geom_conaffinity[geoms].any()
     assert (model.geom_group[geoms] > 3).all()
@@ -189,7 +191,7 @@ def test_an_absent_distractor_is_nowhere(model: mujoco.MjModel, varied: VariedMo
 
 @pytest.mark.parametrize("texture", ["plain", "checker", "gradient", "noise"])
 def test_patterns_are_made_of_their_two_colours(texture: str) -> None:
-    image = pattern(SurfaceVariation(texture, ((0.2, 0.2, 0.2), (0.8, 0.4, 0.2)), 3, 5), 64).astype(int)
+    image = texture_image(SurfaceVariation(texture, ((0.2, 0.2, 0.2), (0.8, 0.4, 0.2)), 3, 5), 64).astype(int)
     assert image.shape == (64, 64, 3)
     low, high = (51, 51, 51), ((51, 51, 51) if texture == "plain" else (204, 102, 51))
     assert (image.reshape(-1, 3).min(0) >= np.minimum(low, high)).all()
@@ -198,12 +200,12 @@ def test_patterns_are_made_of_their_two_colours(texture: str) -> None:
 
 
 def test_a_checkerboard_repeats_as_often_as_it_says() -> None:
-    image = pattern(SurfaceVariation("checker", ((0, 0, 0), (1, 1, 1)), 4, 5), 64)
+    image = texture_image(SurfaceVariation("checker", ((0, 0, 0), (1, 1, 1)), 4, 5), 64)
     assert (np.diff(image[0, :, 0].astype(int)) != 0).sum() == 2 * 4 - 1
 
 
 def test_noise_can_be_repeated_without_a_seam() -> None:
-    image = pattern(SurfaceVariation("noise", ((0, 0, 0), (1, 1, 1)), 3, 5)).astype(int)[..., 0]
+    image = texture_image(SurfaceVariation("noise", ((0, 0, 0), (1, 1, 1)), 3, 5)).astype(int)[..., 0]
     inside = np.abs(np.diff(image, axis=0)).max()
     assert np.abs(image[0] - image[-1]).max() <= inside + 2
     assert np.abs(image[:, 0] - image[:, -1]).max() <= inside + 2

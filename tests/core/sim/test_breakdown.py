@@ -11,28 +11,28 @@ import mujoco
 import pytest
 
 from tests.attempts import planned
+from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.rules import EndReason
+from yamsim_cli.core.episode.episode_rules import EndReason
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.compiling import breakdown, keep_warnings_quiet
-from yamsim_cli.core.types import Cause
+from yamsim_cli.core.scene.compilation import keep_warnings_quiet, physics_failure
 
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.episode.runner import EpisodeRunner
-from yamsim_cli.core.episode.rules import EndReason
+from yamsim_cli.core.episode.runner import AttemptRunner
+from yamsim_cli.core.episode.episode_rules import EndReason
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.attempt_data import AttemptJob
 where = Locations.find({})
 config = load_config(RecordConfig, "record", "default", where)
 task = config.task.model_copy(update={"start_joints": (0.0, 106.0, 109.0, -78.5, 0.0, 0.0)})
-with EpisodeRunner(Session(config, where).with_values(task=task), render=False) as runner:
-    outcomes = [runner.run(EpisodeJob(0, number)).outcome for number in (1, 3)]
+with AttemptRunner(Session(config, where).with_values(task=task), render=False) as runner:
+    outcomes = [runner.run(AttemptJob(0, number)).outcome for number in (1, 3)]
 for outcome in outcomes:
     print(outcome.cause, "|", outcome.detail)
 """
@@ -56,7 +56,7 @@ def test_a_simulation_that_breaks_down_fails_for_that_and_writes_nothing(tmp_pat
 def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-    assert done.outcome.cause is not Cause.UNSTABLE
+    assert done.outcome.cause is not FailureCause.UNSTABLE
     assert done.played is not None
     assert done.played.end.reason is EndReason.ACTOR
 
@@ -74,12 +74,12 @@ def test_each_fatal_warning_is_told_in_mujocos_words(
     monkeypatch.chdir(tmp_path)
     keep_warnings_quiet()
     model, data = falling
-    assert breakdown(data) is None
+    assert physics_failure(data) is None
     data.qvel[2] = 1e20
     mujoco.mj_step(model, data)
-    assert breakdown(data) == "Nan, Inf or huge value in QVEL at DOF 2"
+    assert physics_failure(data) == "Nan, Inf or huge value in QVEL at DOF 2"
     mujoco.mj_resetData(model, data)
-    assert breakdown(data) is None
+    assert physics_failure(data) is None
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
-from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
-from yamsim_cli.core.episode.engine import demonstrate, repeat
-from yamsim_cli.core.episode.expert import sides
-from yamsim_cli.core.episode.payload import frames
-from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES
+from yamsim_cli.core.attempt_data import ActionSequence, FailureCause
+from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
+from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.geometry.folding import outline_area
-from yamsim_cli.core.geometry.sheets import crossings
-from yamsim_cli.core.scene.cloth import edges, triangles
+from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
+from yamsim_cli.core.geometry.cloth_folding import outline_area
+from yamsim_cli.core.scene.cloth import grid_edges, grid_triangles
 from yamsim_cli.core.sim import cloth as crumple
-from yamsim_cli.core.sim.cloth import moved_points, simulated_pull
-from yamsim_cli.core.sim.shapes import geom_bounds
-from yamsim_cli.core.sim.world import world_of
-from yamsim_cli.core.types import Actions, Cause
+from yamsim_cli.core.sim.cloth import moving_points, simulated_pull
+from yamsim_cli.core.sim.geom_shapes import geom_aabb
+from yamsim_cli.core.sim.sim_world import make_sim_world
 
 
 def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
@@ -33,10 +33,10 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         simulator, attempt, data = started(simulators)
         scene = simulator.scene
         assert attempt.layout is not None
-        world = world_of(scene, data, sides(simulator.config))
-        points = world.points("napkin")
+        world = make_sim_world(scene, data, arm_sides(simulator.config))
+        points = world.cloth_points("napkin")
         assert points.shape == (9, 9, 3)
-        assert world.touching("napkin", "table") and not world.holders("napkin")
+        assert world.touching("napkin", "table") and not world.holding_sides("napkin")
         # It sinks in by less than a tenth of its thickness.
         assert np.allclose(points[..., 2], simulator.config.table.top + 0.0025, atol=5e-4)
         along = points[0, -1] - points[0, 0]
@@ -61,7 +61,7 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
             assert np.ptp(points[:, 2]) > 0.015
             assert points[:, 2].min() > simulator.config.table.top
             grid = simulator.scene.cloths["napkin"].grid
-            assert not crossings(points, edges(*grid), triangles(*grid))
+            assert not count_self_intersections(points, grid_edges(*grid), grid_triangles(*grid))
         assert np.array_equal(starts[0], starts[2])
         assert np.abs(starts[0] - starts[1]).max() > 0.01
 
@@ -75,9 +75,9 @@ def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatc
         sunk[height] -= 0.017
         standing[height] += 0.017
         falls = iter([sunk, standing])
-        monkeypatch.setattr(crumple, "_dropped", lambda *given: next(falls))
+        monkeypatch.setattr(crumple, "_drop_cloth", lambda *given: next(falls))
         rng = np.random.default_rng(0)
-        again = crumple.crumpled(
+        again = crumple.crumple(
             simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
         )
         assert np.array_equal(again, standing)
@@ -87,12 +87,12 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, _, data = started(simulators)
         scene, model = simulator.scene, simulator.scene.model
-        world = world_of(scene, data, sides(simulator.config))
+        world = make_sim_world(scene, data, arm_sides(simulator.config))
         cloth = scene.cloths["napkin"]
         assert not world.hands_beneath("napkin")
         # Around the tip that is lowest now.
         tips = [k for k in range(model.ngeom) if "finger_collide" in model.geom(k).name]
-        tip = min((geom_bounds(model, data, k)[0][2], k) for k in tips)
+        tip = min((geom_aabb(model, data, k)[0][2], k) for k in tips)
         for over, expected in ((0.001, 1), (-0.001, 0)):
             data.qpos[cloth.qpos] = [*(data.geom_xpos[tip[1], :2] + 0.005), tip[0] + over]
             mujoco.mj_forward(model, data)
@@ -120,10 +120,10 @@ def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
         simulator, _, data = started(simulators)
         model, cloth = simulator.scene.model, simulator.scene.cloths["napkin"]
         masses, inertias = model.body_mass.copy(), model.dof_M0.copy()
-        corner, ends = np.array([0]), edges(*cloth.grid)
+        corner, ends = np.array([0]), grid_edges(*cloth.grid)
         at, most = cloth.points(data.qpos)[corner], 0.0
         rest = np.linalg.norm(np.diff(cloth.rest[ends], axis=1)[:, 0], axis=1)
-        with moved_points(model, data, cloth, corner) as lead:
+        with moving_points(model, data, cloth, corner) as lead:
             for _ in range(250):
                 at[:, 2] += 0.3 * model.opt.timestep
                 lead(at)
@@ -221,30 +221,30 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         states = done.states
-        acting = Actions(
+        acting = ActionSequence(
             *(np.concatenate([getattr(state.actions, key) for state in states]) for key in ("ctrl", "magnet", "joints"))
         )
         held = np.flatnonzero(acting.magnet.all(axis=1))
         assert held[0] > 0 and held[-1] < len(acting.magnet) - 1
         assert not acting.magnet[[0, -1]].any()
 
-        again = repeat(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), EXPERT_RULES)
+        again = run_actions(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), EXPERT_RULES)
         for one, other in zip(states, again.states, strict=True):
             assert np.array_equal(one.qpos, other.qpos)
             assert np.array_equal(one.actions.magnet, other.actions.magnet)
 
-        recorded = frames(simulator, attempt, states[:2])
+        recorded = frame_records(simulator, attempt, states[:2])
         cameras = list(simulator.scene.cameras)
-        assert not frame_faults(recorded[0], expected_forms(["napkin"], cameras, 2, 7, cloths={"napkin": (9, 9)}))
+        assert not frame_faults(recorded[0], expected_specs(["napkin"], cameras, 2, 7, cloths={"napkin": (9, 9)}))
         assert recorded[0]["grasp"] == "cloth_constraint"
 
         ctrl = acting.ctrl.copy()
         for arm in simulator.scene.arms:
             assert arm.fingers is not None
             ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
-        dropped = repeat(simulator, attempt, replace(acting, ctrl=ctrl), REPEATED_RULES)
+        dropped = run_actions(simulator, attempt, replace(acting, ctrl=ctrl), REPLAY_RULES)
         assert not dropped.outcome.success
-        assert demonstrate(simulator, attempt, grips=False).outcome.cause is Cause.SLIPPED
+        assert demonstrate(simulator, attempt, grips=False).outcome.cause is FailureCause.SLIPPED
 
 
 @pytest.mark.parametrize(

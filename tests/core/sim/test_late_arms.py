@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
@@ -13,8 +14,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.sim.readings import readings, sensed
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.sim.encoder_readings import delayed_positions, encoder_readings
 
 WHERE = Locations.find({})
 STEP = 0.002
@@ -85,7 +85,7 @@ def test_encoders_read_where_joints_were_and_begin_at_rest() -> None:
     seen, were = [], [float(data.qpos[scene.arm.joint_qpos[0]])]
     for _ in range(30):
         scene.step(data)
-        now = sensed(scene, data)
+        now = delayed_positions(scene, data)
         assert now is not None
         seen.append(now[0, 0])
         were.append(float(data.qpos[scene.arm.joint_qpos[0]]))
@@ -104,11 +104,11 @@ def test_readings_are_off_by_offsets_come_in_steps_and_their_noise_is_the_attemp
     scene = _scene(dynamics)
     true = np.array([[0.0, 1.4001, 1.5, -0.3, 0.0, 0.0, 0.03]])
 
-    read = readings(scene, true, EpisodeJob(0, 0), 0)
+    read = encoder_readings(scene, true, AttemptJob(0, 0), 0)
 
     assert np.allclose(read, [[0.0, 1.420, 1.5, -0.3, 0.0, 0.0, 0.03]], atol=1e-12)
     noisy = _scene(dynamics.model_copy(update={"sensor_noise_rad": 0.01, "encoder_step_rad": 0.0}))
-    some = [readings(noisy, true, EpisodeJob(seed, 0), tick) for seed, tick in ((0, 0), (0, 0), (0, 1), (1, 0))]
+    some = [encoder_readings(noisy, true, AttemptJob(seed, 0), tick) for seed, tick in ((0, 0), (0, 0), (0, 1), (1, 0))]
     assert np.array_equal(some[0], some[1])
     assert not np.allclose(some[0], some[2])
     assert not np.allclose(some[0], some[3])
@@ -122,7 +122,7 @@ def test_an_arm_as_its_model_is_read_exactly_and_stepped_as_before() -> None:
     scene.step(data, 20)
     mujoco.mj_step(scene.model, plain, 20)
 
-    assert sensed(scene, data) is None
+    assert delayed_positions(scene, data) is None
     assert np.array_equal(data.qpos, plain.qpos)
     true = np.zeros((1, 7))
-    assert readings(scene, true, EpisodeJob(0, 0), 0) is true
+    assert encoder_readings(scene, true, AttemptJob(0, 0), 0) is true

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from tests.programs import STATION, changed, session_of
-from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.episode.expert import sides
+from yamsim_cli.core.attempt_data import AttemptJob
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
-from yamsim_cli.core.expert.planning.arm_tools import start_stands
-from yamsim_cli.core.expert.skills.bench import Bench
+from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.expert.skills.hand import Hand
 from yamsim_cli.core.expert.skills.insert import Insert
+from yamsim_cli.core.expert.skills.planning_context import PlanningContext
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from yamsim_cli.core.sim.shapes import body_surface
-from yamsim_cli.core.sim.world import SimWorld, world_of
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.sim.geom_shapes import body_surface
+from yamsim_cli.core.sim.sim_world import SimWorld, make_sim_world
 
 INERTIA = {"mass_g": 5, "diagonal": [1e-6, 1e-6, 1e-6], "quat": [1, 0, 0, 0]}
 
@@ -69,16 +69,16 @@ THINGS: dict[str, Any] = {
 }
 
 
-class Placed:
+class PlacedScene:
     """A scene in which things are put where a test wants them."""
 
     def __init__(self, simulator: Simulator, world: SimWorld) -> None:
         self.scene, self.world, self._simulator = simulator.scene, world, simulator
 
-    def bench(self) -> Bench:
+    def bench(self) -> PlanningContext:
         """What skills find."""
-        stands = list(start_stands(self._simulator.config))
-        return self._simulator.expert_tools.bench(self.world, stands, np.random.default_rng(0))
+        stands = list(start_postures(self._simulator.config))
+        return self._simulator.expert_tools.planning_context(self.world, stands, np.random.default_rng(0))
 
     def put(self, name: str, at: tuple[float, float, float], R: Array | None = None) -> None:
         """Put a thing's origin so in `world`."""
@@ -93,16 +93,16 @@ class Placed:
 
 
 @pytest.fixture(scope="module")
-def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Placed]:
+def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlacedScene]:
     things: dict[str, Any] = {name: {"of": kind} for name, kind in THINGS.items()} | {"box": {"of": BOX}}
     starts = {name: {"x": [0.3, 0.5], "y": [-0.3, 0.3]} for name in things}
     goal = {"on": {"thing": "cube", "surface": "tray"}}
     expert = [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "tray"}}]
     task = changed({("rig",): STATION, ("things",): things, ("starts",): starts, ("goal",): goal, ("expert",): expert})
     with Simulators(session_of(tmp_path_factory.mktemp("task"), task)) as simulators:
-        simulator = simulators.of(EpisodeJob(0, 0))
+        simulator = simulators.get(AttemptJob(0, 0))
         data = mujoco.MjData(simulator.scene.model)
-        yield Placed(simulator, world_of(simulator.scene, data, sides(simulator.config)))
+        yield PlacedScene(simulator, make_sim_world(simulator.scene, data, arm_sides(simulator.config)))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
@@ -127,90 +127,92 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Placed]:
     ],
 )
 def test_the_interior_is_what_walls_enclose(
-    placed: Placed, container: str, at: tuple[float, float, float], share: float, turn: float
+    placed: PlacedScene, container: str, at: tuple[float, float, float], share: float, turn: float
 ) -> None:
     R = rotation_z(turn)
     placed.put(container, (0.4, 0.1, 0.0), R)
     placed.put("ball", tuple(R @ at + (0.4, 0.1, 0.0)))
-    assert placed.world.share_inside("ball", container) == pytest.approx(share, abs=0.05)
+    assert placed.world.volume_fraction_inside("ball", container) == pytest.approx(share, abs=0.05)
 
 
-def test_a_container_may_lie_and_stand_on_its_head(placed: Placed) -> None:
+def test_a_container_may_lie_and_stand_on_its_head(placed: PlacedScene) -> None:
     for tilt in (1.5, 3.1):
         R = rotation_from_vector([tilt, 0.0, 0.0])
         placed.put("mug", (0.4, 0.1, 0.5), R)
         placed.put("ball", tuple(R @ (0, 0, 0.04) + (0.4, 0.1, 0.5)))
-        assert placed.world.share_inside("ball", "mug") == 1
+        assert placed.world.volume_fraction_inside("ball", "mug") == 1
 
 
-def test_a_drawer_holds_what_is_in_it_open_and_closed(placed: Placed) -> None:
+def test_a_drawer_holds_what_is_in_it_open_and_closed(placed: PlacedScene) -> None:
     placed.put("cabinet", (0.5, 0.0, 0.0))
     for opened in (0.0, 0.06, 0.13):
         placed.open("cabinet", "drawer", opened)
         placed.put("cube", (0.5 - 0.05 - opened, 0.02, 0.017))
-        assert placed.world.share_inside("cube", "cabinet") > 0.99, opened
+        assert placed.world.volume_fraction_inside("cube", "cabinet") > 0.99, opened
         # Before the drawer, under its knob.
         placed.put("cube", (0.5 - 0.15 - opened, 0.0, 0.0))
-        assert placed.world.share_inside("cube", "cabinet") == 0, opened
+        assert placed.world.volume_fraction_inside("cube", "cabinet") == 0, opened
     # Where the open drawer was, the cabinet has no front.
     placed.put("cube", (0.5, 0.0, 0.05))
-    assert placed.world.share_inside("cube", "cabinet") == 0
+    assert placed.world.volume_fraction_inside("cube", "cabinet") == 0
 
 
-def test_a_lid_is_part_of_the_block_wherever_it_is(placed: Placed) -> None:
+def test_a_lid_is_part_of_the_block_wherever_it_is(placed: PlacedScene) -> None:
     placed.put("box", (0.4, 0.0, 0.0), rotation_z(0.4))
     placed.open("box", "lid", 0.0)
-    closed = placed.world.block("box")
+    closed = placed.world.local_box("box")
     np.testing.assert_allclose(closed, [[-0.1, -0.1, 0.0], [0.1, 0.1, 0.104]], atol=1e-6)
     placed.open("box", "lid", np.pi / 2)
-    np.testing.assert_allclose(placed.world.block("box"), [[-0.1, -0.1, 0.0], [0.104, 0.1, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(placed.world.local_box("box"), [[-0.1, -0.1, 0.0], [0.104, 0.1, 0.3]], atol=1e-6)
     placed.put("ball", (0.4, 0.0, 0.06))
-    assert placed.world.share_inside("ball", "box") == 1
+    assert placed.world.volume_fraction_inside("ball", "box") == 1
     placed.put("ball", (0.4, 0.0, 0.2))
-    assert placed.world.share_inside("ball", "box") == 0
+    assert placed.world.volume_fraction_inside("ball", "box") == 0
     placed.open("box", "lid", 0.0)
 
 
-def test_things_are_put_within_the_walls_of_a_round_container(placed: Placed) -> None:
+def test_things_are_put_within_the_walls_of_a_round_container(placed: PlacedScene) -> None:
     """The corners of the block around a bowl lie outside of it, where the table is lower than its floor."""
     placed.put("bowl", (0.4, 0.0, 0.0))
     bench = placed.bench()
-    goals = Insert(thing="ball", into="bowl").goals(bench, Cast({"ball": ("ball",), "bowl": ("bowl",)}, {}), "ball")
+    goals = Insert(thing="ball", into="bowl").goals(
+        bench, RoleAssignment({"ball": ("ball",), "bowl": ("bowl",)}, {}), "ball"
+    )
     assert goals
     assert max(float(np.hypot(*(T[:2, 3] - (0.4, 0.0)))) for T in goals) < 0.08
 
 
-def test_a_thing_goes_beside_another_one_in_a_container(placed: Placed) -> None:
+def test_a_thing_goes_beside_another_one_in_a_container(placed: PlacedScene) -> None:
     """It stands on the floor. A thing that leans in the hand may also keep its lean."""
     placed.put("bin", (0.4, 0.0, 0.0))
     placed.put("cube", (0.4, 0.0, 0.03))
     bench = placed.bench()
-    roles = Cast({"ball": ("ball",), "bin": ("bin",)}, {})
+    roles = RoleAssignment({"ball": ("ball",), "bin": ("bin",)}, {})
     goals = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
-    assert goals[0][2, 3] < bench.world.bounds("ball")[1][2] - bench.world.bounds("ball")[0][2]
+    assert goals[0][2, 3] < bench.world.aabb("ball")[1][2] - bench.world.aabb("ball")[0][2]
     placed.put("ball", (0.4, 0.3, 0.1), rotation_from_vector([0.2, 0.0, 0.0]))
     leaning = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
     assert len(leaning) == 2 * len(goals) and leaning[-1][2, 2] == pytest.approx(np.cos(0.2))
 
 
-def test_what_has_no_room_in_a_container_is_not_picked_for_it(placed: Placed) -> None:
+def test_what_has_no_room_in_a_container_is_not_picked_for_it(placed: PlacedScene) -> None:
     placed.put("bowl", (0.4, 0.0, 0.0))
     bench = placed.bench()
-    roles = Cast({"box": ("box",), "bowl": ("bowl",)}, {})
+    roles = RoleAssignment({"box": ("box",), "bowl": ("bowl",)}, {})
     insert = Insert(thing="box", into="bowl")
     assert not insert.goals(bench, roles, "box")
-    fault = insert.fault(bench, roles, cast(Hand, None), "box", np.eye(4), np.zeros(6))
+    fault = insert.infeasibility(bench, roles, cast(Hand, None), "box", np.eye(4), np.zeros(6))
     assert fault == "there is no room for it on or in the bowl"
 
 
-def test_the_volume_of_a_thing_moves_with_its_parts(placed: Placed) -> None:
+def test_the_volume_of_a_thing_moves_with_its_parts(placed: PlacedScene) -> None:
     placed.put("box", (0.4, 0.0, 0.0))
     placed.put("bin", (0.4, 0.0, -0.2))
     placed.put("cabinet", (1.0, 0.0, 0.0))
     placed.open("cabinet", "drawer", 0.13)
-    low, high = placed.world.block("cabinet")
+    low, high = placed.world.local_box("cabinet")
     np.testing.assert_allclose(low, [-0.26, -0.12, 0.0], atol=1e-6)
-    inside = placed.world.share_in_block("cabinet", "cabinet")
+    inside = placed.world.volume_fraction_in_box("cabinet", "cabinet")
     assert inside == 1 and high[2] == pytest.approx(0.11)
     points = np.concatenate([points for points, _ in placed.world._filled("cabinet")])
     assert points[:, 0].min() < 1.0 - 0.25

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.workers.toy_runners import Toy
+from tests.core.workers.toy_runners import ToyRunner
 from yamsim_cli.core.errors import PartialJobError, ResourceError, SimulationError
-from yamsim_cli.core.workers import processes as workers
-from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError, run_all
-from yamsim_cli.core.workers.processes import WorkerPool
-from yamsim_cli.core.workers.serving import forks_end_here
+from yamsim_cli.core.workers import process_pool as workers
+from yamsim_cli.core.workers.executors import LostJobError, WorkerBugError, run_all
+from yamsim_cli.core.workers.job_server import kill_forks_at_exit
+from yamsim_cli.core.workers.process_pool import ProcessPool
 
 
-def _pool(workers: int = 1, job_seconds: float = 60.0) -> WorkerPool[int | str, object]:
-    return WorkerPool(Toy, workers, job_seconds)
+def _pool(workers: int = 1, job_seconds: float = 60.0) -> ProcessPool[int | str, object]:
+    return ProcessPool(ToyRunner, workers, job_seconds)
 
 
 def _alive(pid: int) -> bool:
@@ -177,18 +177,18 @@ def test_a_worker_that_is_only_just_starting_is_deaf_to_ctrl_c() -> None:
 
 
 def test_a_runner_that_cannot_be_made_is_reported() -> None:
-    with WorkerPool[int, object](functools.partial(Toy, "no argument", "too many"), 1) as pool:  # type: ignore[call-arg]
+    with ProcessPool[int, object](functools.partial(ToyRunner, "no argument", "too many"), 1) as pool:  # type: ignore[call-arg]
         pool.submit(1)
         with pytest.raises(WorkerBugError, match="TypeError"):
             pool.result()
-    with WorkerPool[int, object](functools.partial(Toy, "refuse"), 2) as pool:
+    with ProcessPool[int, object](functools.partial(ToyRunner, "refuse"), 2) as pool:
         pool.submit(1)
         with pytest.raises(ResourceError, match=r"^no toys here$"):
             pool.result()
 
 
 def test_workers_that_die_while_starting_are_not_replaced_for_ever() -> None:
-    with WorkerPool[int, object](functools.partial(Toy, "die"), 2) as pool:
+    with ProcessPool[int, object](functools.partial(ToyRunner, "die"), 2) as pool:
         pool.submit(1)
         with pytest.raises(PartialJobError, match=r"do not start: .* the last one ended with code 9"):
             pool.result()
@@ -197,10 +197,10 @@ def test_workers_that_die_while_starting_are_not_replaced_for_ever() -> None:
 def _parent(tmp_path: Path, last_words: str) -> subprocess.Popen[str]:
     script = tmp_path / "parent.py"
     script.write_text(
-        "from tests.core.workers.toy_runners import Toy\n"
-        "from yamsim_cli.core.workers.processes import WorkerPool\n"
+        "from tests.core.workers.toy_runners import ToyRunner\n"
+        "from yamsim_cli.core.workers.process_pool import ProcessPool\n"
         "if __name__ == '__main__':\n"
-        "    pool = WorkerPool(Toy, 1)\n"
+        "    pool = ProcessPool(ToyRunner, 1)\n"
         "    pool.submit('pid')\n"
         "    print(pool.result()[1], flush=True)\n"
         "    pool.submit('sleep')\n"
@@ -238,7 +238,7 @@ def _code(child: int) -> int:
 
 @pytest.mark.parametrize(("how", "code"), [("returns", 1), ("raises", 1), (None, 0), (3, 3), ("a word", 1)])
 def test_a_fork_ends_however_it_leaves(how: object, code: int) -> None:
-    with forks_end_here():
+    with kill_forks_at_exit():
         child = os.fork()
         if child == 0 and how == "raises":
             raise ValueError
@@ -249,8 +249,8 @@ def test_a_fork_ends_however_it_leaves(how: object, code: int) -> None:
 
 
 def test_this_process_is_not_ended() -> None:
-    with forks_end_here():
+    with kill_forks_at_exit():
         pass
     for error in (ValueError, SystemExit):
-        with pytest.raises(error), forks_end_here():
+        with pytest.raises(error), kill_forks_at_exit():
             raise error

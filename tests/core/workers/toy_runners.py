@@ -14,11 +14,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError, SimulationError
-from yamsim_cli.core.workers.pool import Answer
-from yamsim_cli.core.workers.serving import HEADER
+from yamsim_cli.core.workers.job_server import HEADER
+from yamsim_cli.core.workers.worker_pool import JobFinished
 
 
-class Toy:
+class ToyRunner:
     """Answers a job, a small number or a word, in the way the word says.
 
     Args:
@@ -28,7 +28,7 @@ class Toy:
     def __init__(self, start: str = "") -> None:
         self._start = start
 
-    def __enter__(self) -> Toy:
+    def __enter__(self) -> ToyRunner:
         if self._start == "refuse":
             raise ResourceError("no toys here")
         if self._start == "die":
@@ -66,7 +66,7 @@ class Toy:
             case "forge":
                 # As another process would answer, as this one would for another job, and then truly.
                 for pid, number in ((os.getpid() + 1, int(argument)), (os.getpid(), int(argument) + 1)):
-                    _pipe().send_bytes(HEADER.pack(pid, number) + pickle.dumps(Answer("forged")))
+                    _pipe().send_bytes(HEADER.pack(pid, number) + pickle.dumps(JobFinished("forged")))
                 return "true"
             case "fork and exit":
                 if (child := os.fork()) == 0:

@@ -4,16 +4,16 @@ from typing import Any
 
 import pytest
 
-from tests.datasets.checks.sample import Sample, episode, look
+from tests.datasets.checks.sample import SampleDataset, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.datasets.summary import Survey
+from yamsim_cli.datasets.check_summary import CheckResults
 
 
 @pytest.fixture
-def sample(config: RecordConfig) -> Sample:
+def sample(config: RecordConfig) -> SampleDataset:
     """Three whole episodes."""
-    return Sample(config.data_config(), [episode(k) for k in range(3)])
+    return SampleDataset(config.data_config(), [episode(k) for k in range(3)])
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def survey_of(locations: Locations) -> Callable[[Path], Survey]:
+def survey_of(locations: Locations) -> Callable[[Path], CheckResults]:
     return lambda path: look(path, locations)
 
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
-from yamsim_cli.core.dataset.checks.problem import Problems
-from yamsim_cli.core.dataset.layout import episode_name, image_name, lowdim_name
+from yamsim_cli.core.dataset.checks.problem import ProblemCollector
+from yamsim_cli.core.dataset.dataset_paths import episode_name, image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import (
     AttemptRecord,
@@ -25,14 +25,14 @@ from yamsim_cli.core.dataset.records import (
     file_hashes,
     to_json,
 )
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.geometry.camera import Intrinsics
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.images.jpeg import JpegReader
+from yamsim_cli.datasets.check_summary import CheckResults, combine_checks
 from yamsim_cli.datasets.checks.episode import check_episode
-from yamsim_cli.datasets.summary import Survey, survey
 
 CAMERA = "scene_camera"
 WIDTH, HEIGHT = 64, 48
@@ -147,7 +147,7 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
 
 
 @dataclass
-class Sample:
+class SampleDataset:
     """A dataset not written yet: its episodes, and attempts that failed."""
 
     config: dict[str, Any]
@@ -215,15 +215,15 @@ class Sample:
         return path
 
 
-def look(path: Path, locations: Locations) -> Survey:
+def look(path: Path, locations: Locations) -> CheckResults:
     """What `yamsim summarize` finds, in this process."""
     directories, recorded = find_episodes(path)
-    problems = Problems()
+    problems = ProblemCollector()
     context = read_context(path, recorded, locations, problems)
     with JpegReader() as reader:
         facts = [check_episode(directory, context, reader) for directory in directories]
-    found = survey(path, context, facts, problems)
-    json.dumps([problem.plain() for problem in found.problems], allow_nan=False)
+    found = combine_checks(path, context, facts, problems)
+    json.dumps([problem.to_json_data() for problem in found.problems], allow_nan=False)
     for problem in found.problems:
         assert "\n" not in problem.text
     return found

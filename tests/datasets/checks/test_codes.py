@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, HEIGHT, OUTCOME, WIDTH, Episode, Sample, black, encode, picture
+from tests.datasets.checks.sample import CAMERA, HEIGHT, OUTCOME, WIDTH, Episode, SampleDataset, black, encode, picture
 from yamsim_cli.core.dataset.checks.problem import CODES
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.dataset.records import to_json
@@ -25,10 +25,10 @@ FRAME = "lowdim/000002.pkl"
 EP = "ep_000001"
 
 
-def value(key: str, change: Callable[[Any], Any], k: int = 2) -> Callable[[Sample], None]:
+def value(key: str, change: Callable[[Any], Any], k: int = 2) -> Callable[[SampleDataset], None]:
     """Change what a frame of episode 1 holds under `key`, everything else fitting it."""
 
-    def apply(sample: Sample) -> None:
+    def apply(sample: SampleDataset) -> None:
         frame = sample.episodes[1].frames[k]
         outer, _, inner = key.removesuffix("]").partition("[")
         if inner:
@@ -48,11 +48,11 @@ def entry(row: int, column: int, number: float) -> Callable[[np.ndarray], np.nda
     return change
 
 
-def one(sample: Sample) -> Episode:
+def one(sample: SampleDataset) -> Episode:
     return sample.episodes[1]
 
 
-def joints(amount: float, joint: int, k: int = 2) -> Callable[[Sample], None]:
+def joints(amount: float, joint: int, k: int = 2) -> Callable[[SampleDataset], None]:
     """Move a joint of episode 1 in one frame, or set it where `amount` is beyond any stop."""
 
     def change(q: np.ndarray) -> np.ndarray:
@@ -63,11 +63,11 @@ def joints(amount: float, joint: int, k: int = 2) -> Callable[[Sample], None]:
     return value("joints", change, k)
 
 
-def image(data: bytes, k: int = 2) -> Callable[[Sample], None]:
+def image(data: bytes, k: int = 2) -> Callable[[SampleDataset], None]:
     return lambda sample: one(sample).images[CAMERA].__setitem__(k, data)
 
 
-def over(**changes: Any) -> Callable[[Sample], None]:
+def over(**changes: Any) -> Callable[[SampleDataset], None]:
     return lambda sample: one(sample).over.update(changes)
 
 
@@ -127,33 +127,33 @@ def rehash(name: str, data: bytes) -> Callable[[Path], None]:
     return apply
 
 
-class Harm:
+class Damage:
     def __reduce__(self) -> tuple[Any, ...]:
         return builtins.open, ("pwned", "w")
 
 
-def copy_of_the_first(sample: Sample) -> None:
+def copy_of_the_first(sample: SampleDataset) -> None:
     sample.episodes[1].frames = sample.episodes[0].frames
 
 
-def start_of_the_first(sample: Sample) -> None:
+def start_of_the_first(sample: SampleDataset) -> None:
     sample.episodes[1].layout = sample.episodes[0].layout
 
 
-def frozen(sample: Sample) -> None:
+def frozen(sample: SampleDataset) -> None:
     one(sample).images[CAMERA][1:4] = [picture(1, 1)] * 3
 
 
-def lists_more(sample: Sample) -> None:
+def lists_more(sample: SampleDataset) -> None:
     one(sample).over["files"] = {**one(sample).record.files, "depth/000000.png": "0" * 64}
 
 
-def looks_away(sample: Sample) -> None:
+def looks_away(sample: SampleDataset) -> None:
     for frame in one(sample).frames:
         frame["extrinsics"] = {CAMERA: np.linalg.inv(frame["extrinsics"][CAMERA]).astype(np.float32)}
 
 
-def another_size(sample: Sample) -> None:
+def another_size(sample: SampleDataset) -> None:
     for frame in one(sample).frames:
         K = frame["intrinsics"][CAMERA].copy()
         K[:2] *= 2
@@ -164,7 +164,7 @@ def fewer(stream: str) -> Callable[[Path], None]:
     return remove(f"{EP}/{stream}/00000{5}.{'pkl' if stream == 'lowdim' else 'jpg'}")
 
 
-def some_meshes(sample: Sample) -> None:
+def some_meshes(sample: SampleDataset) -> None:
     """All episodes say what they show, and one shows something else."""
     for made in sample.episodes:
         made.over["meshes"] = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "reduced " + "0123456789" * 6 + "0123"}
@@ -174,7 +174,7 @@ def some_meshes(sample: Sample) -> None:
 LEDGER, MANIFEST, RECORD = "attempts.jsonl", "manifest.json", f"{EP}/episode.json"
 IN_FRAME, IN_IMAGE, PX = f"{EP}/{FRAME}", f"{EP}/{IMAGE}", f"rgb/{CAMERA}"
 # Code, damage to the sample before it is written, place and text of the only problem.
-DAMAGED_SAMPLES: list[tuple[str, Callable[[Sample], object], str, str]] = [
+DAMAGED_SAMPLES: list[tuple[str, Callable[[SampleDataset], object], str, str]] = [
     ("dataset.mixed", over(versions={"numpy": "2.1"}), "dataset", "numpy: 2 x 2.0; 1 x 2.1"),
     ("dataset.mixed", over(meshes={"ycb": "primitives"}), "dataset", "meshes ycb: 2 x not told; 1 x primitives"),
     ("dataset.mixed", some_meshes, "dataset", "meshes ycb: 2 x reduced 012345678901; 1 x primitives"),
@@ -331,7 +331,7 @@ DAMAGED_FILES: list[tuple[str, Callable[[Path], object], str, str]] = [
     ("image.decode", cut(f"{EP}/{IMAGE}", -1), IN_IMAGE, ""),
     ("lowdim.damaged", cut(f"{EP}/{FRAME}", 100), IN_FRAME, "not a whole frame"),
     ("lowdim.damaged", rehash(FRAME, pickle.dumps([1])), IN_FRAME, "must be a dictionary, not list"),
-    ("lowdim.forbidden", rehash(FRAME, pickle.dumps({"joints": Harm()})), IN_FRAME, "io.open, which no frame may"),
+    ("lowdim.forbidden", rehash(FRAME, pickle.dumps({"joints": Damage()})), IN_FRAME, "io.open, which no frame may"),
 ]
 # Codes with a test of their own: they need several steps, or leave other traces too.
 TESTED_BELOW = {"episode.number", "file.unhashed", "frames.none", "dataset.empty"}
@@ -350,7 +350,7 @@ def check(path: Path, survey_of: Any, code: str, place: str, text: str) -> None:
 
 @pytest.mark.parametrize(("code", "damage", "place", "text"), DAMAGED_SAMPLES)
 def test_exactly_what_is_wrong_in_a_sample_is_reported(
-    code: str, damage: Any, place: str, text: str, sample: Sample, path: Path, survey_of: Any
+    code: str, damage: Any, place: str, text: str, sample: SampleDataset, path: Path, survey_of: Any
 ) -> None:
     damage(sample)
     check(sample.write(path), survey_of, code, place, text)
@@ -358,7 +358,7 @@ def test_exactly_what_is_wrong_in_a_sample_is_reported(
 
 @pytest.mark.parametrize(("code", "damage", "place", "text"), DAMAGED_FILES)
 def test_exactly_the_damage_to_files_is_reported(
-    code: str, damage: Any, place: str, text: str, sample: Sample, path: Path, survey_of: Any
+    code: str, damage: Any, place: str, text: str, sample: SampleDataset, path: Path, survey_of: Any
 ) -> None:
     damage(sample.write(path))
     check(path, survey_of, code, place, text)
@@ -368,11 +368,11 @@ def test_every_code_is_tested() -> None:
     assert {code for code, *_ in [*DAMAGED_SAMPLES, *DAMAGED_FILES]} | TESTED_BELOW | TESTED_ELSEWHERE == set(CODES)
 
 
-def test_a_whole_dataset_has_no_problems(sample: Sample, path: Path, found: Any) -> None:
+def test_a_whole_dataset_has_no_problems(sample: SampleDataset, path: Path, found: Any) -> None:
     assert found(sample.write(path)) == []
 
 
-def test_two_cameras_and_a_wrist_matrix_are_part_of_the_format(sample: Sample, path: Path, found: Any) -> None:
+def test_two_cameras_and_a_wrist_matrix_are_part_of_the_format(sample: SampleDataset, path: Path, found: Any) -> None:
     for made in sample.episodes:
         made.images["right_wrist_camera"] = [picture(k, 50 + made.number) for k in range(len(made.frames))]
         for frame in made.frames:
@@ -383,15 +383,15 @@ def test_two_cameras_and_a_wrist_matrix_are_part_of_the_format(sample: Sample, p
     assert found(sample.write(path)) == []
 
 
-def test_the_same_fault_in_many_frames_is_told_once(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_the_same_fault_in_many_frames_is_told_once(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     for frame in one(sample).frames[1:]:
         frame["ctrl"] = frame["ctrl"].astype(float)
     (problem,) = survey_of(sample.write(path)).problems
     assert (problem.code, problem.file, problem.count) == ("lowdim.type", "lowdim/000001.pkl", 5)
-    assert problem.plain()["severity"] == "error"
+    assert problem.to_json_data()["severity"] == "error"
 
 
-def test_what_is_wrong_in_one_place_hides_nothing_elsewhere(sample: Sample, path: Path, found: Any) -> None:
+def test_what_is_wrong_in_one_place_hides_nothing_elsewhere(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     remove(f"ep_000000/{IMAGE}")(path)
     write("ep_000000/extra", b"")(path)
@@ -409,26 +409,26 @@ def test_what_is_wrong_in_one_place_hides_nothing_elsewhere(sample: Sample, path
     )
 
 
-def test_an_episode_under_anothers_number(sample: Sample, path: Path, found: Any) -> None:
+def test_an_episode_under_anothers_number(sample: SampleDataset, path: Path, found: Any) -> None:
     one(sample).over["episode"] = 5
     sample.write(path)
     assert ("episode.number", EP, "episode.json") in found(path)
 
 
-def test_a_file_without_a_hash(sample: Sample, path: Path, found: Any) -> None:
+def test_a_file_without_a_hash(sample: SampleDataset, path: Path, found: Any) -> None:
     made = one(sample)
     made.over["files"] = {name: value for name, value in made.record.files.items() if name != IMAGE}
     assert found(sample.write(path)) == [("file.unhashed", EP, IMAGE)]
 
 
-def test_an_episode_without_a_frame(sample: Sample, path: Path, found: Any) -> None:
+def test_an_episode_without_a_frame(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     remove(f"{EP}/rgb")(path)
     remove(f"{EP}/lowdim")(path)
     assert found(path) == [("frames.none", EP, "")]
 
 
-def test_a_dataset_without_episodes(sample: Sample, path: Path, found: Any) -> None:
+def test_a_dataset_without_episodes(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.episodes = []
     sample.write(path)
     assert found(path) == [("dataset.empty", "", "")]
@@ -437,14 +437,16 @@ def test_a_dataset_without_episodes(sample: Sample, path: Path, found: Any) -> N
     assert found(path) == [("dataset.empty", "", "")]
 
 
-def test_looking_changes_nothing(sample: Sample, path: Path, found: Any) -> None:
+def test_looking_changes_nothing(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     before = {p: (p.stat().st_mtime_ns, p.read_bytes() if p.is_file() else b"") for p in path.rglob("*")}
     found(path)
     assert {p: (p.stat().st_mtime_ns, p.read_bytes() if p.is_file() else b"") for p in path.rglob("*")} == before
 
 
-def test_frames_of_another_pickler_with_the_same_values_are_the_same(sample: Sample, path: Path, found: Any) -> None:
+def test_frames_of_another_pickler_with_the_same_values_are_the_same(
+    sample: SampleDataset, path: Path, found: Any
+) -> None:
     sample.write(path)
     rehash(FRAME, pickle.dumps(one(sample).frames[2], 5))(path)
     assert found(path) == []
@@ -457,14 +459,16 @@ def test_frames_of_another_pickler_with_the_same_values_are_the_same(sample: Sam
     [{"frames": 0}, {"frame_period_s": 0.0}, {"cameras": {CAMERA: (0, HEIGHT)}}, {"cameras": {CAMERA: (WIDTH, -1)}}],
     ids=str,
 )
-def test_a_record_with_impossible_numbers_is_damaged(sample: Sample, path: Path, found: Any, change: Any) -> None:
+def test_a_record_with_impossible_numbers_is_damaged(
+    sample: SampleDataset, path: Path, found: Any, change: Any
+) -> None:
     record = one(sample).record.model_copy(update=change)
     sample.write(path)
     write(f"{EP}/episode.json", to_json(record))(path)
     assert found(path) == [("record.damaged", EP, "episode.json")]
 
 
-def test_numbers_that_json_does_not_know_are_damage(sample: Sample, path: Path, found: Any) -> None:
+def test_numbers_that_json_does_not_know_are_damage(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     text = (path / EP / "episode.json").read_text().replace('"dz_m": 0.02', '"dz_m": NaN')
     write(f"{EP}/episode.json", text.encode())(path)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, Sample
+from tests.datasets.checks.sample import CAMERA, SampleDataset
 from tests.datasets.checks.test_codes import EP, FRAME, IMAGE, rehash, write
 from yamsim_cli.core.dataset.checks.problem import printable
 from yamsim_cli.core.errors import DatasetError
@@ -20,7 +20,7 @@ def replace_by(path: Path, make: Any) -> None:
     make(path)
 
 
-def test_a_pipe_is_not_waited_for(sample: Sample, path: Path, found: Any) -> None:
+def test_a_pipe_is_not_waited_for(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     replace_by(path / EP / FRAME, os.mkfifo)
     assert found(path) == [("file.unreadable", EP, FRAME)]
@@ -28,7 +28,7 @@ def test_a_pipe_is_not_waited_for(sample: Sample, path: Path, found: Any) -> Non
     assert found(path) == [("file.unreadable", EP, FRAME)]
 
 
-def test_a_link_to_nowhere_is_told(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_a_link_to_nowhere_is_told(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write(path)
     replace_by(path / EP / IMAGE, lambda file: file.symlink_to("nowhere"))
     (problem,) = survey_of(path).problems
@@ -36,14 +36,14 @@ def test_a_link_to_nowhere_is_told(sample: Sample, path: Path, survey_of: Any) -
     assert "No such file" in problem.text
 
 
-def test_links_to_what_was_recorded_are_as_good(sample: Sample, path: Path, found: Any) -> None:
+def test_links_to_what_was_recorded_are_as_good(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     shutil.move(path / EP / "rgb", path.parent / "elsewhere")
     (path / EP / "rgb").symlink_to(path.parent / "elsewhere")
     assert found(path) == []
 
 
-def test_a_link_that_leads_back_ends(sample: Sample, path: Path, found: Any) -> None:
+def test_a_link_that_leads_back_ends(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     (path / EP / "rgb/again").symlink_to("..")
     problems = found(path)
@@ -51,7 +51,7 @@ def test_a_link_that_leads_back_ends(sample: Sample, path: Path, found: Any) -> 
     assert {code for code, _, _ in problems} == {"file.unexpected"}
 
 
-def test_a_header_that_promises_gigabytes_is_not_believed(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_a_header_that_promises_gigabytes_is_not_believed(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     data = bytearray(sample.episodes[1].images[CAMERA][2])
     at = data.index(b"\xff\xc0")
     data[at + 5 : at + 9] = b"\xff\xdc\xff\xdc"
@@ -63,7 +63,7 @@ def test_a_header_that_promises_gigabytes_is_not_believed(sample: Sample, path: 
 
 
 @pytest.mark.parametrize("name", ["lowdim/999999999999.pkl", f"rgb/{CAMERA}/999999999999.jpg"])
-def test_a_huge_frame_number_is_one_gap(sample: Sample, path: Path, survey_of: Any, name: str) -> None:
+def test_a_huge_frame_number_is_one_gap(sample: SampleDataset, path: Path, survey_of: Any, name: str) -> None:
     sample.write(path)
     file = next((path / EP / name).parent.glob("000002.*"))
     shutil.copy(file, path / EP / name)
@@ -72,21 +72,21 @@ def test_a_huge_frame_number_is_one_gap(sample: Sample, path: Path, survey_of: A
     assert codes.count("frames.count") == 1
 
 
-def test_a_huge_episode_number_is_one_gap(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_a_huge_episode_number_is_one_gap(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write(path)
     (path / "ep_999999999999").mkdir()
     missing = [problem for problem in survey_of(path).problems if problem.code == "episode.missing"]
     assert [(p.episode, p.value) for p in missing] == [("ep_000003", "to ep_999999999998, 999999999996 episodes")]
 
 
-def test_numbers_of_many_digits_are_no_frames(sample: Sample, path: Path, found: Any) -> None:
+def test_numbers_of_many_digits_are_no_frames(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     write(f"{EP}/lowdim/{'9' * 200}.pkl", b"")(path)
     write(f"{EP}/lowdim/\u0663.pkl", b"")(path)
     assert {code for code, _, _ in found(path)} == {"file.unexpected"}
 
 
-def test_names_cannot_steer_a_terminal(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_names_cannot_steer_a_terminal(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write(path)
     write(f"{EP}/\x1b[2Jgone\u202e\n", b"")(path)
     (path / EP / os.fsdecode(b"\xff\xfe")).touch()
@@ -98,7 +98,7 @@ def test_names_cannot_steer_a_terminal(sample: Sample, path: Path, survey_of: An
 
 
 def test_a_disk_that_refuses_is_an_error_of_the_dataset(
-    sample: Sample, path: Path, found: Any, monkeypatch: Any
+    sample: SampleDataset, path: Path, found: Any, monkeypatch: Any
 ) -> None:
     sample.write(path)
 
@@ -114,13 +114,13 @@ def test_long_values_are_cut() -> None:
     assert len(printable("x" * 10_000)) == 200
 
 
-def test_text_in_records_cannot_break_out(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_text_in_records_cannot_break_out(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.episodes[1].over["rig"] = "a\x1b[31m\nb" * 100
     for problem in survey_of(sample.write(path)).problems:
         assert problem.text.isprintable()
 
 
-def test_a_directory_in_the_place_of_a_file(sample: Sample, path: Path, found: Any) -> None:
+def test_a_directory_in_the_place_of_a_file(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     for name in ("manifest.json", "attempts.jsonl", f"{EP}/episode.json", f"{EP}/{FRAME}"):
         replace_by(path / name, Path.mkdir)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, FRAMES, Sample, black, picture
-from yamsim_cli.core.dataset.checks.motion import ArmData, ArmLimits, angles_shown, read_timestamps
+from tests.datasets.checks.sample import CAMERA, FRAMES, SampleDataset, black, picture
+from yamsim_cli.core.dataset.checks.motion import ArmData, ArmLimits, angles_by_camera, read_timestamps
 from yamsim_cli.core.errors import DatasetError
 
 PLAIN = ("dataset.plain", "", "")
@@ -34,7 +34,7 @@ def station(frame: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_plain_recording_is_read_with_a_warning(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_a_plain_recording_is_read_with_a_warning(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     found = survey_of(sample.write_plain(path))
     assert [(p.code, p.episode, p.file) for p in found.problems] == [PLAIN]
     assert [episode.name for episode in found.episodes] == ["0", "1", "2"]
@@ -48,14 +48,14 @@ def test_a_plain_recording_is_read_with_a_warning(sample: Sample, path: Path, su
     assert facts.ends["plate"] == pytest.approx((0.45, 0.08))
 
 
-def test_a_station_with_two_arms_is_read_too(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_a_station_with_two_arms_is_read_too(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     found = survey_of(sample.write_plain(path, station))
     assert [p.code for p in found.problems] == ["dataset.plain"]
     assert found.episodes[0].outcome is None
     assert found.episodes[0].starts == {}
 
 
-def test_a_picture_that_stands_still_while_the_other_arm_moves(sample: Sample, path: Path, found: Any) -> None:
+def test_a_picture_that_stands_still_while_the_other_arm_moves(sample: SampleDataset, path: Path, found: Any) -> None:
     def right_alone(frame: dict[str, Any]) -> dict[str, Any]:
         data = station(frame)
         return data | {"joints": np.concatenate([data["action_joints"][:7] * 0 + 0.5, data["joints"][7:]])}
@@ -64,7 +64,9 @@ def test_a_picture_that_stands_still_while_the_other_arm_moves(sample: Sample, p
     assert "image.frozen" in {code for code, _, _ in found(sample.write_plain(path, right_alone))}
 
 
-def test_names_with_more_digits_and_files_of_other_kinds_are_no_fault(sample: Sample, path: Path, found: Any) -> None:
+def test_names_with_more_digits_and_files_of_other_kinds_are_no_fault(
+    sample: SampleDataset, path: Path, found: Any
+) -> None:
     sample.write_plain(path)
     for file in [*path.rglob("*.pkl"), *path.rglob("*.jpg")]:
         file.rename(file.with_stem("0000" + file.stem))
@@ -75,7 +77,7 @@ def test_names_with_more_digits_and_files_of_other_kinds_are_no_fault(sample: Sa
     assert found(path) == [PLAIN]
 
 
-def test_numbers_may_begin_at_one(sample: Sample, path: Path, found: Any) -> None:
+def test_numbers_may_begin_at_one(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write_plain(path)
     for folder in (path / "1/lowdim", path / f"1/rgb/{CAMERA}"):
         for file in sorted(folder.iterdir(), reverse=True):
@@ -83,14 +85,14 @@ def test_numbers_may_begin_at_one(sample: Sample, path: Path, found: Any) -> Non
     assert found(path) == [PLAIN]
 
 
-def spoil(change: Callable[[dict[str, Any]], object], k: int = 2) -> Callable[[Sample], None]:
-    def apply(sample: Sample) -> None:
+def spoil(change: Callable[[dict[str, Any]], object], k: int = 2) -> Callable[[SampleDataset], None]:
+    def apply(sample: SampleDataset) -> None:
         change(sample.episodes[1].frames[k])
 
     return apply
 
 
-DAMAGES: list[tuple[str, Callable[[Sample], Any], str]] = [
+DAMAGES: list[tuple[str, Callable[[SampleDataset], Any], str]] = [
     ("lowdim.missing", spoil(lambda f: f.pop("ctrl")), FRAME),
     ("lowdim.unexpected", spoil(lambda f: f.update(wind=1)), FRAME),
     ("lowdim.shape", spoil(lambda f: f.update(ctrl=f["ctrl"][:5])), FRAME),
@@ -118,7 +120,7 @@ DAMAGES: list[tuple[str, Callable[[Sample], Any], str]] = [
 
 @pytest.mark.parametrize(("code", "damage", "file"), DAMAGES, ids=[code for code, _, _ in DAMAGES])
 def test_faults_are_found_without_a_record(
-    sample: Sample, path: Path, found: Any, code: str, damage: Callable[[Sample], Any], file: str
+    sample: SampleDataset, path: Path, found: Any, code: str, damage: Callable[[SampleDataset], Any], file: str
 ) -> None:
     damage(sample)
     problems = found(sample.write_plain(path))
@@ -129,7 +131,9 @@ def test_faults_are_found_without_a_record(
 
 
 @pytest.mark.parametrize("k", [100, 300, 600])
-def test_a_damaged_image_is_found_by_what_the_decoder_says(sample: Sample, path: Path, survey_of: Any, k: int) -> None:
+def test_a_damaged_image_is_found_by_what_the_decoder_says(
+    sample: SampleDataset, path: Path, survey_of: Any, k: int
+) -> None:
     """It decodes, and there is no hash: only libjpeg's own complaint tells."""
     sample.write_plain(path)
     file = path / f"1/rgb/{CAMERA}/000002.jpg"
@@ -140,13 +144,13 @@ def test_a_damaged_image_is_found_by_what_the_decoder_says(sample: Sample, path:
     assert "Corrupt JPEG data" in problems[1].text
 
 
-def test_an_episode_there_twice_is_found(sample: Sample, path: Path, found: Any) -> None:
+def test_an_episode_there_twice_is_found(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write_plain(path)
     shutil.copytree(path / "0", path / "3")
     assert ("episode.duplicate", "3", "") in found(path)
 
 
-def test_numbers_left_out_are_a_warning(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_numbers_left_out_are_a_warning(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write_plain(path)
     shutil.rmtree(path / "1")
     (path / "2").rename(path / "9")
@@ -154,7 +158,7 @@ def test_numbers_left_out_are_a_warning(sample: Sample, path: Path, survey_of: A
     assert gap.value == "1 to 8"
 
 
-def test_times_beside_the_images_are_used(sample: Sample, path: Path, survey_of: Any) -> None:
+def test_times_beside_the_images_are_used(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write_plain(path, station)
     times = 1_700_000_000_000_000_000 + np.arange(FRAMES, dtype=np.int64) * 33_333_333
     for k in range(3):
@@ -182,7 +186,7 @@ def test_a_time_file_that_lies_is_no_time_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing", "file", "empty", "0"])
-def test_what_is_no_dataset_is_refused(sample: Sample, path: Path, survey_of: Any, name: str) -> None:
+def test_what_is_no_dataset_is_refused(sample: SampleDataset, path: Path, survey_of: Any, name: str) -> None:
     sample.write_plain(path)
     (path / "file").touch()
     (path / "empty").mkdir()
@@ -201,11 +205,11 @@ STILL = ArmData(LIMITS, {k: np.zeros(2) for k in range(4)}, {})
 
 
 def test_a_wrist_camera_shows_the_motion_of_its_own_arm_alone() -> None:
-    shown = angles_shown("right", [MOVING, STILL], {"left": 0, "right": 1})
+    shown = angles_by_camera("right", [MOVING, STILL], {"left": 0, "right": 1})
     assert all(np.array_equal(shown[k], np.zeros(2)) for k in range(4))
-    assert angles_shown("left", [MOVING, STILL], {"left": 0, "right": 1})[3][0] > 0.2
+    assert angles_by_camera("left", [MOVING, STILL], {"left": 0, "right": 1})[3][0] > 0.2
 
 
 def test_any_other_camera_shows_all_arms() -> None:
-    assert angles_shown("top", [MOVING, STILL], {"left": 0})[3].shape == (4,)
-    assert angles_shown("top", [], {}) == {}
+    assert angles_by_camera("top", [MOVING, STILL], {"left": 0})[3].shape == (4,)
+    assert angles_by_camera("top", [], {}) == {}

@@ -10,19 +10,19 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.datasets.checks.sample import CAMERA, FRAMES, HEIGHT, WIDTH, Sample
+from tests.datasets.checks.sample import CAMERA, FRAMES, HEIGHT, WIDTH, SampleDataset
 from tests.datasets.checks.test_codes import EP, cut, remove, write
-from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
-from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.dataset.truth_files import (
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.ground_truth_files import (
     KeypointRecord,
     LabelRecord,
     TruthLabels,
-    array_forms,
+    array_specs,
     dump_arrays,
     dump_depth,
     load_truth,
 )
+from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.images.png import encode_labels
 
 LABELS = TruthLabels(
@@ -43,12 +43,12 @@ def truth_files() -> dict[str, bytes]:
         image[10:30, 5 + k : 40] = 1
         files[depth_name(CAMERA, k)] = dump_depth(image.astype(np.uint16) * 1000)
         files[segmentation_name(CAMERA, k)] = encode_labels(image)
-    arrays = {key: np.zeros(shape, dtype) for key, (dtype, shape) in array_forms(LABELS, FRAMES).items()}
+    arrays = {key: np.zeros(shape, dtype) for key, (dtype, shape) in array_specs(LABELS, FRAMES).items()}
     return files | {truth_name(CAMERA): dump_arrays(arrays)}
 
 
 @pytest.fixture
-def truthful(sample: Sample) -> Sample:
+def truthful(sample: SampleDataset) -> SampleDataset:
     """The sample with truth in all its episodes."""
     for episode in sample.episodes:
         episode.others = truth_files()
@@ -56,7 +56,7 @@ def truthful(sample: Sample) -> Sample:
     return sample
 
 
-def put(name: str, data: bytes) -> Callable[[Sample], None]:
+def put(name: str, data: bytes) -> Callable[[SampleDataset], None]:
     return lambda sample: sample.episodes[1].others.__setitem__(name, data)
 
 
@@ -89,7 +89,7 @@ BEFORE = [
 
 @pytest.mark.parametrize(("code", "file", "data", "text"), BEFORE, ids=[f"{b[0]}-{b[3]}" for b in BEFORE])
 def test_exactly_what_was_spoiled_is_told(
-    code: str, file: str, data: bytes, text: str, truthful: Sample, path: Path, survey_of: Any
+    code: str, file: str, data: bytes, text: str, truthful: SampleDataset, path: Path, survey_of: Any
 ) -> None:
     put(file, data)(truthful)
     truthful.write(path)
@@ -114,30 +114,30 @@ def test_exactly_what_was_spoiled_is_told(
     ],
 )
 def test_what_was_lost_or_changed_is_told(
-    damage: Callable[[Path], None], code: str, file: str, truthful: Sample, path: Path, found: Any
+    damage: Callable[[Path], None], code: str, file: str, truthful: SampleDataset, path: Path, found: Any
 ) -> None:
     truthful.write(path)
     damage(path)
     assert found(path) == [(code, EP, file)]
 
 
-def test_whole_truth_has_no_problems(truthful: Sample, path: Path, found: Any) -> None:
+def test_whole_truth_has_no_problems(truthful: SampleDataset, path: Path, found: Any) -> None:
     assert found(truthful.write(path)) == []
 
 
-def test_cloth_that_labels_do_not_name_is_told(truthful: Sample, path: Path, survey_of: Any) -> None:
+def test_cloth_that_labels_do_not_name_is_told(truthful: SampleDataset, path: Path, survey_of: Any) -> None:
     truthful.episodes[1].over["cloths"] = {"napkin": (9, 8)}
     problems = [p for p in survey_of(truthful.write(path)).problems if p.code.startswith("truth")]
     assert [(p.code, p.episode, p.file) for p in problems] == [("truth.cloth", EP, TRUTH_LABELS)]
     assert "no cloth; valid: napkin of 9 x 8 points" in problems[0].text
 
 
-def test_truth_that_was_never_written_is_missing(truthful: Sample, path: Path, found: Any) -> None:
+def test_truth_that_was_never_written_is_missing(truthful: SampleDataset, path: Path, found: Any) -> None:
     del truthful.episodes[1].others[TRUTH_LABELS]
     assert found(truthful.write(path)) == [("truth.missing", EP, TRUTH_LABELS)]
 
 
-def test_truth_that_the_record_does_not_speak_of_is_unexpected(sample: Sample, path: Path, found: Any) -> None:
+def test_truth_that_the_record_does_not_speak_of_is_unexpected(sample: SampleDataset, path: Path, found: Any) -> None:
     sample.write(path)
     write(f"{EP}/{DEPTH}", truth_files()[DEPTH])(path)
     assert found(path) == [("file.unexpected", EP, DEPTH)]

@@ -7,11 +7,11 @@ import os
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.objects.certify.run import certify
-from yamsim_cli.opener import Opener
+from yamsim_cli.objects.certify.certify import certify
+from yamsim_cli.session_opener import SessionOpener
 
 pytestmark = pytest.mark.slow
 
@@ -24,10 +24,10 @@ CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 @pytest.mark.parametrize("name", [name for name in WHERE.config_names("objects") if name not in CLOTH])
 def test_it_passes(name: str) -> None:
     item = load_config(ObjectConfig, "objects", name, WHERE)
-    meshes = Opener(os.environ, lambda text: None, str).find_meshes(WHERE, item.mesh_sets).meshes
+    meshes = SessionOpener(os.environ, lambda text: None, str).find_meshes(WHERE, item.mesh_sets).meshes
     assert item.cloth is None
     certified = certify(item, meshes, WHERE)
-    assert certified.failed == (("grasp.slips",) if name in TOO_LOW else ()), certified.plain()
+    assert certified.failed == (("grasp.slips",) if name in TOO_LOW else ()), certified.to_json_data()
     if item.shape is not None or (meshes and all(meshes.values())):
         # What can be made of every thing that has meshes was made.
         made = {code for code, outcome in certified.outcomes.items() if outcome.ok}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import GraspPoint, ObjectConfig
-from yamsim_cli.core.expert.skills.bench import SkillFailedError
+from yamsim_cli.core.config.objects.object_config import GraspPoint, ObjectConfig
+from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.objects.certify.alone import reachable_places, simulate_pick
+from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points, simulate_pick
 
 
 def load(name: str, locations: Locations) -> ObjectConfig:
@@ -49,10 +49,10 @@ def test_places_that_no_hand_can_take_are_left_out(locations: Locations) -> None
     # are 5 mm open would reach into the cube.
     in_table = first.model_copy(update={"position": (0.0, 0.0, 0.002)})
     in_cube = first.model_copy(update={"opening": 0.002})
-    assert reachable_places(item.with_places((in_table, first, in_cube)), locations) == (first,)
-    assert reachable_places(item.with_places((in_table, in_cube)), locations) == ()
+    assert reachable_grasp_points(item.with_grasp_points((in_table, first, in_cube)), locations) == (first,)
+    assert reachable_grasp_points(item.with_grasp_points((in_table, in_cube)), locations) == ()
 
 
 def test_places_are_of_what_one_hand_lifts(locations: Locations) -> None:
     cabinet = load("drawer_cabinet", locations)
-    assert reachable_places(cabinet, locations) == ()
+    assert reachable_grasp_points(cabinet, locations) == ()

@@ -8,78 +8,78 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.objects.certify.things import Thing, flap, pin
+from tests.objects.certify.things import SampleObject, flap, pin
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.objects.certify.run import CHECKS, certify
+from yamsim_cli.objects.certify.certify import CHECKS, certify
 
 BLOCK, CUP, PASTA = "kitchen_distractor", "kitchen_cup", "kitchen_penne"
 
 
-def inertia(**changes: object) -> Callable[[Thing], None]:
+def inertia(**changes: object) -> Callable[[SampleObject], None]:
     return lambda thing: thing.data["inertia"].update(changes)
 
 
-def heavy(thing: Thing) -> None:
+def heavy(thing: SampleObject) -> None:
     weight = thing.data["inertia"]
     weight |= {"mass_g": weight["mass_g"] * 1000, "diagonal": [1000 * value for value in weight["diagonal"]]}
 
 
-def in_millimetres(thing: Thing) -> None:
+def in_millimetres(thing: SampleObject) -> None:
     thing.vertices = thing.vertices * 1000
 
 
-def filled(thing: Thing) -> None:
+def filled(thing: SampleObject) -> None:
     thing.data["collision"].append(
         {"type": "cylinder", "centre": [0.0, 0.0, 0.0515], "radius": 0.034, "half_height": 0.048}
     )
 
 
-def inside_out(thing: Thing) -> None:
+def inside_out(thing: SampleObject) -> None:
     thing.faces = thing.faces[:, ::-1]
 
 
-def open_(thing: Thing) -> None:
+def open_(thing: SampleObject) -> None:
     thing.faces = thing.faces[: len(thing.faces) * 9 // 10]
 
 
-def jams(thing: Thing) -> None:
+def jams(thing: SampleObject) -> None:
     thing.data["links"] = [flap(jams=True), pin()]
 
 
-def too_large(thing: Thing) -> None:
+def too_large(thing: SampleObject) -> None:
     thing.data["collision"][0]["half_size"] = [0.05, 0.05, 0.04]
 
 
-def lopsided(thing: Thing) -> None:
+def lopsided(thing: SampleObject) -> None:
     thing.data["inertia"]["centre"] = [0.012, 0.0, thing.data["inertia"]["centre"][2]]
 
 
-def a_hundredth_of_its_inertia(thing: Thing) -> None:
+def a_hundredth_of_its_inertia(thing: SampleObject) -> None:
     thing.data["inertia"]["diagonal"] = [value / 100 for value in thing.data["inertia"]["diagonal"]]
 
 
-def hardly_any_about_one_axis(thing: Thing) -> None:
+def hardly_any_about_one_axis(thing: SampleObject) -> None:
     # As a rod has: the triangle inequality holds, and a cube has it not.
     _, middle, largest = sorted(thing.data["inertia"]["diagonal"])
     thing.data["inertia"]["diagonal"] = [largest / 50, middle, largest]
 
 
-def soft(thing: Thing) -> None:
+def soft(thing: SampleObject) -> None:
     thing.data["contact"]["push_out_s"] = 0.14
 
 
-def hardly_held(thing: Thing) -> None:
+def hardly_held(thing: SampleObject) -> None:
     point = {"position": [0.0, 0.0, 0.05], "axis_deg": 0.0, "opening": 0.04}
     thing.data["grasp"] = {**point, "friction": {"force": 0.1, "points": [point]}}
 
 
-def held_too_low(thing: Thing) -> None:
+def held_too_low(thing: SampleObject) -> None:
     # The pads reach 8 mm below this point, so into the table that the pasta lies on.
     point = {"position": [0.0, 0.0, 0.005], "axis_deg": 0.0, "opening": 0.005}
     thing.data["grasp"] = {**point, "friction": {"force": 15.0, "points": [point]}}
 
 
-FAULTS: dict[str, list[tuple[str, Callable[[Thing], None]]]] = {
+FAULTS: dict[str, list[tuple[str, Callable[[SampleObject], None]]]] = {
     "size.implausible": [(BLOCK, in_millimetres)],
     "mesh.open": [(BLOCK, open_)],
     "mesh.inverted": [(BLOCK, inside_out)],
@@ -100,8 +100,10 @@ FAULTS: dict[str, list[tuple[str, Callable[[Thing], None]]]] = {
 }
 
 
-def found(name: str, spoil: Callable[[Thing], None], folder: Path, locations: Locations) -> dict[str, bool | None]:
-    thing = Thing.of(name, locations)
+def found(
+    name: str, spoil: Callable[[SampleObject], None], folder: Path, locations: Locations
+) -> dict[str, bool | None]:
+    thing = SampleObject.of(name, locations)
     spoil(thing)
     certified = certify(*thing.written(folder, locations), locations)
     return {code: outcome.ok for code, outcome in certified.outcomes.items()}
@@ -117,7 +119,7 @@ def test_every_code_has_a_fault() -> None:
     ids=[f"{code}-{k}" for code, faults in FAULTS.items() for k in range(len(faults))],
 )
 def test_a_fault_is_found_by_its_own_check_alone(
-    code: str, name: str, spoil: Callable[[Thing], None], tmp_path: Path, locations: Locations
+    code: str, name: str, spoil: Callable[[SampleObject], None], tmp_path: Path, locations: Locations
 ) -> None:
     oks = found(name, spoil, tmp_path, locations)
     assert [other for other, ok in oks.items() if ok is False] == [code]
@@ -136,13 +138,13 @@ def test_a_flap_that_moves_freely_passes(tmp_path: Path, locations: Locations) -
 
 
 def test_figures_are_the_same_each_time(tmp_path: Path, locations: Locations) -> None:
-    thing = Thing.of(BLOCK, locations)
+    thing = SampleObject.of(BLOCK, locations)
     item, meshes = thing.written(tmp_path, locations)
-    assert certify(item, meshes, locations).plain() == certify(item, meshes, locations).plain()
+    assert certify(item, meshes, locations).to_json_data() == certify(item, meshes, locations).to_json_data()
 
 
 def test_without_meshes_it_says_what_was_not_checked(tmp_path: Path, locations: Locations) -> None:
-    item, _ = Thing.of(BLOCK, locations).written(tmp_path, locations)
+    item, _ = SampleObject.of(BLOCK, locations).written(tmp_path, locations)
     certified = certify(item, {}, locations)
     assert certified.ok
     for code in ("mesh.open", "mesh.inverted", "mass.density", "collision.differs", "hollow.filled"):

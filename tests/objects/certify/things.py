@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.config.loader import parse_config
-from yamsim_cli.core.config.things.made import made_files, made_object
-from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.files.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.config.objects.generated import generated_mesh_files, object_from_shape
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import Faces, read_stl, stl_bytes
 
@@ -20,7 +20,7 @@ SET = "own-thing-000000000000"
 
 
 @dataclass
-class Thing:
+class SampleObject:
     """A kitchen thing whose body's mesh lies in a folder, as an imported one's does: all of it can be spoiled.
 
     Attributes:
@@ -33,15 +33,15 @@ class Thing:
     faces: Faces
 
     @classmethod
-    def of(cls, name: str, locations: Locations) -> Thing:
+    def of(cls, name: str, locations: Locations) -> SampleObject:
         """A thing of the kitchen of one material."""
         data = load_yaml(locations.config_file("objects", name)).data
         shape = ObjectConfig.read(locations.config_file("objects", name)).data
         config = parse_config(ObjectConfig, dump_yaml(shape), "test", locations)
         assert config.shape is not None
-        files = made_files(config.name, config.shape)
+        files = generated_mesh_files(config.name, config.shape)
         vertices, faces = read_stl(files[config.mesh.file])
-        made = {"name": data["name"]} | made_object(config.name, config.shape)
+        made = {"name": data["name"]} | object_from_shape(config.name, config.shape)
         made["mesh"] = {**made["mesh"], "set": SET, "file": "body.stl"}
         made.pop("meshes", None)
         made.pop("grasp", None)

@@ -12,10 +12,10 @@ import pytest
 from tests.malformed import malformed
 from tests.mugs import has_import_extra
 from yamsim_cli.core.errors import ResourceError, YamsimError
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import CODES, RefusedError
-from yamsim_cli.objects.readers.child import read_file
-from yamsim_cli.objects.readers.read import UnitOptions, read_thing
+from yamsim_cli.objects.readers.object_reader import UnitOptions, read_object
+from yamsim_cli.objects.readers.reader_process import read_file
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -29,7 +29,7 @@ def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) ->
     for path, code in malformed(tmp_path):
         start = time.monotonic()
         try:
-            read_thing(path, UnitOptions("m", "z"))
+            read_object(path, UnitOptions("m", "z"))
             found = None
         except YamsimError as error:
             said = str(error)
@@ -77,9 +77,9 @@ def traps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_pipe_is_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.obj")
     with pytest.raises(ResourceError, match=r"no regular file \[not-a-file\]"):
-        read_thing(tmp_path / "pipe.obj", UnitOptions("m", "z"))
+        read_object(tmp_path / "pipe.obj", UnitOptions("m", "z"))
     with pytest.raises(RefusedError, match="no regular file"):
-        Folder(tmp_path).read("pipe.obj")
+        ConfinedFolder(tmp_path).read("pipe.obj")
 
 
 def test_a_folder_gives_out_what_lies_in_it(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_a_folder_gives_out_what_lies_in_it(tmp_path: Path) -> None:
     (inside / "meshes" / "a b.obj").write_text("x")
     (tmp_path / "secret").write_text("s")
     (inside / "way_out").symlink_to(tmp_path / "secret")
-    folder = Folder(inside)
+    folder = ConfinedFolder(inside)
     for name in ("meshes/a b.obj", "meshes/a%20b.obj", "model://mug/meshes/a b.obj", "package://any/meshes/a b.obj"):
         assert folder.read(name) == b"x"
     for name in ("../secret", "way_out", str(tmp_path / "secret"), "file:///etc/passwd", "http://a/b", "a\0b"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.objects.readers.mjcf import read_mjcf
 
@@ -35,7 +35,7 @@ def test_a_nested_include_is_read_as_mujoco_reads_it(named: str, there: list[str
     files = {name: _BOX.format(0.1 + 0.1 * k) for k, name in enumerate(there)}
     main = _files(tmp_path, **{"a/one.xml": f'<mujoco><include file="{named}"/></mujoco>'}, **files)
     theirs = mujoco.MjModel.from_xml_path(str(main))
-    thing = read_mjcf(main.read_bytes(), Folder(tmp_path), tmp_path)
+    thing = read_mjcf(main.read_bytes(), ConfinedFolder(tmp_path), tmp_path)
     widest = max(float(surface.vertices[:, 0].max()) for surface in thing.parts[0].looks)
     assert widest == pytest.approx(theirs.geom_size[0][0])
 
@@ -46,5 +46,5 @@ def test_a_nested_include_stays_in_the_folder(named: str, tmp_path: Path) -> Non
     folder = tmp_path / "in"
     main = _files(folder, **{"a/one.xml": f'<mujoco><include file="{named}"/></mujoco>'})
     with pytest.raises(RefusedError) as caught:
-        read_mjcf(main.read_bytes(), Folder(folder), folder)
+        read_mjcf(main.read_bytes(), ConfinedFolder(folder), folder)
     assert caught.value.code == ("cycle" if named == "a/one.xml" else "outside")

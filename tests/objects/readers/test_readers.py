@@ -12,12 +12,12 @@ from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, has_import_extra, picture, write_mugs
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
-from yamsim_cli.core.geometry.solid import filling, is_closed
+from yamsim_cli.core.geometry.closed_surface import is_closed, uniform_mass_properties
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.objects.readers.child import read_file
-from yamsim_cli.objects.readers.parts import ReadThing, Surface
-from yamsim_cli.objects.readers.read import UnitOptions, in_metres, read_thing
-from yamsim_cli.objects.surfaces import whole
+from yamsim_cli.objects.part_surfaces import merged_surface
+from yamsim_cli.objects.readers.object_parts import ObjectDescription, Surface
+from yamsim_cli.objects.readers.object_reader import UnitOptions, in_metres, read_object
+from yamsim_cli.objects.readers.reader_process import read_file
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -27,8 +27,8 @@ def mugs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return write_mugs(tmp_path_factory.mktemp("mugs"), segments=32)
 
 
-def read_here(path: Path, told: UnitOptions | None = None) -> ReadThing:
-    """As `read_thing` does, in this process."""
+def read_here(path: Path, told: UnitOptions | None = None) -> ObjectDescription:
+    """As `read_object` does, in this process."""
     return in_metres(read_file(path, path.parent), told or UnitOptions())
 
 
@@ -39,12 +39,12 @@ def told(kind: str) -> UnitOptions:
 @pytest.mark.parametrize("kind", ["glb", "obj", "sdf", "dae", "ply", "stl"])
 def test_a_mug_is_the_same_in_every_format(mugs: dict[str, Path], kind: str) -> None:
     (part,) = read_here(mugs[kind], told(kind)).parts
-    vertices, faces = whole(part.looks)
+    vertices, faces = merged_surface(part.looks)
     assert vertices.min(axis=0) == pytest.approx([-RADIUS, -RADIUS, 0], abs=1e-4)
     assert vertices[:, 2].max() == pytest.approx(HEIGHT, abs=1e-5)
     assert vertices[:, 0].max() > RADIUS + 0.02  # its handle
     assert is_closed(faces)
-    assert filling(vertices, faces).volume == pytest.approx(1.27e-4, rel=0.02)
+    assert uniform_mass_properties(vertices, faces).volume == pytest.approx(1.27e-4, rel=0.02)
 
 
 @pytest.mark.parametrize("kind", ["glb", "obj", "sdf", "dae", "ply"])
@@ -78,7 +78,7 @@ def colour_at(surface: Surface, at: np.ndarray) -> np.ndarray:
 
 
 def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
-    (part,) = read_thing(mugs["glb"], UnitOptions()).parts
+    (part,) = read_object(mugs["glb"], UnitOptions()).parts
     (here,) = read_here(mugs["glb"]).parts
     assert np.array_equal(part.looks[0].vertices, here.looks[0].vertices)
     assert part.looks[0].material == here.looks[0].material
@@ -87,14 +87,14 @@ def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
 
 def test_what_the_file_does_not_say_is_asked_for(mugs: dict[str, Path]) -> None:
     with pytest.raises(UsageError, match=r"give --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"):
-        read_thing(mugs["obj"], UnitOptions())
+        read_object(mugs["obj"], UnitOptions())
     with pytest.raises(UsageError, match=r"which way is up.* \[up\]"):
-        read_thing(mugs["obj"], UnitOptions(unit="m"))
+        read_object(mugs["obj"], UnitOptions(unit="m"))
 
 
 def test_an_absurd_size_is_refused_with_its_mend(mugs: dict[str, Path]) -> None:
     with pytest.raises(UsageError, match=r"117 x .* m large.*--unit mm makes it 0\.117 m long.* \[size\]"):
-        read_thing(mugs["stl"], UnitOptions("m", "z", scale=1000))
+        read_object(mugs["stl"], UnitOptions("m", "z", scale=1000))
 
 
 def test_an_sdf_says_its_weight_and_where_it_is(mugs: dict[str, Path]) -> None:
@@ -169,12 +169,12 @@ def test_a_mirrored_mesh_still_has_its_outside_outside(tmp_path: Path, mugs: dic
     copy = mugs["sdf"].with_name("mirrored.sdf")
     copy.write_text(text)
     (part,) = read_here(copy).parts
-    assert filling(*whole(part.looks)).volume > 0
+    assert uniform_mass_properties(*merged_surface(part.looks)).volume > 0
 
 
 def test_without_the_extra_one_line_names_it(mugs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    from yamsim_cli.objects.readers import read
+    from yamsim_cli.objects.readers import object_reader as read
 
     monkeypatch.setattr(read, "find_spec", lambda name: None if name == "trimesh" else object())
     with pytest.raises(ResourceError, match=r"needs trimesh: pip install 'yamsim\[import\]'"):
-        read_thing(mugs["glb"], UnitOptions())
+        read_object(mugs["glb"], UnitOptions())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.board_photos import ONE, TWO, facing, photograph
-from tests.random_views import Lens, random_camera, random_view
+from tests.random_views import LensSpread, random_camera, random_view
 from tools.bench.intervals import CASES, coverage, farthest, outcomes
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -17,20 +17,20 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.photos.fiducials.focal_length.estimate import (
+from yamsim_cli.photos.fiducials.focal_length.board_outline import BoardOutline
+from yamsim_cli.photos.fiducials.focal_length.focal_estimate import (
     FocalEstimate,
     estimate_focal,
+    find_outlines,
     known_focal,
-    outlines_in,
 )
-from yamsim_cli.photos.fiducials.focal_length.outline import Outline
-from yamsim_cli.photos.lens import project_points
+from yamsim_cli.photos.lens_distortion import project_points
 
 SIZE = (640, 480)
 ADVICE = "photograph the board from a slant, or give --camera"
 
 
-def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.random.Generator) -> Outline:
+def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.random.Generator) -> BoardOutline:
     """What a photo of a board with some noise (px) would give: the flat map nearest to how a lens shows all of it."""
     line = np.linspace(-0.5, 0.5, 15) * board.width
     grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -39,10 +39,10 @@ def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.r
     on_board = board.width / math.sqrt(12) * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
     points = np.column_stack([on_board, np.ones(4)]) @ plane.T
     noisy = points[:, :2] / points[:, 2:] + rng.normal(0, sigma, (4, 2))
-    return Outline(board, on_board, noisy, sigma**2 * np.eye(8), tuple(range(9)))
+    return BoardOutline(board, on_board, noisy, sigma**2 * np.eye(8), tuple(range(9)))
 
 
-def outlines(camera: CameraModel, poses: list[Array], sigma: float = 0.02) -> list[Outline]:
+def outlines(camera: CameraModel, poses: list[Array], sigma: float = 0.02) -> list[BoardOutline]:
     rng = np.random.default_rng(0)
     return [outline(camera, ONE, T, sigma, rng) for T in poses]
 
@@ -54,7 +54,7 @@ def holds(found: FocalEstimate, focal: float) -> bool:
 def test_two_boards_from_a_slant() -> None:
     true = CameraModel.pinhole(*SIZE, 740.0)
     photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
-    found = estimate_focal(outlines_in(photo, [ONE, TWO]), SIZE)
+    found = estimate_focal(find_outlines(photo, [ONE, TWO]), SIZE)
     assert found.reason == ""
     assert found.low < 740 < found.high < 1.1 * found.low
     assert found.low < found.camera.focal < found.high
@@ -68,14 +68,14 @@ def test_nearly_from_the_front_it_stays_open(size: tuple[int, int], focal: float
     """Any lens explains such a photo; a long one used to be taken for a usual one, twenty per cent of doubt or not."""
     camera, distance = CameraModel.pinhole(*size, focal), 0.45 * focal / size[0]
     photo = photograph(camera, [(ONE, facing(0.0, 0.0, distance, tilt, 0.01))])
-    found = estimate_focal(outlines_in(photo, [ONE]), size)
+    found = estimate_focal(find_outlines(photo, [ONE]), size)
     assert found.reason.endswith(ADVICE)
     assert holds(found, focal)
     assert found.camera.focal_sigma == 0.35
 
 
 def test_no_board_tells_nothing() -> None:
-    found = estimate_focal(outlines_in(photograph(CameraModel.pinhole(*SIZE, 600.0), []), [ONE]), SIZE)
+    found = estimate_focal(find_outlines(photograph(CameraModel.pinhole(*SIZE, 600.0), []), [ONE]), SIZE)
     assert (found.low, found.high, found.reason) == (None, None, "no board tells the focal length")
 
 
@@ -138,7 +138,7 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
     calls = 30 if photos == 1 else 10
     for k in range(calls):
         rng = np.random.default_rng([41, photos, k])
-        camera = random_camera(rng, Lens(0.02, 0.1))
+        camera = random_camera(rng, LensSpread(0.02, 0.1))
         sigma, seen = 2e-5 * camera.width, []
         for _ in range(photos):
             boards = random_view(rng, rig, camera=camera).boards.values()

@@ -17,12 +17,12 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.photos.fiducials import markers
-from yamsim_cli.photos.fiducials.fitting.align import align
+from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus, PoseLimits
+from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_together, with_pose
+from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
+from yamsim_cli.photos.fiducials.fitting.pose_alignment import align_pose
 from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece
-from yamsim_cli.photos.fiducials.fitting.smear import Smear
-from yamsim_cli.photos.fiducials.locate import at_pose, locate, locate_together
 from yamsim_cli.photos.fiducials.markers import find_markers, seen_ids
-from yamsim_cli.photos.fiducials.sighting import BoardStatus, PoseLimits, Sighting
 
 WEBCAM = replace(
     CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
@@ -30,17 +30,17 @@ WEBCAM = replace(
 LEFT, RIGHT = facing(-0.12, 0.0, 0.6), facing(0.12, 0.0, 0.6)
 
 
-def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) -> Sighting:
-    return locate(photo, camera, [board])[0][0]
+def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) -> BoardDetection:
+    return locate_boards(photo, camera, [board])[0][0]
 
 
-def errors(sighting: Sighting, truth: Array) -> tuple[float, float]:
+def errors(sighting: BoardDetection, truth: Array) -> tuple[float, float]:
     """Of the centre, m, and of the orientation, rad."""
     assert sighting.T_board_in_cam is not None, sighting.reason
     return pose_error(sighting.T_board_in_cam, truth)
 
 
-def assert_exact(sighting: Sighting, truth: Array) -> None:
+def assert_exact(sighting: BoardDetection, truth: Array) -> None:
     shift, turn = errors(sighting, truth)
     assert shift < 3e-4
     assert turn < math.radians(0.06)
@@ -61,14 +61,14 @@ def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -
 def test_blur_is_told_in_the_photos_pixels(distance: float, blur: float) -> None:
     """Near boards are looked at in larger pixels, which must not show."""
     sighting = seen(photograph(CAMERA, [(ONE, facing(0, 0, distance))], blur=blur))
-    assert sighting.smear.blur == pytest.approx(blur, abs=0.3)
+    assert sighting.blur.blur == pytest.approx(blur, abs=0.3)
     assert_exact(sighting, facing(0, 0, distance))
 
 
 def test_two_boards_are_not_mistaken_for_each_other() -> None:
     photo = photograph(CAMERA, [(ONE, LEFT), (TWO, RIGHT)])
     for order in ([ONE, TWO], [TWO, ONE]):
-        sightings, _ = locate(photo, CAMERA, order)
+        sightings, _ = locate_boards(photo, CAMERA, order)
         for sighting, board in zip(sightings, order, strict=True):
             assert sighting.board == board
             assert_exact(sighting, LEFT if board is ONE else RIGHT)
@@ -102,7 +102,7 @@ def test_other_prints_in_the_photo_change_nothing(other: Board) -> None:
 
 def test_a_board_of_another_dictionary_is_not_found_and_what_was_read_is_told() -> None:
     photo = photograph(CAMERA, [(replace(ONE, dictionary="DICT_4X4_250"), LEFT), (TWO, RIGHT)])
-    sightings, markers = locate(photo, CAMERA, [ONE])
+    sightings, markers = locate_boards(photo, CAMERA, [ONE])
     assert (sightings[0].status, sightings[0].markers) == (BoardStatus.NOT_FOUND, ())
     assert seen_ids(markers) == list(TWO.ids)
 
@@ -172,17 +172,17 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     longer = seen(photo, camera=CameraModel.pinhole(640, 480, 600 * math.exp(0.01)))
     shift = longer.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
     turn = rotation_vector(longer.T_board_in_cam[:3, :3] @ right.T_board_in_cam[:3, :3].T)
-    assert np.abs(shift - right.shared[3:, 0]).max() < 1e-4
-    assert np.abs(turn - right.shared[:3, 0]).max() < 2e-4
+    assert np.abs(shift - right.shared_errors[3:, 0]).max() < 1e-4
+    assert np.abs(turn - right.shared_errors[:3, 0]).max() < 2e-4
     # Mostly farther away, hardly to the side.
     assert shift[2] == pytest.approx(0.006, rel=0.1)
     assert np.abs(shift[:2]).max() < 3e-4
 
     larger = seen(photo, board=replace(ONE, marker_length=ONE.marker_length * 1.0025, gap=ONE.gap * 1.0025))
     shift = larger.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
-    assert np.abs(shift - right.shared[3:, 1]).max() < 2e-5
-    assert right.shared[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
-    assert np.abs(right.shared[:3, 1]).max() < 1e-6
+    assert np.abs(shift - right.shared_errors[3:, 1]).max() < 2e-5
+    assert right.shared_errors[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
+    assert np.abs(right.shared_errors[:3, 1]).max() < 1e-6
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_the_uncertainty_is_that_of_many_photos() -> None:
     shifts = np.array([one.T_board_in_cam[:3, 3] - truth[:3, 3] for one in found if one.T_board_in_cam is not None])
     assert len(shifts) == 24
     first = found[0]
-    own = (first.covariance - first.shared @ first.shared.T)[3:, 3:]
+    own = (first.covariance - first.shared_errors @ first.shared_errors.T)[3:, 3:]
     spread = np.sqrt(np.diag(np.cov(shifts.T)))
     # It is inflated, for what noise and rounding alone do not explain.
     assert (spread < np.sqrt(np.diag(own))).all()
@@ -206,7 +206,7 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     apart = pose((0.3, 0.0, 0.0))
     truth = facing(-0.15, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], noise=4.0)
-    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
     assert_exact(joint[0], truth)
     T_one, T_two = joint[0].T_board_in_cam, joint[1].T_board_in_cam
@@ -224,7 +224,7 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     truth = facing(-0.12, 0.0, 0.8)
     printed = [replace(board, marker_length=ONE.marker_length * larger, gap=ONE.gap * larger) for board in (ONE, TWO)]
     photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
-    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert errors(alone[0], truth)[0] > 1.5e-3
     joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
     assert_exact(joint[0], truth)
@@ -234,7 +234,7 @@ def test_together_only_what_lies_together() -> None:
     """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
     truth = facing(-0.12, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
-    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
     assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
 
@@ -245,10 +245,10 @@ def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
     sighting = seen(photo)
     off = truth.copy()
     off[0, 3] += 0.0005
-    moved = at_pose(photo, CAMERA, sighting, off)
+    moved = with_pose(photo, CAMERA, sighting, off)
     assert moved.reprojection_rms == pytest.approx(0.5, abs=0.15)
     assert moved.T_board_in_cam is off
-    assert at_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
+    assert with_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
 
 
 def test_a_turned_board_keeps_its_corners_in_order() -> None:
@@ -279,14 +279,14 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
     wide = PoseLimits(turn=math.radians(10.0), shift=1.0)
-    assert locate(photo, CAMERA, [ONE], limits=wide)[0][0].status is BoardStatus.OK
+    assert locate_boards(photo, CAMERA, [ONE], limits=wide)[0][0].status is BoardStatus.OK
 
 
 def test_a_pose_beyond_the_limits_is_uncertain_but_given() -> None:
     truth = facing(0.0, 0.0, 0.5)
     photo = photograph(CAMERA, [(ONE, truth)])
     for limits in (PoseLimits(turn=0.0), PoseLimits(shift=0.0)):
-        (found,), _ = locate(photo, CAMERA, [ONE], limits=limits)
+        (found,), _ = locate_boards(photo, CAMERA, [ONE], limits=limits)
         assert found.status is BoardStatus.UNCERTAIN
         assert found.reason.startswith("its pose is uncertain by ")
         assert_exact(found, truth)
@@ -296,8 +296,8 @@ def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     """White paper and a grey table are smeared into its outer markers, where black was drawn: it was 6 mm off."""
     truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
     whole = PrintPiece(ONE, np.eye(4), tuple(range(9)))
-    fit = align(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, Smear(3.5))
-    assert fit.smear.blur == pytest.approx(4.0, abs=0.02)
+    fit = align_pose(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, BlurKernel(3.5))
+    assert fit.blur.blur == pytest.approx(4.0, abs=0.02)
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3
 
 
@@ -316,7 +316,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
     large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = []
-    stretched = markers._stretched
+    stretched = markers._stretch_contrast
 
     def spy(grey: np.ndarray) -> np.ndarray:
         sizes.append(grey.shape)
@@ -335,7 +335,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
 
 @pytest.mark.slow
 def test_a_board_in_a_photo_is_where_it_is(large_photo: np.ndarray) -> None:
-    for sighting, (_, truth) in zip(locate(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
+    for sighting, (_, truth) in zip(locate_boards(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
         T = sighting.T_board_in_cam
         assert T is not None, sighting.reason
         assert np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 5e-4 * truth[2, 3]

@@ -12,19 +12,19 @@ from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, po
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece, plane_of, view_print
-from yamsim_cli.photos.fiducials.fitting.smear import Smear
-from yamsim_cli.photos.fiducials.locate import locate
-from yamsim_cli.photos.fiducials.recognition.bits import bits_of, evidence, least_chance
-from yamsim_cli.photos.fiducials.recognition.candidates import (
+from yamsim_cli.photos.fiducials.board_detection import BoardStatus
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
+from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
+from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece, print_plane, view_print
+from yamsim_cli.photos.fiducials.recognition.board_candidates import (
     board_quads,
     candidates,
     dark_quads,
     edge_quads,
-    moved_candidates,
+    refine_candidates,
 )
-from yamsim_cli.photos.fiducials.sighting import BoardStatus
-from yamsim_cli.photos.lens import project_points
+from yamsim_cli.photos.fiducials.recognition.marker_bits import marker_bits, measure_evidence, most_significant_markers
+from yamsim_cli.photos.lens_distortion import project_points
 
 
 def corners_of(board: Board, T: Array) -> Array:
@@ -33,9 +33,9 @@ def corners_of(board: Board, T: Array) -> Array:
 
 def chance(photo: np.ndarray, board: Board, T: Array) -> float:
     piece = PrintPiece(board, np.eye(4), tuple(range(9)))
-    plane = plane_of(piece, T)
+    plane = print_plane(piece, T)
     view = view_print(photo.astype(np.float32), CAMERA, piece, plane)
-    return evidence(view, plane, Smear(0.6), 2.0).log_chance
+    return measure_evidence(view, plane, BlurKernel(0.6), 2.0).log_chance
 
 
 def test_the_bits_of_a_far_board_are_no_chance() -> None:
@@ -51,16 +51,16 @@ def test_the_bits_of_a_far_board_are_no_chance() -> None:
 def test_chance_is_bounded_as_it_says() -> None:
     """Of random bits, no more than the bound's share agrees so well, whichever markers are chosen."""
     rng = np.random.default_rng(0)
-    bits = bits_of(ONE)
+    bits = marker_bits(ONE)
     found = []
     for _ in range(4000):
         values = rng.normal(size=bits.shape)
         values /= np.linalg.norm(values, axis=1, keepdims=True)
         tossed = rng.choice([-1.0, 1.0], bits.shape)
-        found.append(least_chance({k: float(values[k] @ tossed[k]) for k in range(9)})[0])
+        found.append(most_significant_markers({k: float(values[k] @ tossed[k]) for k in range(9)})[0])
     for log_chance in (-1.0, -2.0, -3.0, -4.0):
         assert np.mean(np.array(found) < log_chance) <= math.exp(log_chance)
-    assert least_chance({0: 6.0, 1: 6.0, 2: 6.0, 3: -1.0})[1] == (0, 1, 2)
+    assert most_significant_markers({0: 6.0, 1: 6.0, 2: 6.0, 3: -1.0})[1] == (0, 1, 2)
 
 
 @pytest.mark.parametrize("where", [(0.1, 0.05, 1.4, 0.2, 0.1), (-0.1, 0.0, 1.1, 1.0, 0.3)])
@@ -84,7 +84,7 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     found = candidates(dark, ONE, grids)
     assert found[0].agreement > 6
     assert np.abs(found[0].corners - corners).max() < 4
-    (seen,), _ = locate(dark, CAMERA, [ONE])
+    (seen,), _ = locate_boards(dark, CAMERA, [ONE])
     assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(1)
 
 
@@ -99,9 +99,9 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     photo = with_noise(clean)
     assert not candidates(photo, ONE, dark_quads(photo, whole=True))
     assert not candidates(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
-    (found, *_) = moved_candidates(photo, ONE, edge_quads(photo))
+    (found, *_) = refine_candidates(photo, ONE, edge_quads(photo))
     assert np.abs(found.corners - corners).max() < 1
-    (seen,), _ = locate(photo, CAMERA, [ONE])
+    (seen,), _ = locate_boards(photo, CAMERA, [ONE])
     assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
 
 
@@ -109,12 +109,12 @@ def test_another_board_tells_two_poses_apart() -> None:
     """The photo hardly does; and a rig that says neither of the two does not either."""
     truth, apart = facing(-0.15, 0.0, 1.3, 0.2, 0.0), pose((0.3, 0.0, 0.0))
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0, noise=3.0)
-    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert alone[0].status is BoardStatus.AMBIGUOUS and alone[1].status is BoardStatus.OK
-    told, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
+    told, _ = locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
     assert pose_error(told[0].T_board_in_cam, truth)[1] < math.radians(3)
     tilted = apart @ pose((0, 0, 0), rotation_from_vector([math.radians(-13), 0, 0]))
-    untold, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
+    untold, _ = locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
     assert untold[0].status is BoardStatus.AMBIGUOUS
 
 
@@ -127,12 +127,12 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     right = int(corners[:, 0].max())
     photo[:, right - 8 :] = 35
     photo[int(corners[:, 1].max()) - 4 :, right - 90 :] = 35
-    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert alone[0].status is BoardStatus.OK and alone[1].status is BoardStatus.NOT_FOUND
     # About so; and in a photo just before, nearly there.
     near = pose((0.004, -0.003, 0.002))
-    beside, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
-    before, _ = locate(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
+    beside, _ = locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
+    before, _ = locate_boards(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
     for seen in (beside[1], before[1]):
         assert seen.T_board_in_cam is not None, seen.explanation
         shift, turn = pose_error(seen.T_board_in_cam, truth @ apart)
@@ -141,7 +141,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
 
 def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
     one, two = facing(-0.2, 0.0, 1.5), facing(0.2, 0.05, 1.5)
-    (seen,), _ = locate(photograph(CAMERA, [(ONE, one), (ONE, two)], blur=1.3), CAMERA, [ONE])
+    (seen,), _ = locate_boards(photograph(CAMERA, [(ONE, one), (ONE, two)], blur=1.3), CAMERA, [ONE])
     assert seen.status is BoardStatus.AMBIGUOUS and seen.T_board_in_cam is None
 
 
@@ -149,9 +149,9 @@ def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
 def test_strangers_are_no_board(kind: str) -> None:
     for k in range(2):
         photo = stranger(np.random.default_rng([1, k]), kind, ONE)
-        for seen in locate(photo, CAMERA, [ONE, TWO], [np.eye(4), inverse(pose((0.3, 0, 0)))])[0]:
+        for seen in locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), inverse(pose((0.3, 0, 0)))])[0]:
             assert seen.T_board_in_cam is None
-            assert seen.advice or seen.twice
+            assert seen.advice or seen.is_duplicated
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:
     )
     photo = photograph(CAMERA, boards, blur=spoil.get("blur", 0.6), noise=4.0)
     photo = (photo * spoil.get("light", 1.0)).astype(np.uint8)
-    (seen,), _ = locate(photo, CAMERA, [TWO])
+    (seen,), _ = locate_boards(photo, CAMERA, [TWO])
     assert seen.T_board_in_cam is None
     assert any(part in one for one in seen.advice), seen.advice
     assert part in seen.explanation

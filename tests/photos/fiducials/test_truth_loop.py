@@ -12,9 +12,9 @@ from tests.board_photos import pose_error
 from tests.truth_photos import CAMERA, Photographer, shot_of, spoilt
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, inverse
-from yamsim_cli.photos.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, outlines_in
-from yamsim_cli.photos.fiducials.locate import locate
-from yamsim_cli.photos.fiducials.sighting import BoardStatus, Sighting
+from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus
+from yamsim_cli.photos.fiducials.board_localization import locate_boards
+from yamsim_cli.photos.fiducials.focal_length.focal_estimate import FocalEstimate, estimate_focal, find_outlines
 
 pytestmark = pytest.mark.render
 
@@ -27,7 +27,7 @@ def russet(locations: Locations) -> Iterator[Photographer]:
         yield photographer
 
 
-def errors(seen: Sighting, truth: Array) -> tuple[float, float]:
+def errors(seen: BoardDetection, truth: Array) -> tuple[float, float]:
     """Of the centre, mm, and of the orientation, degrees."""
     assert seen.T_board_in_cam is not None, seen.reason
     shift, turn = pose_error(seen.T_board_in_cam, truth)
@@ -45,7 +45,7 @@ def test_boards_are_where_they_are(russet: Photographer, distance: float, mm: fl
     rng = np.random.default_rng([1, round(distance * 10)])
     for k in range(4):
         image, truth = photo_of(russet, rng, distance, k % 2)
-        (seen,), _ = locate(spoilt(image, rng), CAMERA, [russet.boards[k % 2].board])
+        (seen,), _ = locate_boards(spoilt(image, rng), CAMERA, [russet.boards[k % 2].board])
         off_mm, off_deg = errors(seen, truth)
         assert off_mm < mm
         assert off_deg < deg
@@ -61,7 +61,7 @@ def test_poor_photos_are_still_right(russet: Photographer, spoil: dict) -> None:
     rng = np.random.default_rng(4)
     for _ in range(2):
         image, truth = photo_of(russet, rng, 0.6)
-        (seen,), _ = locate(spoilt(image, rng, **spoil), CAMERA, [russet.boards[0].board])
+        (seen,), _ = locate_boards(spoilt(image, rng, **spoil), CAMERA, [russet.boards[0].board])
         off_mm, off_deg = errors(seen, truth)
         assert off_mm < 2.0
         assert off_deg < 1.5
@@ -72,7 +72,7 @@ def test_useless_photos_are_refused(russet: Photographer, spoil: dict) -> None:
     rng = np.random.default_rng(5)
     for _ in range(2):
         image, _ = photo_of(russet, rng, 0.9)
-        (seen,), _ = locate(spoilt(image, rng, **spoil), CAMERA, [russet.boards[0].board])
+        (seen,), _ = locate_boards(spoilt(image, rng, **spoil), CAMERA, [russet.boards[0].board])
         assert seen.status is not BoardStatus.OK
         assert seen.T_board_in_cam is None and seen.reason and seen.advice
 
@@ -86,19 +86,19 @@ def test_what_cannot_be_read_is_recognized(russet: Photographer, distance: float
     found = 0
     for k in range(3):
         image, truth = photo_of(russet, rng, distance, k % 2)
-        (seen,), _ = locate(spoilt(image, rng, **spoil), CAMERA, [russet.boards[k % 2].board])
+        (seen,), _ = locate_boards(spoilt(image, rng, **spoil), CAMERA, [russet.boards[k % 2].board])
         if seen.T_board_in_cam is None:
             continue
         found += 1
         off_mm, off_deg = errors(seen, truth)
         assert off_mm < 15.0 and off_deg < 3.0
         assert seen.rotation_sigma is not None and off_deg < 2 * math.degrees(seen.rotation_sigma)
-        assert seen.smear is not None and abs(seen.smear.length - spoil.get("motion", 0.0)) < 3.0
+        assert seen.blur is not None and abs(seen.blur.length - spoil.get("motion", 0.0)) < 3.0
     assert found >= 2
 
 
 def focal_of(photo: np.ndarray, boards: list) -> FocalEstimate:
-    return estimate_focal(outlines_in(photo, boards), (CAMERA.width, CAMERA.height))
+    return estimate_focal(find_outlines(photo, boards), (CAMERA.width, CAMERA.height))
 
 
 def test_the_focal_length_is_found_as_well_as_it_says(russet: Photographer) -> None:

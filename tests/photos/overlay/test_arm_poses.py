@@ -12,9 +12,9 @@ import pytest
 from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.photos.lens import project_points
-from yamsim_cli.photos.overlay.arm_poses import PhotoResult, find_arms
-from yamsim_cli.photos.overlay.lenses import Lens, unknown_lens
+from yamsim_cli.photos.lens_distortion import project_points
+from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera, unknown_lens
 from yamsim_cli.photos.overlay.photos import Photo
 
 # Both boards lie between the arms: the middle of the rig, a little turned.
@@ -40,13 +40,13 @@ def base(rig: RigConfig, k: int) -> Array:
     return T_WORLD_IN_CAM @ rig.T_base_in_world(k)
 
 
-def shift_mm(result: PhotoResult, rig: RigConfig, k: int) -> float:
+def shift_mm(result: RigInPhoto, rig: RigConfig, k: int) -> float:
     T = result.arms[k].T_base_in_cam
     return float(np.linalg.norm(T[:3, 3] - base(rig, k)[:3, 3])) * 1000
 
 
-def found(rig: RigConfig, grey: np.ndarray, trust: bool = False, photo: Photo = PHOTO) -> PhotoResult:
-    return find_arms(rig, photo, grey, Lens.known(CAMERA, "file"), trust)
+def found(rig: RigConfig, grey: np.ndarray, trust: bool = False, photo: Photo = PHOTO) -> RigInPhoto:
+    return find_arms(rig, photo, grey, PhotoCamera.from_calibration(CAMERA, "file"), trust)
 
 
 def test_each_arm_by_its_own_board(russet: RigConfig, clean: np.ndarray) -> None:
@@ -127,7 +127,9 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
     right, bottom = corners.max(axis=0).astype(int)
     grey[:, right - 6 :] = grey[bottom - 4 :] = 35
     assert found(russet, grey).arms[0].status == "not_found"
-    result = find_arms(russet, PHOTO, grey, Lens.known(CAMERA, "file"), trust_margin=False, before=before)
+    result = find_arms(
+        russet, PHOTO, grey, PhotoCamera.from_calibration(CAMERA, "file"), trust_margin=False, before=before
+    )
     arm = result.arms[0]
     assert arm.status == "ok", arm.sighting
     assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
@@ -161,7 +163,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     (board, T), other = boards_of(russet)
     large = CAMERA.scaled(3.0)
     near = photograph(large, [(replace(board, gap=1.12 * board.gap), facing(0.0, 0.0, 0.25, 0.9))])
-    (note,) = find_arms(russet, PHOTO, near, Lens.known(large, "file"), trust_margin=False).notes
+    (note,) = find_arms(russet, PHOTO, near, PhotoCamera.from_calibration(large, "file"), trust_margin=False).notes
     assert note.startswith("arm1's markers lie ") and "marker_length_mm and gap_mm" in note
     far_off = found(russet, photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other]))
     assert [arm.status for arm in far_off.arms] == ["uncertain", "ok"]

@@ -13,7 +13,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.photos.overlay.joint_files import Stands, home_stands, load_stands
+from yamsim_cli.photos.overlay.joint_files import ArmPostures, home_postures, load_postures
 
 ARM = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4]
 LEFT = [-0.4, 0.8, 1.3, 0.2, -0.3, 0.1, 0.01]
@@ -22,10 +22,10 @@ RIGHT = [*ARM, 0.03]
 
 def load_joints(path: Path, rig: RigConfig) -> np.ndarray:
     """Every arm's joints and opening (rows, arms, 7)."""
-    return np.array([as_rows(row) for row in load_stands(path, rig)])
+    return np.array([as_rows(row) for row in load_postures(path, rig)])
 
 
-def as_rows(stands: Stands) -> list[list[float]]:
+def as_rows(stands: ArmPostures) -> list[list[float]]:
     return [[*stand.joints, stand.opening] for stand in stands]
 
 
@@ -45,8 +45,8 @@ def pkl(path: Path, data: Any) -> Path:
 
 
 def test_home(single: RigConfig, russet: RigConfig) -> None:
-    assert len(home_stands(single)) == 1
-    assert as_rows(home_stands(russet)) == [[0, 1.047, 1.047, 0, 0, 0, 0]] * 2
+    assert len(home_postures(single)) == 1
+    assert as_rows(home_postures(russet)) == [[0, 1.047, 1.047, 0, 0, 0, 0]] * 2
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -82,7 +82,7 @@ def test_yaml_of_either_form(tmp_path: Path, single: RigConfig, russet: RigConfi
     both = load_joints(yaml(tmp_path, f"arm1: {RIGHT}\narm2: {LEFT}\n"), russet)
     assert both[0].tolist() == [RIGHT, LEFT]
     one = load_joints(yaml(tmp_path, f"arm2: {ARM}\n"), russet)
-    assert one[0].tolist() == [as_rows(home_stands(russet))[0], [*ARM, 0.0]]
+    assert one[0].tolist() == [as_rows(home_postures(russet))[0], [*ARM, 0.0]]
     rows = load_joints(yaml(tmp_path, f"joints: [{RIGHT}, {RIGHT}]\n"), single)
     assert rows.shape == (2, 1, 7)
 
@@ -131,7 +131,7 @@ HUGE = (
 )
 
 
-class Evil:
+class MaliciousPickle:
     def __reduce__(self) -> tuple[Any, tuple[str]]:
         return (eval, ("open('owned', 'w')",))
 
@@ -149,9 +149,9 @@ class Evil:
         (lambda p: npy(p, np.zeros((0, 7))), "holds no row of joints"),
         (lambda p: npy(p, 0.5), "joints have the shape ()"),
         (lambda p: npy(p, ["a", "b"]), "not an array of numbers"),
-        (lambda p: npy(p, np.array([Evil()], object)), "not an array of numbers"),
-        (lambda p: pkl(p, {"joints": Evil()}), "eval"),
-        (lambda p: pkl(p, Evil()), "eval"),
+        (lambda p: npy(p, np.array([MaliciousPickle()], object)), "not an array of numbers"),
+        (lambda p: pkl(p, {"joints": MaliciousPickle()}), "eval"),
+        (lambda p: pkl(p, MaliciousPickle()), "eval"),
         (lambda p: pkl(p, {"q": np.zeros(7)}), "the frame has no key 'joints'"),
         (lambda p: pkl(p, [1, 2]), "dictionary"),
         (lambda p: pkl(p, {"joints": "none"}), "j.pkl: "),

@@ -8,24 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.rig_photos import Shot
+from tests.rig_photos import RigPhoto
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.core.images.image_files import grey_of
-from yamsim_cli.photos.lens import project_points
-from yamsim_cli.photos.overlay.arm_poses import RECORDED, ArmPose, PhotoResult
-from yamsim_cli.photos.overlay.lenses import Lens
-from yamsim_cli.photos.overlay.outline_fit import overlap, refine, score_outlines
+from yamsim_cli.core.images.image_files import to_grey
+from yamsim_cli.photos.lens_distortion import project_points
+from yamsim_cli.photos.overlay.outline_fit import mask_iou, refine_poses, score_outlines
+from yamsim_cli.photos.overlay.photo_arm_poses import RECORDED, ArmPose, RigInPhoto
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.rendered_arms import ArmRenderer
 
 pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
-def renderer(russet_shot: Shot, locations: Locations) -> Iterator[ArmRenderer]:
+def renderer(russet_shot: RigPhoto, locations: Locations) -> Iterator[ArmRenderer]:
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
     with ArmRenderer(russet_shot.rig, scene, quality, russet_shot.camera, locations) as renderer:
@@ -36,13 +36,13 @@ def moved(T: Array, shift: tuple[float, float, float], turn: tuple[float, float,
     return pose(T[:3, 3] + shift, rotation_from_vector(list(turn)) @ T[:3, :3])
 
 
-def with_poses(shot: Shot, poses: dict[int, Array]) -> PhotoResult:
+def with_poses(shot: RigPhoto, poses: dict[int, Array]) -> RigInPhoto:
     """A result whose poses are known to a degree and a centimetre only."""
     arms = tuple(ArmPose(arm.name, None, RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms))
-    return PhotoResult(Path("p.png"), Lens.known(shot.camera, "file"), "file", arms, ())
+    return RigInPhoto(Path("p.png"), PhotoCamera.from_calibration(shot.camera, "file"), "file", arms, ())
 
 
-def miss_px(shot: Shot, k: int, T: Array) -> float:
+def miss_px(shot: RigPhoto, k: int, T: Array) -> float:
     """How far the arm's neighbourhood is drawn from where it is, rms."""
     points = np.array([[x, y, z, 1.0] for x in (0.0, 0.3) for y in (-0.1, 0.1) for z in (0.05, 0.35)])
     pixels = [project_points(shot.camera, (points @ pose.T)[:, :3]) for pose in (T, shot.T_base_in_cam(k))]
@@ -58,36 +58,36 @@ def miss_px(shot: Shot, k: int, T: Array) -> float:
     ],
 )
 def test_a_pose_that_is_off_by_pixels_is_brought_back(
-    russet_shot: Shot, renderer: ArmRenderer, shift: tuple[float, float, float], turn: tuple[float, float, float]
+    russet_shot: RigPhoto, renderer: ArmRenderer, shift: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
-    grey = grey_of(russet_shot.image)
+    grey = to_grey(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), shift, turn) for k in (0, 1)}
-    better = refine(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=False)
+    better = refine_poses(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=False)
     for k in (0, 1):
         before, after = miss_px(russet_shot, k, off[k]), miss_px(russet_shot, k, better.bases[k])
         assert before > 3.0
         assert after < before / 5
 
 
-def test_together_they_move_as_one(russet_shot: Shot, renderer: ArmRenderer) -> None:
-    grey = grey_of(russet_shot.image)
+def test_together_they_move_as_one(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
+    grey = to_grey(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), (0.008, 0.0, 0.0), (0, 0, 0)) for k in (0, 1)}
     apart = inverse(off[0]) @ off[1]
-    better = refine(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=True).bases
+    better = refine_poses(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=True).bases
     assert inverse(better[0]) @ better[1] == pytest.approx(apart, abs=1e-9)
     for k in (0, 1):
         assert miss_px(russet_shot, k, better[k]) < miss_px(russet_shot, k, off[k]) / 5
 
 
-def test_an_arm_without_a_pose_stays_so(russet_shot: Shot, renderer: ArmRenderer) -> None:
+def test_an_arm_without_a_pose_stays_so(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     one = with_poses(russet_shot, {1: russet_shot.T_base_in_cam(1)})
-    better = refine(one, renderer, russet_shot.stands, grey_of(russet_shot.image), together=False)
+    better = refine_poses(one, renderer, russet_shot.stands, to_grey(russet_shot.image), together=False)
     assert list(better.bases) == [1]
     assert better.arms[0] == one.arms[0]
 
 
-def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, renderer: ArmRenderer) -> None:
-    grey = grey_of(russet_shot.image)
+def test_the_score_says_how_many_pixels_it_is_off(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
+    grey = to_grey(russet_shot.image)
     scores = []
     for mm in (0, 4, 8):
         poses = {k: moved(russet_shot.T_base_in_cam(k), (0.001 * mm, 0, 0), (0, 0, 0)) for k in (0, 1)}
@@ -101,7 +101,7 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, renderer: A
     assert scores[1] < scores[2] < 5.5
 
 
-def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: Shot, renderer: ArmRenderer) -> None:
+def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     """Labels say which arm is seen, and an outline stops where the other arm covers it."""
     renderer.pose({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
     both = renderer.flat_labels()
@@ -114,8 +114,8 @@ def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: Shot, re
 
 def test_overlap() -> None:
     one, other = np.zeros((10, 10), bool), np.zeros((10, 10), bool)
-    assert overlap(one, other) == 1.0
+    assert mask_iou(one, other) == 1.0
     one[:5] = True
-    assert overlap(one, other) == 0.0
+    assert mask_iou(one, other) == 0.0
     other[:, :5] = True
-    assert overlap(one, other) == pytest.approx(25 / 75)
+    assert mask_iou(one, other) == pytest.approx(25 / 75)

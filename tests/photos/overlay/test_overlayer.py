@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from tests.board_photos import pose_error
-from tests.rig_photos import Shot, standing
+from tests.rig_photos import RigPhoto, standing
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, PartialJobError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
 from yamsim_cli.core.images.image_files import read_image
-from yamsim_cli.photos.overlay import overlayer
+from yamsim_cli.photos.overlay import overlay_run as overlayer
 from yamsim_cli.photos.overlay.overlay_report import OverlayReport
-from yamsim_cli.photos.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
+from yamsim_cli.photos.overlay.overlay_run import OverlayRequest, photo_jobs, run_overlays
 from yamsim_cli.photos.overlay.photos import Photo, find_photos
 
 pytestmark = pytest.mark.render
@@ -33,7 +33,7 @@ Runner = Callable[..., OverlayReport]
 
 
 @pytest.fixture
-def run(russet_shot: Shot, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
+def run(russet_shot: RigPhoto, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
     """Runs photos with the shot's own camera and joints, on primitives, into `out`, whatever else is asked for."""
     monkeypatch.chdir(tmp_path)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
@@ -50,7 +50,7 @@ def run(russet_shot: Shot, locations: Locations, tmp_path: Path, monkeypatch: py
         **changes: Any,
     ) -> OverlayReport:
         photos = photos or [Photo(path) for path in find_photos([Path(path) for path in paths])]
-        jobs = photo_jobs(photos, out, stands=stands, write_masks=write_masks, mask_images=mask_images)
+        jobs = photo_jobs(photos, out, postures=stands, write_masks=write_masks, mask_images=mask_images)
         request = OverlayRequest(jobs, out, camera, **changes)
         return run_overlays(russet_shot.rig, request, scene, quality, locations, lambda done, total: None)
 
@@ -58,7 +58,7 @@ def run(russet_shot: Shot, locations: Locations, tmp_path: Path, monkeypatch: py
 
 
 @pytest.fixture
-def photo(russet_shot: Shot, tmp_path: Path) -> Path:
+def photo(russet_shot: RigPhoto, tmp_path: Path) -> Path:
     path = tmp_path / "photo.png"
     save(path, russet_shot.image)
     return path
@@ -78,7 +78,7 @@ def nothing_but(folder: Path, *names: str) -> None:
     assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()) == sorted(names)
 
 
-def test_one_photo(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_one_photo(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(photo.parent / "truth.png", np.dstack([russet_shot.mask * np.uint8(255)] * 3))
     report = run("photo.png", mask_images=Path("truth.png"))
     report.check()
@@ -95,12 +95,12 @@ def test_one_photo(run: Runner, photo: Path, russet_shot: Shot) -> None:
     assert result.margin == pytest.approx(0.591, abs=0.001)
     nothing_but(photo.parent / "out", "overlay.json", "photo_overlay.png")
     assert read_image(Path("out/photo_overlay.png")).shape == russet_shot.image.shape
-    assert json.loads(Path("out/overlay.json").read_text()) == report.plain()
+    assert json.loads(Path("out/overlay.json").read_text()) == report.to_json_data()
 
 
 def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     report = run("photo.png")
-    plain = report.plain()
+    plain = report.to_json_data()
     assert list(plain) == ["images", "files", "failures", "unreadable", "still", "still_unknown", "moved"]
     assert plain["files"] == ["out/photo_overlay.png", "out/overlay.json"]
     (image,) = plain["images"]
@@ -130,7 +130,7 @@ def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     assert json.loads(json.dumps(plain)) == plain
 
 
-def test_wrong_joints_show(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_wrong_joints_show(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     joints = russet_shot.joints.copy()
     joints[0, 1] += 0.1
     arms = run("photo.png", stands=[standing(joints)]).results[0].arms
@@ -164,7 +164,7 @@ def test_a_mask_of_another_size_is_refused(run: Runner, photo: Path) -> None:
 
 @pytest.mark.parametrize("together", [False, True])
 def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
-    run: Runner, photo: Path, russet_shot: Shot, together: bool
+    run: Runner, photo: Path, russet_shot: RigPhoto, together: bool
 ) -> None:
     report = run("photo.png", trust_margin=together, refine=True)
     T = report.results[0].bases
@@ -190,7 +190,7 @@ def test_a_folder_and_its_own_overlays(run: Runner, photo: Path) -> None:
     assert photo.read_bytes() == before
 
 
-def test_an_input_is_never_overwritten(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_an_input_is_never_overwritten(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(Path("photo_overlay.png"), russet_shot.image)
     run("photo.png", out=Path("masks"), write_masks=True)
     before = {path: path.read_bytes() for path in photo.parent.rglob("*.png")}
@@ -204,7 +204,7 @@ def test_an_input_is_never_overwritten(run: Runner, photo: Path, russet_shot: Sh
     assert {path: path.read_bytes() for path in photo.parent.rglob("*.png") if "link" not in path.parts} == before
 
 
-def test_photos_of_equal_names(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_photos_of_equal_names(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(Path("photo.jpg"), russet_shot.image)
     run("photo.png", "photo.jpg")
     nothing_but(photo.parent / "out", "overlay.json", "photo_jpg_overlay.png", "photo_png_overlay.png")
@@ -219,7 +219,7 @@ def test_one_damaged_photo_does_not_cost_the_others(run: Runner, photo: Path) ->
     Path("b.jpg").write_text("no picture")
     report = run(".")
     assert [result.path.name for result in report.results] == ["photo.png"]
-    assert report.plain()["unreadable"] == report.unreadable
+    assert report.to_json_data()["unreadable"] == report.unreadable
     message = r"^a\.png is no whole PNG or JPEG; export it again \(and 1 more\)$"
     with pytest.raises(PartialJobError, match=message):
         report.check()
@@ -231,7 +231,7 @@ def test_one_damaged_photo_does_not_cost_the_others(run: Runner, photo: Path) ->
 def test_a_photo_without_boards(run: Runner, photo: Path) -> None:
     cv2.imwrite("empty.png", np.full((480, 640), 120, np.uint8))
     report = run("empty.png")
-    assert report.plain()["images"][0]["arms"][0]["T_base_in_cam"] is None
+    assert report.to_json_data()["images"][0]["arms"][0]["T_base_in_cam"] is None
     with pytest.raises(ResourceError) as caught:
         report.check()
     assert str(caught.value).startswith(
@@ -261,7 +261,7 @@ def test_a_camera_of_another_size(run: Runner, photo: Path) -> None:
         run("photo.png", camera=CameraModel.pinhole(1280, 960, 1200.0))
 
 
-def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     run("photo.png", max_reprojection=0.1).check()
     report = run("photo.png", max_reprojection=0.003)
     assert len(report.failures) == 2
@@ -276,7 +276,9 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Sho
         run("hidden.png", max_reprojection=1.0).check()
 
 
-def test_an_unknown_camera_and_unknown_joints_are_said_to_be_so(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_an_unknown_camera_and_unknown_joints_are_said_to_be_so(
+    run: Runner, photo: Path, russet_shot: RigPhoto
+) -> None:
     # A camera's exposure makes prints whiter than the studio's light does; too little contrast bounds no interval.
     save(photo, cv2.convertScaleAbs(russet_shot.image, alpha=1.2))
     result = run("photo.png", camera=None, stands=None).results[0]
@@ -284,7 +286,7 @@ def test_an_unknown_camera_and_unknown_joints_are_said_to_be_so(run: Runner, pho
     assert result.lens.focal.low < russet_shot.camera.focal < result.lens.focal.high
 
 
-def test_a_row_of_joints_for_each_photo(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_a_row_of_joints_for_each_photo(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(Path("q.png"), russet_shot.image)
     wrong = russet_shot.joints.copy()
     wrong[:, 1] += 0.1
@@ -294,7 +296,7 @@ def test_a_row_of_joints_for_each_photo(run: Runner, photo: Path, russet_shot: S
         run("photo.png", stands=[standing(wrong)] * 2)
 
 
-def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     av = pytest.importorskip("av", reason="yamsim[video] is not installed")
     for k in range(3):
         save(Path(f"p{k}.png"), russet_shot.image)
@@ -318,7 +320,7 @@ def test_a_folder_that_cannot_be(run: Runner, photo: Path) -> None:
             run("photo.png", out=out)
 
 
-def test_a_grey_photo_and_one_of_a_bare_rig(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_a_grey_photo_and_one_of_a_bare_rig(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     grey = cv2.cvtColor(russet_shot.image, cv2.COLOR_RGB2GRAY)
     cv2.imwrite("grey.png", grey)
     result = run("grey.png").results[0]
@@ -326,7 +328,7 @@ def test_a_grey_photo_and_one_of_a_bare_rig(run: Runner, photo: Path, russet_sho
     assert off(result.bases[0], russet_shot.T_base_in_cam(0))[0] < 1.0
 
 
-def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: Shot) -> None:
+def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     """An episode's photos know their camera; the drawer is made anew where it changes."""
     half = cv2.resize(russet_shot.image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = russet_shot.camera.scaled(0.5)

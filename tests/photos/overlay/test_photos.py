@@ -14,7 +14,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import dump_frame, frame_data
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
-from yamsim_cli.photos.overlay.photos import episode_photos, find_photos, mask_of
+from yamsim_cli.photos.overlay.photos import episode_photos, find_mask, find_photos
 
 JOINTS = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4, 0.02]
 K = [[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]
@@ -60,18 +60,18 @@ def test_the_mask_of_a_photo(tmp_path: Path) -> None:
     photo = tmp_path / "photos" / "a.jpg"
     masks = tmp_path / "masks"
     touch(photo, masks / "b_mask.png")
-    assert mask_of(masks / "b_mask.png", photo) == masks / "b_mask.png"
+    assert find_mask(masks / "b_mask.png", photo) == masks / "b_mask.png"
     with pytest.raises(ResourceError, match=r"holds no mask for a\.jpg; valid: a_mask\.png or a\.png"):
-        mask_of(masks, photo)
+        find_mask(masks, photo)
     for name in ("a.jpg", "a.png", "a_mask.png"):
         touch(masks / name)
-        assert mask_of(masks, photo) == masks / name
+        assert find_mask(masks, photo) == masks / name
 
 
 def test_a_photo_is_not_its_own_mask(tmp_path: Path) -> None:
     touch(tmp_path / "a.png")
     with pytest.raises(ResourceError, match="holds no mask"):
-        mask_of(tmp_path, tmp_path / "a.png")
+        find_mask(tmp_path, tmp_path / "a.png")
 
 
 def frame(**changes: Any) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def test_an_episode_knows_its_camera_its_pose_and_its_joints(episode: Path, sing
     assert {photo.path.parent.name for photo in photos} == {"scene_camera"}
     last = photos[2]
     assert (last.camera.width, last.camera.height, last.camera.focal) == (64, 48, 60.0)
-    (stand,) = last.stands
+    (stand,) = last.postures
     assert [*stand.joints, stand.opening] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
     assert last.joints_source == "episode"
     assert last.T_base_in_cam == pytest.approx(inverse(T_CAM), abs=1e-6)

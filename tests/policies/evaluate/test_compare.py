@@ -13,7 +13,7 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.datasets.leaderboard_page import leaderboard_page
-from yamsim_cli.policies.evaluate.compare import compare, mcnemar, read_report
+from yamsim_cli.policies.evaluate.compare import compare_reports, mcnemar, read_report
 
 
 def report(name: str, good: str) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def test_the_p_value_is_that_of_all_coins() -> None:
 
 
 def test_trials_are_paired() -> None:
-    found = compare(report("a", "1111100000"), report("b", "1100000001"))
+    found = compare_reports(report("a", "1111100000"), report("b", "1100000001"))
     assert found == {
         "policy": "b", "success_rate": 0.3, "n": 10,
         "both": 2, "only_first": 3, "only_second": 1, "neither": 4, "p_value": 0.625,
@@ -69,17 +69,17 @@ def test_trials_are_paired() -> None:
 )
 def test_other_trials_are_no_pairs(change: dict[str, Any], told: str) -> None:
     with pytest.raises(UsageError, match=f"--compare b: {told}"):
-        compare(report("a", "101"), report("b", "101") | change)
+        compare_reports(report("a", "101"), report("b", "101") | change)
 
 
 def test_trials_that_start_elsewhere_are_no_pairs() -> None:
     other = copy.deepcopy(report("b", "101"))
     other["trials"][1]["layout"]["banana"][0] += 1e-6
     with pytest.raises(UsageError, match="trial 1 starts elsewhere"):
-        compare(report("a", "101"), other)
+        compare_reports(report("a", "101"), other)
     # A trial whose worker was lost knows no start.
     other["trials"][1]["layout"] = {}
-    assert compare(report("a", "101"), other)["both"] == 2
+    assert compare_reports(report("a", "101"), other)["both"] == 2
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"trials": 1}', '{"trials": [], "stats": {}}', "[" * 100_000])
@@ -98,7 +98,7 @@ def test_a_report_is_read(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_the_best_first_and_breaks_out_of_nothing() -> None:
     one, other = report("<script>worse</script>", "1000"), report("better", "1110")
-    page = leaderboard_page([one, other], [compare(one, other)], "Made by a test.")
+    page = leaderboard_page([one, other], [compare_reports(one, other)], "Made by a test.")
     assert "<script>" not in page
     assert page.index(">better<") < page.index("&lt;script&gt;worse")
     for text in ("3 of 4", "1 of 4", "10.0 ms", "20.0 ms", "0.25 s", "McNemar", "banana, plate"):

@@ -13,19 +13,25 @@ import pytest
 
 from tests.attempts import all_actions, planned
 from tests.unrendered import write_dataset
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import OutcomeRecord
-from yamsim_cli.core.episode.payload import frames
-from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
+from yamsim_cli.core.episode.attempt_payload import frame_records
+from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.simulator import Simulator, open_episode
 from yamsim_cli.core.episode.trials import run_batch
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, Outcome
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
-from yamsim_cli.policies.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
-from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
+from yamsim_cli.policies.evaluate.evaluation import (
+    Evaluation,
+    evaluate,
+    evaluation_report,
+    require_measured,
+    trials_to_film,
+)
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
 
 SAMPLES = Path(__file__).parents[1]
 N = 12
@@ -51,7 +57,7 @@ def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., 
     def run(name: str, attempt: int = 0, seed: int = 0, **limits: float) -> TrialResult:
         choice = PolicyChoice(name, SAMPLES, **limits)
         with TrialRunner(Session(config, locations), choice) as runner:
-            return runner.run(EpisodeJob(seed, attempt))
+            return runner.run(AttemptJob(seed, attempt))
 
     yield run
 
@@ -75,7 +81,7 @@ def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConf
     """Every number of every success, and why the others fail, whatever the workers."""
     batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
     found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES, end=EndRule.ACTOR), lambda *_: None)
-    report = json.loads(json.dumps(summary(found, strict, (0.05,))))
+    report = json.loads(json.dumps(evaluation_report(found, strict, (0.05,))))
     batch = json.loads(json.dumps(batch))
     assert 0 < report["stats"]["n_success"] < N
     assert outcomes(report) == outcomes(batch)
@@ -86,7 +92,7 @@ def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConf
 
 def test_holding_still_scores_nothing(strict: RecordConfig, locations: Locations) -> None:
     found = evaluate(Session(strict, locations), PolicyChoice("hold_still", SAMPLES, time_limit=1.0), lambda *_: None)
-    report = summary(found, strict, (0.08,))
+    report = evaluation_report(found, strict, (0.08,))
     assert (report["stats"]["n_success"], report["stats"]["rates"]["0.08"]) == (0, 0.0)
     assert report["stats"]["ended"] == {"time_limit": N}
     assert {trial["simulated_s"] for trial in report["trials"]} == {31 * 0.032}
@@ -122,7 +128,7 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
 def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
     """A policy that asks for it all the time, far from the object, holds nothing."""
     result = trial("sample_policies.py:Faulty", attempt=4)
-    assert (result.ended, result.ticks) == (Ended.DONE, 6 + rest(config))
+    assert (result.ended, result.ticks) == (TrialEnd.DONE, 6 + rest(config))
     assert result.actions is not None
     assert not result.actions.magnet.any()
 
@@ -130,15 +136,15 @@ def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: C
 def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
     (tmp_path / "holder.py").write_text(
-        "from yamsim_cli.policies.evaluate.policy_factory import Scripted\n\n\nclass Holder(Scripted):\n"
+        "from yamsim_cli.policies.evaluate.policy_factory import ExpertPolicy\n\n\nclass Holder(ExpertPolicy):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
         "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
-        result = runner.run(EpisodeJob(0, 0))
+        result = runner.run(AttemptJob(0, 0))
     assert result.actions is not None
     done = -1 - rest(config)
-    assert result.ended is Ended.DONE
+    assert result.ended is TrialEnd.DONE
     assert result.actions.magnet[done:].all()
     assert (result.actions.ctrl[done:] == result.actions.ctrl[done]).all()
     assert result.outcome.dxy_m is not None and result.outcome.dxy_m < 0.01
@@ -149,14 +155,14 @@ def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, location
 @pytest.mark.parametrize(
     ("seed", "ended", "told"),
     [
-        (0, Ended.RAISED, "KeyError: 'no such thing' (sample_policies.py:{line}, in __call__), after 3 ticks"),
-        (1, Ended.INVALID, "ctrl is not finite"),
-        (2, Ended.INVALID, "ctrl has the shape (6,), not (7,)"),
-        (3, Ended.SLOW, "no answer within 0.5 s, after 3 ticks"),
+        (0, TrialEnd.RAISED, "KeyError: 'no such thing' (sample_policies.py:{line}, in __call__), after 3 ticks"),
+        (1, TrialEnd.INVALID, "ctrl is not finite"),
+        (2, TrialEnd.INVALID, "ctrl has the shape (6,), not (7,)"),
+        (3, TrialEnd.SLOW, "no answer within 0.5 s, after 3 ticks"),
     ],
 )
 def test_a_fault_costs_its_trial_alone(
-    seed: int, ended: Ended, told: str, trial: Callable[..., TrialResult], capsys: pytest.CaptureFixture[str]
+    seed: int, ended: TrialEnd, told: str, trial: Callable[..., TrialResult], capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = trial("sample_policies.py:Faulty", attempt=seed, call_seconds=0.5)
     assert result.ended is ended
@@ -190,7 +196,7 @@ def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     config = make_config({("episodes",): 4, ("workers",): 1})
     found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
     assert [result.attempt.job.attempt for result in found.results] == [0, 1, 2, 3]
-    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3 + rest(config))}
+    assert {(result.ended, result.ticks) for result in found.results} == {(TrialEnd.DONE, 3 + rest(config))}
 
 
 @pytest.mark.slow
@@ -199,39 +205,43 @@ def test_a_policy_that_ends_its_process_costs_its_trial_alone(
 ) -> None:
     config = make_config({("episodes",): 3, ("workers",): 1})
     found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Suicidal", SAMPLES), lambda *_: None)
-    assert [result.ended for result in found.results] == [Ended.DONE, Ended.LOST, Ended.DONE]
+    assert [result.ended for result in found.results] == [TrialEnd.DONE, TrialEnd.LOST, TrialEnd.DONE]
     assert "ended with code 3, in each of 3 tries" in found.results[1].error
-    assert summary(found, config, (0.05,))["stats"]["causes"]["policy_lost"] == 1
+    assert evaluation_report(found, config, (0.05,))["stats"]["causes"]["policy_lost"] == 1
 
 
 @pytest.mark.parametrize(
     ("ended", "ran"),
     [
-        ((Ended.RAISED, Ended.DONE), True),
-        ((Ended.TIME_LIMIT, Ended.LOST), True),
-        ((Ended.RAISED, Ended.LOST), False),
-        ((Ended.SLOW, Ended.INVALID), False),
-        ((Ended.NOT_STARTED, Ended.NOT_STARTED), False),
+        ((TrialEnd.RAISED, TrialEnd.DONE), True),
+        ((TrialEnd.TIME_LIMIT, TrialEnd.LOST), True),
+        ((TrialEnd.RAISED, TrialEnd.LOST), False),
+        ((TrialEnd.SLOW, TrialEnd.INVALID), False),
+        ((TrialEnd.NOT_STARTED, TrialEnd.NOT_STARTED), False),
     ],
 )
-def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: bool, config: RecordConfig) -> None:
-    outcome = OutcomeRecord.of(Outcome(False, Cause.NO_LAYOUT, "no free place"))
-    results = tuple(TrialResult(Attempt(EpisodeJob(0, k)), outcome, how) for k, how in enumerate(ended))
-    report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ())
+def test_trials_that_did_not_run_measure_nothing(ended: tuple[TrialEnd, ...], ran: bool, config: RecordConfig) -> None:
+    outcome = OutcomeRecord.from_outcome(Outcome(False, FailureCause.NO_LAYOUT, "no free place"))
+    results = tuple(TrialResult(Attempt(AttemptJob(0, k)), outcome, how) for k, how in enumerate(ended))
+    report = evaluation_report(
+        Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ()
+    )
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
-        require_run(report)
+        require_measured(report)
 
 
 def test_failures_are_shown_and_successes_on_request() -> None:
-    acting = Actions(np.zeros((1, 7)), np.zeros((1, 1), bool), np.zeros((1, 1, 7)))
+    acting = ActionSequence(np.zeros((1, 7)), np.zeros((1, 1), bool), np.zeros((1, 1, 7)))
     results = [
-        TrialResult(Attempt(EpisodeJob(0, k)), OutcomeRecord.of(Outcome(good)), Ended.DONE, actions=actions)
+        TrialResult(
+            Attempt(AttemptJob(0, k)), OutcomeRecord.from_outcome(Outcome(good)), TrialEnd.DONE, actions=actions
+        )
         for k, (good, actions) in enumerate([(True, acting), (False, None), (False, acting), (True, acting)])
     ]
-    assert shown(results, 9, successes=False) == [results[2]]
-    assert shown(results, 9, successes=True) == [results[0], *results[2:]]
-    assert shown(results, 2, successes=True) == [results[0], results[2]]
-    assert shown([results[0]], 9, successes=False) == [results[0]]
+    assert trials_to_film(results, 9, successes=False) == [results[2]]
+    assert trials_to_film(results, 9, successes=True) == [results[0], *results[2:]]
+    assert trials_to_film(results, 2, successes=True) == [results[0], results[2]]
+    assert trials_to_film([results[0]], 9, successes=False) == [results[0]]
 
 
 def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult]) -> None:
@@ -246,8 +256,8 @@ def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult
 @pytest.mark.render
 def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locations) -> None:
     with TrialRunner(Session(strict, locations), PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
-        result = runner.run(EpisodeJob(0, 0))
-    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1 + rest(strict), "")
+        result = runner.run(AttemptJob(0, 0))
+    assert (result.ended, result.ticks, result.error) == (TrialEnd.DONE, 1 + rest(strict), "")
 
 
 def test_an_observation_says_where_everything_is(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
@@ -258,11 +268,11 @@ def test_an_observation_says_where_everything_is(config: RecordConfig, locations
         "        return {'ctrl': observation['joints'], 'done': True}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("spy.py", tmp_path)) as runner:
-        runner.run(EpisodeJob(0, 0))
+        runner.run(AttemptJob(0, 0))
         seen = type(runner._policy).seen[0]  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        frame = frame_records(simulator, done.attempt, done.states[:1])[0]
         T_base = simulator.scene.T_base_in_world
     np.testing.assert_allclose(seen["joints"], frame["joints"], atol=1e-6)
     np.testing.assert_allclose(seen["gripper"], frame["joints"][6], atol=1e-6)

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from tests.policies.servers import act_server, openpi_server, raw_server, read_request
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.policies.chunks import Chunking
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
-from yamsim_cli.policies.evaluate.evaluation import Evaluation, instance_of, summary
+from yamsim_cli.policies.action_chunks import ChunkSettings
+from yamsim_cli.policies.evaluate.evaluation import Evaluation, describe_objects, evaluation_report
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_factory import make_policy, policy_station
-from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialResult, TrialRunner
-from yamsim_cli.policies.mapped import MappedPolicy, PolicyStation
+from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
 from yamsim_cli.policies.openpi import pack_openpi, unpack_openpi
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
@@ -37,7 +37,7 @@ EXPERT = "gripper: share\nstate: {key: state, dtype: float64}\nprompt: instructi
 ONE = EXPERT + "actions: {key: actions, hz: 31.25, weld: true}\n"
 
 
-class Repeats:
+class RecordingClient:
     """A client that answers with what it is told to, and remembers what it was asked."""
 
     def __init__(self, **answer: Any) -> None:
@@ -47,7 +47,7 @@ class Repeats:
     def begin(self, seed: int) -> None:
         self.seed = seed
 
-    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+    def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         self.asked.append(message)
         return self.answer
 
@@ -72,8 +72,8 @@ OBSERVED = {
 
 @pytest.fixture
 def mapped(locations: Locations) -> Callable[..., tuple[Any, MappedPolicy]]:
-    def make(name: str, **answer: Any) -> tuple[Repeats, MappedPolicy]:
-        client = Repeats(**answer)
+    def make(name: str, **answer: Any) -> tuple[RecordingClient, MappedPolicy]:
+        client = RecordingClient(**answer)
         return client, MappedPolicy(client, load_config(PolicyConfig, "policies", name, locations), STATION)
 
     return make
@@ -117,7 +117,7 @@ def test_arms_come_in_the_order_of_the_config(locations: Locations, tmp_path: Pa
         "arms: [right, left]\ngripper: metres\nstate: {key: s, dtype: float64}\nactions: {key: a, hz: 10, weld: true}\n"
     )
     config = validate_file(PolicyConfig, tmp_path / "mine.yaml", locations)
-    client = Repeats(a=[*range(100, 107), *range(200, 207), 0, 1])
+    client = RecordingClient(a=[*range(100, 107), *range(200, 207), 0, 1])
     told = MappedPolicy(client, config, STATION)(OBSERVED)
     np.testing.assert_array_equal(client.asked[0]["s"], [10, 11, 12, 13, 14, 15, 0.04, 0, 1, 2, 3, 4, 5, 0.025])
     np.testing.assert_array_equal(told["ctrl"], [[*range(200, 207), *range(100, 107)]])
@@ -161,7 +161,7 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
     lone = PolicyStation("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
     mapping = load_config(PolicyConfig, "policies", "openpi_aloha", locations)
     with pytest.raises(UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; there"):
-        MappedPolicy(Repeats(), mapping, lone)
+        MappedPolicy(RecordingClient(), mapping, lone)
 
 
 def test_lerobot_that_is_not_installed_is_told(config: RecordConfig, locations: Locations) -> None:
@@ -221,7 +221,7 @@ def test_every_picture_of_an_export_is_known(
     wanted = [f"observation.images.{name}" for name in config.recorded_cameras]
     for name in ("lerobot_export", "lerobot_joints"):
         mapping = load_config(PolicyConfig, "policies", name, locations)
-        policy = MappedPolicy(Repeats(), mapping, policy_station(config), wanted)
+        policy = MappedPolicy(RecordingClient(), mapping, policy_station(config), wanted)
         assert len(policy.images) == len(wanted)
 
 
@@ -233,10 +233,10 @@ def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[Trial
     where, results, plans = policy_station(config), [], {}
     with TrialRunner(Session(config, locations), PolicyChoice("scripted", HERE)) as runner:
         for attempt in range(config.episodes):
-            job = EpisodeJob(config.seed, attempt)
+            job = AttemptJob(config.seed, attempt)
             results.append(result := runner.run(job))
             assert result.actions is not None
-            told = result.actions.ctrl[:, runner._simulators.of(job).scene.drives].copy()
+            told = result.actions.ctrl[:, runner._simulators.get(job).scene.drives].copy()
             told[:, :, -1] /= np.array(where.openings)
             rows = np.concatenate([told.reshape(len(told), -1), result.actions.magnet], axis=1)
             plans[(job.seed * 1_000_003 + job.attempt) % 2**32] = rows
@@ -278,15 +278,15 @@ def mapping(tmp_path: Path) -> str:
 @pytest.mark.parametrize(
     "chunking",
     [
-        Chunking(execute=8),
-        pytest.param(Chunking(execute=10, latency=0.1, ensemble=0.01), marks=pytest.mark.slow),
+        ChunkSettings(execute=8),
+        pytest.param(ChunkSettings(execute=10, latency=0.1, ensemble=0.01), marks=pytest.mark.slow),
     ],
 )
 def test_the_served_expert_does_what_the_local_one_does(
     experts: tuple[RecordConfig, list[TrialResult], dict[int, np.ndarray]],
     serve: Callable[..., Any],
     mapping: str,
-    chunking: Chunking,
+    chunking: ChunkSettings,
     locations: Locations,
 ) -> None:
     """Its plan tells what is for when, so that neither chunks nor latency change a command after the first ones."""
@@ -296,7 +296,7 @@ def test_the_served_expert_does_what_the_local_one_does(
         with TrialRunner(Session(config, locations), choice) as runner:
             for own in local:
                 served = runner.run(own.attempt.job)
-                assert (served.ended, served.error, own.ended) == (Ended.SUCCESS, "", Ended.SUCCESS)
+                assert (served.ended, served.error, own.ended) == (TrialEnd.SUCCESS, "", TrialEnd.SUCCESS)
                 assert served.outcome.success == own.outcome.success is True
                 assert own.actions is not None
                 assert served.actions is not None
@@ -348,12 +348,12 @@ def test_a_server_that_lies_costs_a_trial_each_time_and_never_the_run(
     config = make_config({("episodes",): 8, ("workers",): 1})
     choice = PolicyChoice(hostile, HERE, call_seconds=1.5, time_limit=1.2, mapping=mapping)
     with TrialRunner(Session(config, locations), choice) as runner:
-        results = [runner.run(EpisodeJob(0, attempt)) for attempt in range(8)]
+        results = [runner.run(AttemptJob(0, attempt)) for attempt in range(8)]
     told = [result.ended for result in results]
-    assert told[0] is told[7] is Ended.TIME_LIMIT
+    assert told[0] is told[7] is TrialEnd.TIME_LIMIT
     # Too long an answer is refused before it is read.
-    assert set(told[1:4]) | {told[5], told[6]} <= {Ended.INVALID, Ended.RAISED}
-    assert told[4] is Ended.SLOW
+    assert set(told[1:4]) | {told[5], told[6]} <= {TrialEnd.INVALID, TrialEnd.RAISED}
+    assert told[4] is TrialEnd.SLOW
     assert "is not finite" in results[1].error
     assert "not (actions, 8)" in results[2].error
     assert "longer than" in results[3].error
@@ -373,12 +373,12 @@ def test_a_server_that_is_gone_costs_the_trials_that_it_misses(
 
     with serve(infer) as url:
         runner = TrialRunner(Session(config, locations), PolicyChoice(url, HERE, time_limit=0.5, mapping=mapping))
-        assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
+        assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.TIME_LIMIT
         is_there = False
     with runner:
-        results = [runner.run(EpisodeJob(0, attempt)) for attempt in (1, 2)]
+        results = [runner.run(AttemptJob(0, attempt)) for attempt in (1, 2)]
     for result in results:
-        assert result.ended is Ended.RAISED
+        assert result.ended is TrialEnd.RAISED
         assert "is gone" in result.error
 
 
@@ -394,20 +394,20 @@ def test_a_server_that_trickles_is_too_slow(mapping: str, config: RecordConfig, 
     with raw_server(trickle) as port:
         choice = PolicyChoice(f"act://127.0.0.1:{port}", HERE, call_seconds=0.4, mapping=mapping)
         with TrialRunner(Session(config, locations), choice) as runner:
-            result = runner.run(EpisodeJob(0, 0))
-    assert (result.ended, result.ticks) == (Ended.SLOW, 0)
+            result = runner.run(AttemptJob(0, 0))
+    assert (result.ended, result.ticks) == (TrialEnd.SLOW, 0)
 
 
 def test_a_chunks_fate_is_reported(config: RecordConfig, locations: Locations) -> None:
     choice = PolicyChoice(
         "sample_policies.py:Chunked", HERE.parent, time_limit=1.28, arguments={"actions": 5},
-        chunking=Chunking(execute=4, latency=0.09),
+        chunking=ChunkSettings(execute=4, latency=0.09),
     )  # fmt: skip
     session = Session(config, locations)
     with TrialRunner(session, choice) as runner:
-        results = tuple(runner.run(EpisodeJob(0, attempt)) for attempt in range(2))
-    names = tuple(instance_of(session, result.attempt.job) for result in results)
-    report = summary(Evaluation(choice, results, 2.0, names), config, ())
+        results = tuple(runner.run(AttemptJob(0, attempt)) for attempt in range(2))
+    names = tuple(describe_objects(session, result.attempt.job) for result in results)
+    report = evaluation_report(Evaluation(choice, results, 2.0, names), config, ())
     # Asked every eight ticks, in forty. Three ticks later one of the five actions, each of two ticks, has passed, and
     # the chunk before ran out a tick ago; the first time, there was none before.
     chunks = report["stats"]["chunks"]

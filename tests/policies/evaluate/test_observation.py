@@ -15,19 +15,19 @@ import pytest
 
 from tests.attempts import planned
 from tests.policies import sample_policies
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.payload import frames, render
+from yamsim_cli.core.episode.attempt_payload import frame_records, render_cameras
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
 from yamsim_cli.policies.evaluate.observation import LazyObservation, ObservationRenderer
-from yamsim_cli.policies.evaluate.policy_calls import PolicyCaller, TooSlowError
-from yamsim_cli.policies.evaluate.policy_trial import Ended, TrialRunner
+from yamsim_cli.policies.evaluate.policy_calls import PolicyCaller, PolicyTimeoutError
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialRunner
 
 SAMPLES = Path(sample_policies.__file__).parent
 CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
@@ -88,7 +88,7 @@ def test_what_can_no_longer_be_drawn_is_told() -> None:
     thread.join()
     assert "scene_rgb cannot be rendered in another thread: read observation['scene_rgb']" in str(errors[0])
     kept = seen["wrist_rgb"]
-    source.renderer.end()
+    source.renderer.finish()
     assert seen["wrist_rgb"] is kept
     with pytest.raises(RuntimeError, match=r"scene_rgb cannot be rendered once its trial is over"):
         seen["scene_rgb"]
@@ -99,7 +99,7 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
     caller = PolicyCaller(0.5, SAMPLES)
 
     def look() -> str:
-        with caller.waits():
+        with caller.paused():
             time.sleep(0.8)
         return "seen"
 
@@ -111,7 +111,7 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
         time.sleep(5)
 
     began = time.monotonic()
-    with pytest.raises(TooSlowError):
+    with pytest.raises(PolicyTimeoutError):
         caller.call(look_and_dawdle)
     assert time.monotonic() - began < 3
 
@@ -124,8 +124,8 @@ def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[Tri
 
 def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
     with trial("Blind", config, locations) as runner:
-        assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
-        assert runner._simulators.of(EpisodeJob(0, 0))._renderer is None
+        assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.TIME_LIMIT
+        assert runner._simulators.get(AttemptJob(0, 0))._renderer is None
 
 
 def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
@@ -134,9 +134,9 @@ def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
     def refuse(*_: object) -> None:
         raise ResourceError("no OpenGL here")
 
-    monkeypatch.setattr("yamsim_cli.policies.evaluate.policy_trial.render", refuse)
+    monkeypatch.setattr("yamsim_cli.policies.evaluate.policy_trial.render_cameras", refuse)
     with trial("Swallows", config, locations) as runner, pytest.raises(ResourceError, match="no OpenGL here"):
-        runner.run(EpisodeJob(0, 0))
+        runner.run(AttemptJob(0, 0))
 
 
 @pytest.mark.render
@@ -146,12 +146,12 @@ def test_a_picture_shows_what_was_when_it_was_told(
     """Whenever it is read: as the policy was asked, not as things are by then."""
     config = make_config({("image", "size_px"): [48, 36]})
     with trial("Remembering", config, locations) as runner:
-        result = runner.run(EpisodeJob(0, 0))
-        assert (result.ended, result.error) == (Ended.DONE, "")
+        result = runner.run(AttemptJob(0, 0))
+        assert (result.ended, result.error) == (TrialEnd.DONE, "")
         seen = type(runner._policy).seen  # type: ignore[attr-defined]
         assert result.attempt.start is not None
-        rendered = render(
-            runner._simulators.of(EpisodeJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
+        rendered = render_cameras(
+            runner._simulators.get(AttemptJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
         )["scene_camera"]
     np.testing.assert_array_equal(seen[0]["scene_rgb"], rendered)
     with pytest.raises(RuntimeError, match="once its trial is over"):
@@ -164,11 +164,11 @@ def test_the_state_is_told_to_who_asks(
 ) -> None:
     config = make_config({("rig",): rig})
     with trial("Knowing", config, locations) as runner:
-        assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
+        assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.DONE
         seen = list(type(runner._policy).seen)  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        frame = frame_records(simulator, done.attempt, done.states[:1])[0]
         T_base = simulator.scene.T_base_in_world
     for key, item in (("T_object_in_world", "banana"), ("T_target_in_world", "plate")):
         np.testing.assert_allclose(seen[0][key], T_base @ frame[f"{item}_pose"], atol=1e-6)
@@ -192,4 +192,4 @@ def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locat
         "        return {'ctrl': observation['joints'], 'done': True}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("plain.py", tmp_path)) as runner:
-        assert runner.run(EpisodeJob(0, 0)).error == ""
+        assert runner.run(AttemptJob(0, 0)).error == ""

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from tests.unrendered import write_dataset
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.rules import EndRule
+from yamsim_cli.core.episode.episode_rules import EndRule
 from yamsim_cli.core.episode.trials import run_batch
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.policies.base import SCENE, WRIST
-from yamsim_cli.policies.evaluate.choice import PolicyChoice
-from yamsim_cli.policies.evaluate.evaluation import evaluate, summary
+from yamsim_cli.policies.evaluate.evaluation import evaluate, evaluation_report
 from yamsim_cli.policies.evaluate.observation import policy_cameras
+from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
+from yamsim_cli.policies.policy_protocol import SCENE, WRIST
 
 HERE = Path(__file__).parent
 SMALL = {("episodes",): 2, ("workers",): 1, ("wrist",): True, ("image", "size_px"): [48, 36]}
@@ -65,7 +65,7 @@ def test_the_plans_actions_do_what_the_batch_does(
     config: RecordConfig = request.getfixturevalue(name)
     batch = run_batch(Session(config, locations), (0.05,), lambda *_: None)
     found = evaluate(Session(config, locations), PolicyChoice("scripted", HERE, end=EndRule.ACTOR), lambda *_: None)
-    report = json.loads(json.dumps(summary(found, config, (0.05,))))
+    report = json.loads(json.dumps(evaluation_report(found, config, (0.05,))))
     assert report["stats"]["n_success"] == 2
     assert [trial["outcome"] for trial in report["trials"]] == [trial["outcome"] for trial in batch["trials"]]
 
@@ -74,15 +74,15 @@ def test_a_datasets_actions_are_replayed(left: RecordConfig, locations: Location
     write_dataset(tmp_path / "dataset", left, locations, 1)
     choice = PolicyChoice(f"replay:{tmp_path / 'dataset'}", HERE)
     with TrialRunner(Session(left, locations), choice) as runner:
-        assert runner.run(EpisodeJob(left.seed, 0)).outcome.success
+        assert runner.run(AttemptJob(left.seed, 0)).outcome.success
 
 
 def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "watcher.py").write_text(WATCHER)
     with TrialRunner(Session(left, locations), PolicyChoice("watcher.py:Watcher", tmp_path)) as runner:
-        result = runner.run(EpisodeJob(left.seed, 0))
+        result = runner.run(AttemptJob(left.seed, 0))
         seen = runner._policy.__call__.__globals__["SEEN"]
-        scene = runner._simulators.of(EpisodeJob(0, 0)).scene
+        scene = runner._simulators.get(AttemptJob(0, 0)).scene
     first, last = seen[0], seen[-1]
     assert first["joints"].shape == (14,)
     assert first["ee_pose_world"].shape == (2, 4, 4)

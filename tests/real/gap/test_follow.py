@@ -11,36 +11,36 @@ import pytest
 from tests.rig_scenes import STEP, plant, rig_scene, swings
 from yamsim_cli.core.errors import DatasetError, SimulationError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.real.gap.follow import follow, hand_poses
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.real.gap.command_simulation import hand_poses, simulate_commands
 
 TIMES = np.arange(0, 3.0, 0.01)
 
 
-def _off(one: Motion, other: Motion) -> float:
+def _off(one: RecordedMotion, other: RecordedMotion) -> float:
     """The largest distance of any joint, rad."""
     return max(float(np.nanmax(np.abs(a.joints - b.joints))) for a, b in zip(one.arms, other.arms, strict=True))
 
 
-def _changed(motion: Motion, **values: object) -> Motion:
+def _changed(motion: RecordedMotion, **values: object) -> RecordedMotion:
     return replace(motion, arms=tuple(replace(arm, **values) for arm in motion.arms))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
-def made() -> Motion:
+def made() -> RecordedMotion:
     return plant(rig_scene(), TIMES, [swings(TIMES)])
 
 
-def test_a_perfect_model_does_the_same_to_the_last_bit(made: Motion) -> None:
-    again = follow(rig_scene(), made)
+def test_a_perfect_model_does_the_same_to_the_last_bit(made: RecordedMotion) -> None:
+    again = simulate_commands(rig_scene(), made)
     assert _off(made, again) < 1e-12
-    assert np.array_equal(again.arms[0].joints, follow(rig_scene(), made).arms[0].joints)
+    assert np.array_equal(again.arms[0].joints, simulate_commands(rig_scene(), made).arms[0].joints)
 
 
 def test_two_arms_follow_each_its_own_commands() -> None:
     commands = [swings(TIMES), swings(TIMES, seed=1)]
     made = plant(rig_scene("bimanual"), TIMES, commands)
-    assert _off(made, follow(rig_scene("bimanual"), made)) < 1e-12
+    assert _off(made, simulate_commands(rig_scene("bimanual"), made)) < 1e-12
 
 
 def test_commands_act_at_their_exact_times() -> None:
@@ -50,7 +50,7 @@ def test_commands_act_at_their_exact_times() -> None:
     later = replace(made, times=np.concatenate([[0.0], times[1:] + STEP / 2]))
     speed = np.abs(np.diff(made.arms[0].joints, axis=0)).max() / (STEP * 5)
     assert speed * STEP / 2 > 1e-3
-    assert _off(made, follow(rig_scene(), later)) < 1e-4
+    assert _off(made, simulate_commands(rig_scene(), later)) < 1e-4
 
 
 def test_jittered_times_that_are_steps_ends_are_followed_to_the_last_bit() -> None:
@@ -59,38 +59,40 @@ def test_jittered_times_that_are_steps_ends_are_followed_to_the_last_bit() -> No
     made = plant(rig_scene(), times, [swings(times)])
     # As a file has them.
     written = replace(made, times=np.round(times, 6))
-    assert _off(made, follow(rig_scene(), written)) < 1e-9
+    assert _off(made, simulate_commands(rig_scene(), written)) < 1e-9
 
 
-def test_a_sample_between_two_steps_is_interpolated(made: Motion) -> None:
+def test_a_sample_between_two_steps_is_interpolated(made: RecordedMotion) -> None:
     times = np.arange(0, 3.0, 0.0033)
     held = np.searchsorted(made.times, times, side="right") - 1
     commands = made.arms[0].commands
     assert commands is not None
-    odd = Motion("odd", times, (ArmMotion("", np.tile(made.arms[0].joints[0], (len(times), 1)), commands[held]),))
-    seen = follow(rig_scene(), odd).arms[0].joints
+    odd = RecordedMotion(
+        "odd", times, (ArmMotion("", np.tile(made.arms[0].joints[0], (len(times), 1)), commands[held]),)
+    )
+    seen = simulate_commands(rig_scene(), odd).arms[0].joints
     whole = np.column_stack([np.interp(times, made.times, column) for column in made.arms[0].joints.T])
     # Commands come up to 3.3 ms later, and nothing turns faster than 2 rad/s.
     assert np.abs(seen - whole).max() < 0.0033 * 2
 
 
-def test_joints_known_at_some_samples_only_are_enough(made: Motion) -> None:
+def test_joints_known_at_some_samples_only_are_enough(made: RecordedMotion) -> None:
     sparse = made.arms[0].joints.copy()
     sparse[np.arange(len(sparse)) % 6 != 0] = np.nan
-    assert _off(made, follow(rig_scene(), _changed(made, joints=sparse))) < 1e-12
+    assert _off(made, simulate_commands(rig_scene(), _changed(made, joints=sparse))) < 1e-12
 
 
-def test_a_command_that_was_not_told_again_goes_on(made: Motion) -> None:
+def test_a_command_that_was_not_told_again_goes_on(made: RecordedMotion) -> None:
     commands = made.arms[0].commands
     assert commands is not None
     every = commands[np.arange(len(commands)) // 3 * 3]
     said = every.copy()
     said[np.arange(len(said)) % 3 != 0] = np.nan
-    one, other = (follow(rig_scene(), _changed(made, commands=rows)) for rows in (every, said))
+    one, other = (simulate_commands(rig_scene(), _changed(made, commands=rows)) for rows in (every, said))
     assert np.array_equal(one.arms[0].joints, other.arms[0].joints)
 
 
-def _cut(motion: Motion, begin: int) -> Motion:
+def _cut(motion: RecordedMotion, begin: int) -> RecordedMotion:
     def rows(values: Array | None) -> Array | None:
         return None if values is None else values[begin:]
 
@@ -98,13 +100,13 @@ def _cut(motion: Motion, begin: int) -> Motion:
         ArmMotion(arm.side, arm.joints[begin:], rows(arm.commands), rows(arm.openings), rows(arm.commanded_openings))
         for arm in motion.arms
     )
-    return Motion(motion.name, motion.times[begin:] - motion.times[begin], arms)
+    return RecordedMotion(motion.name, motion.times[begin:] - motion.times[begin], arms)
 
 
-def test_a_recording_that_begins_in_motion_is_followed_in_motion(made: Motion) -> None:
+def test_a_recording_that_begins_in_motion_is_followed_in_motion(made: RecordedMotion) -> None:
     begin = int(np.argmax(np.abs(np.diff(made.arms[0].joints, axis=0)).sum(axis=1)))
     cut = _cut(made, begin)
-    off = np.abs(follow(rig_scene(), cut).arms[0].joints - cut.arms[0].joints)
+    off = np.abs(simulate_commands(rig_scene(), cut).arms[0].joints - cut.arms[0].joints)
     speed = np.abs(np.diff(cut.arms[0].joints[:2], axis=0)).max() / 0.01
     assert speed > 0.5
     # From rest, it would be behind by its speed times a time constant of some 60 ms.
@@ -115,10 +117,10 @@ def test_a_recording_that_begins_in_motion_is_followed_in_motion(made: Motion) -
 def test_a_jump_at_the_first_sample_is_no_motion_before_it() -> None:
     commands = swings(TIMES, amplitude=0.0) + 0.1 * (TIMES > 0.005)[:, None]
     made = plant(rig_scene(), TIMES, [commands])
-    assert _off(made, follow(rig_scene(), made)) < 1e-12
+    assert _off(made, simulate_commands(rig_scene(), made)) < 1e-12
 
 
-def test_drives_that_act_late_begin_with_the_first_command(made: Motion) -> None:
+def test_drives_that_act_late_begin_with_the_first_command(made: RecordedMotion) -> None:
     scene = rig_scene()
     spec = mujoco.MjSpec.from_string(
         """<mujoco>
@@ -141,13 +143,13 @@ def test_drives_that_act_late_begin_with_the_first_command(made: Motion) -> None
     )
     late.model.opt.gravity[:] = 0
     held = np.where(TIMES < 1, 0.5, 0.6)[:, None]
-    still = Motion("held", TIMES, (ArmMotion("", np.full((len(TIMES), 1), 0.5), held),))
-    seen = follow(late, still).arms[0].joints[:, 0]
+    still = RecordedMotion("held", TIMES, (ArmMotion("", np.full((len(TIMES), 1), 0.5), held),))
+    seen = simulate_commands(late, still).arms[0].joints[:, 0]
     assert np.abs(seen[TIMES <= 1.02] - 0.5).max() < 1e-12
     assert seen[-1] == pytest.approx(0.6, abs=1e-3)
 
 
-def test_hands_are_where_their_joints_put_them(made: Motion) -> None:
+def test_hands_are_where_their_joints_put_them(made: RecordedMotion) -> None:
     poses = hand_poses(rig_scene(), 0, np.vstack([np.zeros(6), np.full(6, np.nan), made.arms[0].joints[:1]]))
     assert np.isnan(poses[1]).all() and np.isfinite(poses[[0, 2]]).all()
     assert np.linalg.norm(poses[2, :3, 3] - poses[0, :3, 3]) > 0.1
@@ -164,17 +166,17 @@ def test_hands_are_where_their_joints_put_them(made: Motion) -> None:
         ),
     ],
 )
-def test_what_cannot_be_followed_says_why(made: Motion, values: dict[str, object], said: str) -> None:
+def test_what_cannot_be_followed_says_why(made: RecordedMotion, values: dict[str, object], said: str) -> None:
     with pytest.raises(DatasetError, match=said):
-        follow(rig_scene(), _changed(made, **values))
+        simulate_commands(rig_scene(), _changed(made, **values))
 
 
-def test_another_number_of_arms_is_another_rig(made: Motion) -> None:
+def test_another_number_of_arms_is_another_rig(made: RecordedMotion) -> None:
     with pytest.raises(DatasetError, match="plant has 1 arm, and the rig 2"):
-        follow(rig_scene("bimanual"), made)
+        simulate_commands(rig_scene("bimanual"), made)
 
 
-def test_physics_that_breaks_down_says_so(made: Motion) -> None:
+def test_physics_that_breaks_down_says_so(made: RecordedMotion) -> None:
     scene = rig_scene("single", 0.003)
     stiff = scene.model.actuator_gainprm.copy()
     scene.model.actuator_gainprm[:, 0] = 1e12
@@ -182,6 +184,6 @@ def test_physics_that_breaks_down_says_so(made: Motion) -> None:
     scene.model.actuator_forcelimited[:] = 0
     try:
         with pytest.raises(SimulationError, match="plant: physics broke down within"):
-            follow(scene, made)
+            simulate_commands(scene, made)
     finally:
         scene.model.actuator_gainprm[:] = stiff

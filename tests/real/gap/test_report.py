@@ -10,17 +10,17 @@ import pytest
 
 from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.errors import SimulationError
-from yamsim_cli.real.gap.figures import Gap, gap_of
-from yamsim_cli.real.gap.report import report_of, require_small, student95, write_gap_page
+from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
+from yamsim_cli.real.gap.report import build_report, require_gap_below, student95, write_gap_page
 
 TIMES = np.arange(0, 4.0, 0.01)
 
 
 @pytest.fixture(scope="module")
-def gaps() -> list[Gap]:
+def gaps() -> list[MotionGap]:
     commands = [swings(TIMES, seed=seed) for seed in range(3)]
     return [
-        gap_of(rig_scene(), later(plant(rig_scene(), TIMES, [rows]), samples))
+        measure_gap(rig_scene(), later(plant(rig_scene(), TIMES, [rows]), samples))
         for rows, samples in zip(commands, (1, 2, 3), strict=True)
     ]
 
@@ -41,12 +41,12 @@ def test_an_interval_of_a_mean_is_students() -> None:
     assert halves[1] == pytest.approx(halves[0], rel=0.03)
 
 
-def test_a_report_has_means_intervals_and_the_worst(gaps: list[Gap]) -> None:
-    report = report_of(gaps, "single")
+def test_a_report_has_means_intervals_and_the_worst(gaps: list[MotionGap]) -> None:
+    report = build_report(gaps, "single")
     json.dumps(report, allow_nan=False)
     assert [row["name"] for row in report["joints"]] == [f"joint{k}" for k in range(1, 7)]
     joint = report["joints"][2]
-    delays = [gap.joints[2].beyond.delay for gap in gaps]
+    delays = [gap.joints[2].measured_vs_simulated.delay for gap in gaps]
     assert joint["delay_s"] == pytest.approx(np.mean([value for value in delays if value is not None]))
     low, high = joint["intervals"]["delay_s"]
     assert low < 0.02 < high
@@ -61,23 +61,23 @@ def test_a_report_has_means_intervals_and_the_worst(gaps: list[Gap]) -> None:
     assert 0 < hand["rms_mm"] < hand["max_mm"]
 
 
-def test_one_recording_has_no_intervals(gaps: list[Gap]) -> None:
-    report = report_of(gaps[:1], "single")
+def test_one_recording_has_no_intervals(gaps: list[MotionGap]) -> None:
+    report = build_report(gaps[:1], "single")
     assert "intervals" not in report and "intervals" not in report["joints"][0]
     assert report["joints"][0]["overshoot_rad"] is None
 
 
-def test_a_joint_above_the_limit_is_named(gaps: list[Gap]) -> None:
-    report = report_of(gaps, "single")
+def test_a_joint_above_the_limit_is_named(gaps: list[MotionGap]) -> None:
+    report = build_report(gaps, "single")
     largest = max(report["joints"], key=lambda joint: joint["rms_rad"])
-    require_small(report, largest["rms_rad"] * 1000 + 1e-6)
-    require_small(report, None)
+    require_gap_below(report, largest["rms_rad"] * 1000 + 1e-6)
+    require_gap_below(report, None)
     with pytest.raises(SimulationError, match=rf"{largest['name']} is off by .* mrad RMS \(and 5 more\): --fail-above"):
-        require_small(report, 0.1)
+        require_gap_below(report, 0.1)
 
 
-def test_a_page_shows_every_joint_and_the_worst_moment(gaps: list[Gap], tmp_path: Path) -> None:
-    report = report_of(gaps, "<single>")
+def test_a_page_shows_every_joint_and_the_worst_moment(gaps: list[MotionGap], tmp_path: Path) -> None:
+    report = build_report(gaps, "<single>")
     path = tmp_path / "gap.html"
     write_gap_page(report, gaps, [], path)
     text = path.read_text()

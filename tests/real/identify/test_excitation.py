@@ -14,10 +14,10 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
-from yamsim_cli.real.gap.figures import gap_of
-from yamsim_cli.real.identify.excitation import Excitation, Room, commands_csv, excite, log_csv
-from yamsim_cli.real.identify.identify import check_usable
-from yamsim_cli.real.identify.plant import ArmPlant, Log
+from yamsim_cli.real.gap.gap_figures import measure_gap
+from yamsim_cli.real.identify.excitation import CollisionSpace, Excitation, commands_csv, excite, log_csv
+from yamsim_cli.real.identify.identification import check_usable
+from yamsim_cli.real.identify.plant_model import ArmLog, ParametricArm
 from yamsim_cli.real.recordings.csv_file import read_csv
 
 WHERE = Locations.find({})
@@ -37,7 +37,7 @@ def _excitation(name: str, number: int = 0, seed: int = 0) -> Excitation:
 @pytest.mark.parametrize(("name", "number"), [("single", 0), ("bimanual", 1), ("yam_pro+linear_4310", 0)])
 def test_a_motion_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: str, number: int) -> None:
     found, arm = _excitation(name, number), _rig(name).arms[number]
-    room = Room(_rig(name), number, SCENE, WHERE)
+    room = CollisionSpace(_rig(name), number, SCENE, WHERE)
     low, high = arm.robot.joint_range.T
 
     assert (found.commands > low + 0.1).all()
@@ -46,22 +46,22 @@ def test_a_motion_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: st
     motors = np.array([joint.motor_rad_s for joint in arm.robot.joints])
     assert (speeds < 0.55 * motors).all()
     assert 0 < found.torque <= 0.5
-    assert not any(room.touches(row) for row in found.commands[::20])
+    assert not any(room.is_colliding(row) for row in found.commands[::20])
 
 
 def test_touching_poses_are_detected() -> None:
-    room = Room(_rig("single"), 0, SCENE, WHERE)
+    room = CollisionSpace(_rig("single"), 0, SCENE, WHERE)
 
-    assert room.touches(np.array([0.0, 3.2, 0.6, 0.0, 0.0, 0.0]))
-    assert not room.touches(np.array(_rig("single").arms[0].robot.start))
+    assert room.is_colliding(np.array([0.0, 3.2, 0.6, 0.0, 0.0, 0.0]))
+    assert not room.is_colliding(np.array(_rig("single").arms[0].robot.start))
 
 
 def test_every_joint_is_excited_in_every_third_of_it() -> None:
     found = excite(_rig("single"), 0, SCENE, WHERE, 60.0, 3)
-    log = Log("log", found.times, found.commands, found.commands, None)
+    log = ArmLog("log", found.times, found.commands, found.commands, None)
 
     for start in (0.0, 20.0, 40.0):
-        check_usable([log.between(start, start + 20)], _rig("single").arms[0].robot.joint_names)
+        check_usable([log.clipped(start, start + 20)], _rig("single").arms[0].robot.joint_names)
 
 
 def test_a_motion_starts_and_ends_at_rest_in_one_pose_and_follows_from_its_seed() -> None:
@@ -83,7 +83,7 @@ def test_the_files_hold_commands_and_simulated_readings(tmp_path: Path) -> None:
 
     motion = read_csv(tmp_path / "log.csv", rig)
 
-    place = rig.recorded.index(1)
+    place = rig.recording_order.index(1)
     commanded = motion.arms[place].commands
     assert commanded is not None
     assert np.allclose(commanded, found.commands)
@@ -105,7 +105,7 @@ def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path)
     (tmp_path / "log.csv").write_bytes(log_csv(mine, 0, found, SCENE, WHERE))
     motion = read_csv(tmp_path / "log.csv", rig)
 
-    own, plain = (gap_of(build_rig_scene(each, SCENE, WHERE), motion).error.rms for each in (mine, rig))
+    own, plain = (measure_gap(build_rig_scene(each, SCENE, WHERE), motion).error.rms for each in (mine, rig))
 
     # Of what the file's digits leave.
     assert own < 1e-5
@@ -113,7 +113,7 @@ def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path)
 
 
 def test_a_plants_values_are_its_models() -> None:
-    plant = ArmPlant(_rig("single").arms[0])
+    plant = ParametricArm(_rig("single").arms[0])
 
     assert np.allclose(plant.values.armature, [0.032] * 3 + [0.0018] * 3)
     assert np.allclose(plant.values.friction, 0.1)

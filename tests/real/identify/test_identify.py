@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.planted_arms import Planted, drive
+from tests.planted_arms import TrueParameters, drive
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
-from yamsim_cli.real.identify import fit as fitting
+from yamsim_cli.real.identify import parameter_fit as fitting
 from yamsim_cli.real.identify.estimates import NAMES, Estimate, estimates, half_widths
 from yamsim_cli.real.identify.excitation import excite
-from yamsim_cli.real.identify.fit import Parameter, fit, parameters
-from yamsim_cli.real.identify.identify import check_usable, identify, revised
-from yamsim_cli.real.identify.plant import ArmPlant, Log, Run, Values
+from yamsim_cli.real.identify.identification import check_usable, identify, revised_dynamics
+from yamsim_cli.real.identify.parameter_fit import FitParameter, all_parameters, fit_parameters
+from yamsim_cli.real.identify.plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 7))
 WHERE = Locations.find({})
@@ -29,9 +29,9 @@ RIG = load_config(RigConfig, "rigs", "single", WHERE)
 ARM = RIG.arms[0]
 
 
-def _planted(**changes: object) -> Planted:
-    plant = ArmPlant(ARM)
-    base = Planted(
+def _planted(**changes: object) -> TrueParameters:
+    plant = ParametricArm(ARM)
+    base = TrueParameters(
         delay=0.0,
         friction=plant.values.friction,
         damping=np.zeros(6),
@@ -56,21 +56,26 @@ def _commands(seconds: float) -> tuple[Array, Array]:
     return times, np.array([0.0, 1.3, 1.4, -0.3, 0.0, 0.0]) + 0.6 * ramp * waves
 
 
-def _some(plant: ArmPlant) -> list[Parameter]:
+def _some(plant: ParametricArm) -> list[FitParameter]:
     """A few of all parameters: the fit of all takes a minute."""
     kept = (("friction", 1), ("damping", 1), ("gravity", 1), ("offset", 1), ("creep", 1))
-    return [each for each in parameters(plant) if each.joint is None or (each.name, each.joint) in kept]
+    return [each for each in all_parameters(plant) if each.joint is None or (each.name, each.joint) in kept]
 
 
 def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fitting, "parameters", _some)
+    monkeypatch.setattr(fitting, "all_parameters", _some)
     monkeypatch.setattr(fitting, "FINE_TIMESTEP", 0.002)
-    friction, damping, offset, gravity = (ArmPlant(ARM).values.friction.copy(), np.zeros(6), np.zeros(6), np.ones(6))
+    friction, damping, offset, gravity = (
+        ParametricArm(ARM).values.friction.copy(),
+        np.zeros(6),
+        np.zeros(6),
+        np.ones(6),
+    )
     friction[1], damping[1], offset[1], gravity[1] = 0.18, 0.6, 0.01, 1.08
     planted = _planted(delay=0.023, friction=friction, damping=damping, offset=offset, gravity=gravity)
     motion = drive(ARM, planted, *_commands(8.0), np.random.default_rng(0))
 
-    found = fit(ARM, [Log.of(motion, motion.arms[0])]).values
+    found = fit_parameters(ARM, [ArmLog.from_motion(motion, motion.arms[0])]).values
 
     assert found.delay == pytest.approx(0.023, abs=0.001)
     assert found.friction[1] == pytest.approx(0.18, rel=0.05)
@@ -81,13 +86,13 @@ def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytes
 
 @pytest.mark.slow
 def test_poses_tell_an_offset_from_a_gravity_factor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fitting, "parameters", _some)
+    monkeypatch.setattr(fitting, "all_parameters", _some)
     moving, still = _commands(12.0), _commands(12.0)
     still[1][:] = still[1][0] + 0.02 * (still[1] - still[1][0])
     widths = []
     for times, commands in (moving, still):
         motion = drive(ARM, _planted(), times, commands, np.random.default_rng(0))
-        fitted = fit(ARM, [Log.of(motion, motion.arms[0])])
+        fitted = fit_parameters(ARM, [ArmLog.from_motion(motion, motion.arms[0])])
         halves = dict(zip([each.name for each in fitted.parameters], half_widths(fitted), strict=True))
         widths.append(halves["offset"])
 
@@ -95,12 +100,12 @@ def test_poses_tell_an_offset_from_a_gravity_factor(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_simulated_log_is_followed_by_its_own_values() -> None:
-    plant = ArmPlant(ARM)
+    plant = ParametricArm(ARM)
     times, commands = _commands(12.0)
-    log = Log("log", times, commands, commands, None)
-    read = Run(plant, log).follow(plant.values, plain=True)
+    log = ArmLog("log", times, commands, commands, None)
+    read = LogSimulation(plant, log).simulate(plant.values, plain=True)
 
-    again = Run(plant, replace(log, joints=read)).follow(plant.values, plain=True)
+    again = LogSimulation(plant, replace(log, joints=read)).simulate(plant.values, plain=True)
 
     # It starts where it was read, which is where it was told to be.
     assert np.abs(again - read).max() < 1e-9
@@ -108,12 +113,12 @@ def test_a_simulated_log_is_followed_by_its_own_values() -> None:
 
 def test_finer_steps_change_little_and_late_commands_act_late() -> None:
     times, commands = _commands(3.0)
-    log = Log("log", times, commands, commands, None)
-    coarse, fine = ArmPlant(ARM), ArmPlant(ARM, 0.0005)
+    log = ArmLog("log", times, commands, commands, None)
+    coarse, fine = ParametricArm(ARM), ParametricArm(ARM, 0.0005)
     late = replace(coarse.values, delay=0.02)
 
-    at_once, finer = Run(coarse, log).follow(coarse.values), Run(fine, log).follow(fine.values)
-    later = Run(coarse, log).follow(late)
+    at_once, finer = LogSimulation(coarse, log).simulate(coarse.values), LogSimulation(fine, log).simulate(fine.values)
+    later = LogSimulation(coarse, log).simulate(late)
 
     assert np.abs(at_once - finer).max() < 1e-3
     assert np.abs(later[52:] - at_once[50:-2]).max() < np.abs(later - at_once).max() / 5
@@ -123,13 +128,15 @@ def test_fingers_follow_the_log_and_are_closed_without_it() -> None:
     times, commands = _commands(2.0)
     fingers = ARM.robot.fingers
     assert fingers is not None
-    opened, sparse = np.full(len(times), fingers.opened), np.full(len(times), np.nan)
-    sparse[::10] = fingers.opened
-    plant = ArmPlant(ARM)
+    opened, sparse = np.full(len(times), fingers.initial_opening), np.full(len(times), np.nan)
+    sparse[::10] = fingers.initial_opening
+    plant = ParametricArm(ARM)
 
     def followed(**seen: Array) -> Array:
-        log = Log.of(motion := Motion("log.csv", times, (ArmMotion("", commands, commands, **seen),)), motion.arms[0])
-        return Run(plant, log).follow(plant.values)
+        log = ArmLog.from_motion(
+            motion := RecordedMotion("log.csv", times, (ArmMotion("", commands, commands, **seen),)), motion.arms[0]
+        )
+        return LogSimulation(plant, log).simulate(plant.values)
 
     told, measured, unknown = followed(commanded_openings=opened), followed(openings=sparse), followed()
     closed = followed(openings=np.full(len(times), fingers.range[0]))
@@ -150,7 +157,7 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
         encoder_step_rad=0.0004,
         tip_mass_g=80,
     )
-    plant = ArmPlant(ARM.model_copy(update={"dynamics": was}))
+    plant = ParametricArm(ARM.model_copy(update={"dynamics": was}))
     told = [
         Estimate(
             "" if each.joint is None else ARM.robot.joint_names[each.joint],
@@ -161,12 +168,12 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
             number,
             True,
         )
-        for each in parameters(plant)
+        for each in all_parameters(plant)
         if each.name in NAMES
-        for number in [fitting.value(plant.values, each)]
+        for number in [fitting.parameter_value(plant.values, each)]
     ]
 
-    found = revised(plant, was, told)
+    found = revised_dynamics(plant, was, told)
 
     assert plant.values.delay == pytest.approx(0.016)
     assert (found.command_delay_ms, found.sensor_delay_ms) == (pytest.approx(16.0), 0.0)
@@ -176,32 +183,34 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
 
 
 def test_intervals_are_wide_where_a_log_says_nothing() -> None:
-    plant = ArmPlant(ARM)
+    plant = ParametricArm(ARM)
     times, commands = _commands(5.0)
-    log = Log("log", times, commands, commands, None)
-    joints = Run(plant, log).follow(plant.values) + np.random.default_rng(0).normal(0, 1e-4, commands.shape)
-    run = Run(plant, replace(log, joints=joints))
-    problem_parameters = parameters(plant)
-    errors = run.follow(plant.values) - joints
+    log = ArmLog("log", times, commands, commands, None)
+    joints = LogSimulation(plant, log).simulate(plant.values) + np.random.default_rng(0).normal(0, 1e-4, commands.shape)
+    run = LogSimulation(plant, replace(log, joints=joints))
+    problem_parameters = all_parameters(plant)
+    errors = run.simulate(plant.values) - joints
     slopes = np.stack(
         [
-            run.follow(fitting.with_value(plant.values, each, fitting.value(plant.values, each) + each.scale))
+            run.simulate(
+                fitting.replace_value(plant.values, each, fitting.parameter_value(plant.values, each) + each.scale)
+            )
             - joints
             - errors
             for each in problem_parameters
         ],
         axis=-1,
     )
-    fitted = fitting.Fitted(plant.values, problem_parameters, errors, slopes, np.full(6, 1e4), times, np.ones(6))
+    fitted = fitting.FitResult(plant.values, problem_parameters, errors, slopes, np.full(6, 1e4), times, np.ones(6))
 
     told = {(each.joint, each.name): each for each in estimates(plant, fitted)}
 
     # The first joint turns about the vertical: nothing weighs on it.
-    assert not told["joint1", "gravity_factor"].told
+    assert not told["joint1", "gravity_factor"].is_determined
     assert told["joint1", "gravity_factor"].high - told["joint1", "gravity_factor"].low > 1
-    assert told["joint2", "gravity_factor"].told
+    assert told["joint2", "gravity_factor"].is_determined
     assert told["joint2", "gravity_factor"].high - told["joint2", "gravity_factor"].low < 0.05
-    inside = [each.low <= each.before <= each.high for each in told.values()]
+    inside = [each.low <= each.model_value <= each.high for each in told.values()]
     assert all(inside)
 
 
@@ -209,7 +218,7 @@ def test_a_log_without_commands_and_one_in_degrees_are_refused() -> None:
     times, commands = _commands(12.0)
 
     def identified(arm: ArmMotion) -> None:
-        identify(RIG, [Motion("log.csv", times, (arm,))], [], "mine")
+        identify(RIG, [RecordedMotion("log.csv", times, (arm,))], [], "mine")
 
     with pytest.raises(DatasetError, match=r"log\.csv: holds no commands"):
         identified(ArmMotion("", commands))
@@ -222,14 +231,14 @@ def test_a_joint_that_stands_still_is_named() -> None:
     commands[:, 4] = 0.2
 
     with pytest.raises(DatasetError, match="joint5 hardly moves"):
-        identify(RIG, [Motion("log.csv", times, (ArmMotion("", commands, commands),))], [], "mine")
+        identify(RIG, [RecordedMotion("log.csv", times, (ArmMotion("", commands, commands),))], [], "mine")
 
 
 @pytest.mark.slow
 def test_an_arm_that_differs_is_identified_and_the_held_out_gap_falls() -> None:
     scene = load_config(SceneConfig, "scenes", "tabletop", WHERE)
     motion = excite(RIG, 0, scene, WHERE, 40.0, 0)
-    plant = ArmPlant(ARM)
+    plant = ParametricArm(ARM)
     rng = np.random.default_rng(2)
     planted = _planted(
         delay=0.021, friction=1.5 * plant.values.friction, damping=0.3 * plant.kv, offset=rng.uniform(-0.02, 0.02, 6)
@@ -243,9 +252,9 @@ def test_an_arm_that_differs_is_identified_and_the_held_out_gap_falls() -> None:
         assert by[joint, "friction_nm"].value == pytest.approx(planted.friction[k], rel=0.05)
         assert by[joint, "damping_nms"].value == pytest.approx(planted.damping[k], rel=0.15)
         assert by[joint, "offset_rad"].value == pytest.approx(planted.offset[k], abs=np.radians(0.2))
-    assert found.gap.fallen > 0.8
+    assert found.gap.reduction > 0.8
     assert found.dynamics == Dynamics.model_validate(found.dynamics.model_dump())
-    assert isinstance(plant.values, Values)
+    assert isinstance(plant.values, PlantParameters)
 
 
 def _swinging(seconds: float, seed: int = 0) -> tuple[Array, Array]:
@@ -253,8 +262,8 @@ def _swinging(seconds: float, seed: int = 0) -> tuple[Array, Array]:
     return times, 0.6 * _waves(times, np.random.default_rng(seed), 0.8)
 
 
-def _log(times: Array, joints: Array) -> Log:
-    return Log("log.csv", times, joints, joints, None)
+def _log(times: Array, joints: Array) -> ArmLog:
+    return ArmLog("log.csv", times, joints, joints, None)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -286,7 +295,7 @@ def test_a_joint_that_only_others_shake_is_named() -> None:
     joints[:, 3] = commands[:, 3] + 0.06 * np.sin(20 * times)
 
     with pytest.raises(DatasetError, match="joint4 never turns back"):
-        check_usable([Log("log.csv", times, commands, joints, None)], JOINTS)
+        check_usable([ArmLog("log.csv", times, commands, joints, None)], JOINTS)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -307,7 +316,7 @@ def test_samples_without_joints_do_not_count() -> None:
     measured = joints.copy()
     measured[1::2] = np.nan
 
-    check_usable([Log("log.csv", times, joints, measured, None)], JOINTS)
+    check_usable([ArmLog("log.csv", times, joints, measured, None)], JOINTS)
 
 
 def test_a_short_log_is_refused() -> None:

@@ -23,16 +23,16 @@ from tests.real.recordings.making import (
 )
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.motion import Motion
-from yamsim_cli.datasets.summarize import survey_dataset
-from yamsim_cli.datasets.summary import summarize
+from yamsim_cli.core.recorded_motion import RecordedMotion
+from yamsim_cli.datasets.check_summary import summarize
+from yamsim_cli.datasets.summarize import check_dataset
 from yamsim_cli.photos.overlay.photos import episode_photos
 from yamsim_cli.real.import_recording.importing import Corrections, ImportReport, ImportRequest, import_recordings
-from yamsim_cli.real.recordings.reading import read_motions
+from yamsim_cli.real.recordings.motion_reading import read_motions
 
 
 def bring_in(request: ImportRequest, locations: Locations) -> ImportReport:
@@ -101,7 +101,7 @@ def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: 
     out = tmp_path / "real"
     bring_in(ImportRequest([raw], station, out=out), locations)
     assert codes(out, locations) == set()
-    report = summarize(survey_dataset(out, locations, 1, lambda done, total: None), (0.05,))
+    report = summarize(check_dataset(out, locations, 1, lambda done, total: None), (0.05,))
     assert (report["real"], report["success_rate"], report["noted_at_import"]) == (True, {}, {})
     (out / "ep_000000/lowdim/000007.pkl").write_bytes((out / "ep_000000/lowdim/000008.pkl").read_bytes())
     (out / "ep_000000/lowdim/000049.pkl").unlink()
@@ -109,10 +109,10 @@ def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: 
 
 
 def codes(dataset: Path, locations: Locations) -> set[str]:
-    return {problem.code for problem in survey_dataset(dataset, locations, 1, lambda done, total: None).problems}
+    return {problem.code for problem in check_dataset(dataset, locations, 1, lambda done, total: None).problems}
 
 
-def _shares(motion: Motion, full: float) -> Motion:
+def _shares(motion: RecordedMotion, full: float) -> RecordedMotion:
     arms = [
         replace(arm, openings=arm.openings / full, commanded_openings=arm.commanded_openings / full)  # type: ignore[operator]
         for arm in motion.arms
@@ -120,7 +120,7 @@ def _shares(motion: Motion, full: float) -> Motion:
     return replace(motion, arms=tuple(arms))
 
 
-def _commands_upside_down(motion: Motion, full: float) -> Motion:
+def _commands_upside_down(motion: RecordedMotion, full: float) -> RecordedMotion:
     arms = [replace(arm, commanded_openings=full - arm.commanded_openings) for arm in motion.arms]  # type: ignore[operator]
     return replace(motion, arms=tuple(arms))
 
@@ -136,7 +136,7 @@ def _commands_upside_down(motion: Motion, full: float) -> Motion:
     ],
 )
 def test_a_refused_recording_is_imported_with_its_correction(
-    spoil: Callable[[Motion, float], Motion],
+    spoil: Callable[[RecordedMotion, float], RecordedMotion],
     flag: str,
     corrections: Corrections,
     station: RigConfig,

@@ -11,11 +11,11 @@ import pytest
 
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.real.motors import frames
-from yamsim_cli.real.motors.bus import Bus, BusFault, parse_fault
-from yamsim_cli.real.motors.frames import Frame, Mit, Scale
+from yamsim_cli.real.motors import can_frames as frames
+from yamsim_cli.real.motors.can_config import load_can_config
+from yamsim_cli.real.motors.can_frames import CanFrame, MitCommand, MotorRange
 from yamsim_cli.real.motors.motor import KINDS, Motor, Status
-from yamsim_cli.real.motors.wiring import find_wiring
+from yamsim_cli.real.motors.motor_bus import BusFault, MotorBus, parse_fault
 
 ENABLE, DISABLE, ZERO, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFE, 0xFB))
 
@@ -25,11 +25,11 @@ def motor() -> Motor:
     return Motor(4, KINDS["DM4310"])
 
 
-def say(motor: Motor, data: bytes, now: float = 0.0, to: int = 4) -> Frame | None:
-    return motor.hear(Frame(to, data), now)
+def say(motor: Motor, data: bytes, now: float = 0.0, to: int = 4) -> CanFrame | None:
+    return motor.receive(CanFrame(to, data), now)
 
 
-def status(answer: Frame | None) -> int:
+def status(answer: CanFrame | None) -> int:
     assert answer is not None
     return answer.data[0] >> 4
 
@@ -38,7 +38,7 @@ def register(what: int, number: int, value: bytes = bytes(4), motor: int = 4) ->
     return bytes([motor, 0, what, number]) + value
 
 
-def mit(position: float, velocity: float, kp: float, kd: float, torque: float, scale: Scale) -> bytes:
+def mit(position: float, velocity: float, kp: float, kd: float, torque: float, scale: MotorRange) -> bytes:
     """A frame as the maker's driver packs it."""
     most = (*scale[:2], 250.0, 2.5, scale.torque)
     shifted = (position, velocity, kp - 250.0, kd - 2.5, torque)
@@ -51,38 +51,38 @@ def mit(position: float, velocity: float, kp: float, kd: float, torque: float, s
 
 def test_a_mit_frame_by_hand() -> None:
     """Full scale, nothing, and the middle of each field, byte by byte."""
-    scale = Scale(12.5, 30.0, 10.0)
-    assert frames.read_mit(bytes.fromhex("fffffff000000fff"), scale) == Mit(12.5, 30.0, 0.0, 0.0, 10.0)
-    assert frames.read_mit(bytes.fromhex("0000000ffffff000"), scale) == Mit(-12.5, -30.0, 500.0, 5.0, -10.0)
+    scale = MotorRange(12.5, 30.0, 10.0)
+    assert frames.read_mit(bytes.fromhex("fffffff000000fff"), scale) == MitCommand(12.5, 30.0, 0.0, 0.0, 10.0)
+    assert frames.read_mit(bytes.fromhex("0000000ffffff000"), scale) == MitCommand(-12.5, -30.0, 500.0, 5.0, -10.0)
     got = frames.read_mit(bytes.fromhex("7fff7ff14719a7ff"), scale)
-    assert got == pytest.approx(Mit(0, 0, 327 * 500 / 4095, 410 * 5 / 4095, 0), abs=0.01)
+    assert got == pytest.approx(MitCommand(0, 0, 327 * 500 / 4095, 410 * 5 / 4095, 0), abs=0.01)
 
 
 def test_feedback_by_hand() -> None:
     """Identifier and status in the first byte, then position, velocity and torque, driver's and rotor's temperature."""
-    data = frames.feedback(0x17, 1, 12.5, -30.0, 0.0, (33.9, 300.0), Scale(12.5, 30.0, 10.0))
+    data = frames.feedback_bytes(0x17, 1, 12.5, -30.0, 0.0, (33.9, 300.0), MotorRange(12.5, 30.0, 10.0))
     assert data == bytes.fromhex("17ffff0007ff21ff")
 
 
 def test_a_motor_acts_only_once_enabled(motor: Motor) -> None:
     command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
     assert status(say(motor, command)) == Status.DISABLED
-    assert motor.law() == (0, 0, 0)
+    assert motor.control_law() == (0, 0, 0)
     assert status(say(motor, ENABLE)) == Status.ENABLED
-    assert motor.law() == (0, 0, 0)
+    assert motor.control_law() == (0, 0, 0)
     answer = say(motor, command)
     assert answer is not None and answer.id == 0x14
-    kp, kd, constant = motor.law()
+    kp, kd, constant = motor.control_law()
     assert (kp, kd, constant) == pytest.approx((20.0, 0.5, 20.0), abs=0.15)
     assert status(say(motor, DISABLE)) == Status.DISABLED
-    assert motor.law() == (0, 0, 0)
+    assert motor.control_law() == (0, 0, 0)
 
 
 def test_a_motor_fails_after_400_ms_without_frames(motor: Motor) -> None:
     say(motor, ENABLE, now=1.0)
-    motor.passes(1.39, 0.39)
+    motor.advance(1.39, 0.39)
     assert motor.status is Status.ENABLED
-    motor.passes(1.41, 0.02)
+    motor.advance(1.41, 0.02)
     assert motor.status is Status.LOST_COMMUNICATION
     # Enabling does not clear an error, and no command acts.
     assert status(say(motor, ENABLE, 2.0)) == Status.LOST_COMMUNICATION
@@ -90,7 +90,7 @@ def test_a_motor_fails_after_400_ms_without_frames(motor: Motor) -> None:
     assert status(say(motor, ENABLE, 2.0)) == Status.ENABLED
     # 0 disables the timeout.
     say(motor, register(frames.WRITE, 9), to=frames.TO_ALL)
-    motor.passes(1e6, 0.01)
+    motor.advance(1e6, 0.01)
     assert motor.status is Status.ENABLED
 
 
@@ -99,11 +99,11 @@ def test_a_motor_warms_up_by_its_torque_and_fails_when_too_hot(motor: Motor) -> 
     say(motor, ENABLE)
     motor.torque = motor.kind.rated
     for k in range(3000):
-        motor.passes(k, 1.0)
+        motor.advance(k, 1.0)
     assert motor.status is Status.ENABLED and motor.celsius == pytest.approx(80, abs=0.1)
     motor.torque = 2 * motor.kind.rated
     for k in range(300):
-        motor.passes(3000 + k, 1.0)
+        motor.advance(3000 + k, 1.0)
     assert motor.status is Status.ROTOR_TOO_HOT
 
 
@@ -113,25 +113,25 @@ def test_set_zero_moves_the_zero_position(motor: Motor) -> None:
     assert answer is not None and int.from_bytes(answer.data[1:3], "big") == 0x7FFF
     say(motor, ENABLE)
     say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.scale))
-    kp, _, constant = motor.law()
+    kp, _, constant = motor.control_law()
     # It pulls towards 1 rad from there.
     assert constant / kp == pytest.approx(3.0, abs=0.001)
 
 
 def test_registers_are_read_written_and_kept(motor: Motor) -> None:
     gear = say(motor, register(frames.READ, 20), to=frames.TO_ALL)
-    assert gear == Frame(0x14, register(frames.READ, 20, struct.pack("<f", 10.0)))
+    assert gear == CanFrame(0x14, register(frames.READ, 20, struct.pack("<f", 10.0)))
     written = register(frames.WRITE, 9, struct.pack("<I", 1234))
-    assert say(motor, written, to=frames.TO_ALL) == Frame(0x14, written)
-    motor.unplug()
+    assert say(motor, written, to=frames.TO_ALL) == CanFrame(0x14, written)
+    motor.power_off()
     assert say(motor, register(frames.READ, 9), to=frames.TO_ALL) is None
-    motor.plug_in()
+    motor.power_on()
     assert motor.registers[9] == 8000
     say(motor, written, to=frames.TO_ALL)
     short = say(motor, register(frames.SAVE, 9), to=frames.TO_ALL)
     assert short is not None and len(short.data) < 8
-    motor.unplug()
-    motor.plug_in()
+    motor.power_off()
+    motor.power_on()
     assert motor.registers[9] == 1234
 
 
@@ -168,42 +168,42 @@ def test_random_frames_do_no_harm() -> None:
     """What comes back is always a frame, and the law always finite."""
     draw = random.Random(3)
     motors = [Motor(k, KINDS["DM4340"]) for k in range(1, 8)]
-    bus = Bus("can0", motors)
+    bus = MotorBus("can0", motors)
     for k in range(10_000):
         to = draw.choice([frames.TO_ALL, draw.randrange(8), draw.randrange(0x800)])
         data = bytes(draw.randrange(9)) if k % 7 == 0 else draw.randbytes(draw.randrange(9))
         if to == frames.TO_ALL and len(data) == 8 and k % 2:
             data = bytes([draw.randrange(1, 8), 0, draw.choice([0x33, 0x55, 0xAA, 0xCC])]) + data[3:]
-        for answer in bus.send(Frame(to, data), k * 1e-3):
+        for answer in bus.send(CanFrame(to, data), k * 1e-3):
             assert 0 <= answer.id < 0x800 and len(answer.data) <= 8
-        bus.passes(k * 1e-3)
-    assert all(abs(value) < 1e9 for motor in motors for value in motor.law())
+        bus.advance_to(k * 1e-3)
+    assert all(abs(value) < 1e9 for motor in motors for value in motor.control_law())
 
 
 def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
-    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("lost", motor=1, at=1.0, seconds=1.0)])
-    assert bus.send(Frame(1, ENABLE), 0.5)
-    bus.passes(1.0)
-    assert bus.send(Frame(1, ENABLE), 1.1) == []
-    bus.passes(2.0)
+    bus = MotorBus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("lost", motor=1, at=1.0, seconds=1.0)])
+    assert bus.send(CanFrame(1, ENABLE), 0.5)
+    bus.advance_to(1.0)
+    assert bus.send(CanFrame(1, ENABLE), 1.1) == []
+    bus.advance_to(2.0)
     assert bus.motors[0].status is Status.DISABLED
-    assert bus.send(Frame(1, ENABLE), 2.1)
+    assert bus.send(CanFrame(1, ENABLE), 2.1)
 
 
 def test_a_hot_motor_fails() -> None:
-    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [BusFault("hot", channel="can_left", motor=1)])
-    bus.send(Frame(1, ENABLE), 0.0)
-    bus.passes(0.02)
-    assert status(bus.send(Frame(1, ENABLE), 0.02)[0]) == Status.ROTOR_TOO_HOT
+    bus = MotorBus("can_left", [Motor(1, KINDS["DM4340"])], [BusFault("hot", channel="can_left", motor=1)])
+    bus.send(CanFrame(1, ENABLE), 0.0)
+    bus.advance_to(0.02)
+    assert status(bus.send(CanFrame(1, ENABLE), 0.02)[0]) == Status.ROTOR_TOO_HOT
 
 
 def test_as_many_frames_get_lost_as_the_fault_says() -> None:
     """In each direction; and from the same seed the same ones."""
 
     def answered(seed: int) -> list[bool]:
-        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)
-        bus.passes(0.01)
-        return [bool(bus.send(Frame(1, ENABLE), 0.01)) for _ in range(2000)]
+        bus = MotorBus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)
+        bus.advance_to(0.01)
+        return [bool(bus.send(CanFrame(1, ENABLE), 0.01)) for _ in range(2000)]
 
     assert sum(answered(0)) / 2000 == pytest.approx(0.64, abs=0.03)
     assert answered(0) == answered(0) != answered(1)
@@ -235,7 +235,7 @@ def test_the_error_for_a_wrong_flag_names_valid_values(text: str, says: str) -> 
 
 @pytest.mark.parametrize("name", ["yam_v1", "yam_pro_v1", "yam_ultra_v1", "yam_ultra_v2", "big_yam_v1", "i2rt_yam"])
 def test_every_arm_has_wiring(name: str, locations: Locations) -> None:
-    wiring = find_wiring(name, "linear_4310", 6, locations)
+    wiring = load_can_config(name, "linear_4310", 6, locations)
     assert wiring.gripper is not None
     # 6.57 rad of the motor for 96 mm between the fingers, and forwards closes them.
     assert wiring.gripper.ratio == pytest.approx(-6.57 / 0.048)
@@ -244,7 +244,7 @@ def test_every_arm_has_wiring(name: str, locations: Locations) -> None:
 
 def test_the_error_for_a_gripper_without_wiring_names_those_with_one(locations: Locations) -> None:
     with pytest.raises(ConfigError, match=r"linear_3507 has no can.yaml.*crank, crank_4310, finray"):
-        find_wiring("yam_v1", "linear_3507", 6, locations)
+        load_can_config("yam_v1", "linear_3507", 6, locations)
 
 
 def test_the_error_for_wrong_wiring_names_its_place(locations: Locations, tmp_path: Path) -> None:
@@ -252,7 +252,7 @@ def test_the_error_for_wrong_wiring_names_its_place(locations: Locations, tmp_pa
     folder.mkdir(parents=True)
     (folder / "can.yaml").write_text("motors:\n- {id: 1, kind: DM9999}\n")
     with pytest.raises(ConfigError, match=r"can.yaml:2.*unknown motor 'DM9999'; valid: DM3507, DM4310"):
-        find_wiring("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))
+        load_can_config("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))
     (folder / "can.yaml").write_text("motors:\n- {id: 1, kind: DM4340}\n")
     with pytest.raises(ConfigError, match="has 1 motors, and yam_v1 has 6 joints"):
-        find_wiring("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))
+        load_can_config("yam_v1", None, 6, replace(locations, data=(tmp_path, *locations.data)))

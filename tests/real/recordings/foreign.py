@@ -16,7 +16,7 @@ import pyarrow
 import pyarrow.parquet
 
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 
 START_NS = 1_760_000_000_123_456_789
 PROMPT = "put the banana on the plate"
@@ -24,10 +24,10 @@ NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{
 FILM_EVERY = 4  # samples of an MCAP file for each image
 
 
-def shares(motion: Motion, rig: RigConfig) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def shares(motion: RecordedMotion, rig: RigConfig) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Measurements and commands of each arm (n, 7), grippers as shares of their opening."""
     measured, commanded = [], []
-    for arm, k in zip(motion.arms, rig.recorded, strict=True):
+    for arm, k in zip(motion.arms, rig.recording_order, strict=True):
         fingers = rig.arms[k].robot.fingers
         assert fingers is not None and arm.commands is not None
         assert arm.openings is not None and arm.commanded_openings is not None
@@ -36,7 +36,7 @@ def shares(motion: Motion, rig: RigConfig) -> tuple[list[np.ndarray], list[np.nd
     return measured, commanded
 
 
-def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
+def write_raiden_raw(folder: Path, motion: RecordedMotion, rig: RigConfig) -> Path:
     """As raiden's recorder writes it: a key for each array, times in ns."""
     folder.mkdir()
     measured, commanded = shares(motion, rig)
@@ -53,7 +53,7 @@ def write_raiden_raw(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     return folder
 
 
-def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
+def write_lerobot_v2(folder: Path, motion: RecordedMotion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
     """Version 2.1: one episode, one camera of 64 x 48 whose grey shows the number of the frame."""
     measured, commanded = shares(motion, rig)
     rows, commands = np.hstack(measured), np.hstack(commanded)
@@ -100,7 +100,7 @@ def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: Sequen
     return folder
 
 
-def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
+def write_lowdim(folder: Path, motion: RecordedMotion, rig: RigConfig) -> Path:
     """As the lab writes it: a pickle per frame, grippers in metres, pictures whose grey shows the frame's number."""
     rows = np.hstack([np.column_stack([arm.joints, arm.openings]) for arm in motion.arms if arm.openings is not None])
     commanded = [
@@ -118,7 +118,7 @@ def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
     return folder
 
 
-def write_lerobot_v3(folder: Path, motion: Motion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
+def write_lerobot_v3(folder: Path, motion: RecordedMotion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
     """Version 3.0: the same in other files, which `meta/episodes` lists."""
     write_lerobot_v2(folder, motion, rig, names)
     film = folder / "videos/observation.images.top/chunk-000"
@@ -188,7 +188,10 @@ def _film_packets(frames: int) -> list[bytes]:
 
 
 def write_mcap(
-    path: Path, motion: Motion, rig: RigConfig, leave_out: Callable[[str, float], bool] = lambda topic, time: False
+    path: Path,
+    motion: RecordedMotion,
+    rig: RigConfig,
+    leave_out: Callable[[str, float], bool] = lambda topic, time: False,
 ) -> Path:
     """A motion of two arms, with a film of one camera.
 

@@ -28,12 +28,12 @@ from yamsim_cli.core.dataset.reader import open_recorded
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.real.import_recording.importing import ImportReport, ImportRequest, import_recordings
-from yamsim_cli.real.recordings.faults import MotionFault, MotionProblem, find_faults
-from yamsim_cli.real.recordings.reading import format_of, reader_of
+from yamsim_cli.real.recordings.motion_faults import MotionFault, MotionProblem, find_faults
+from yamsim_cli.real.recordings.motion_reading import detect_format, format_reader
 
-Writer = Callable[[Path, Motion, RigConfig], Path]
+Writer = Callable[[Path, RecordedMotion, RigConfig], Path]
 
 # Format -> its writer, and the file that is cut off; empty for the recording itself.
 WRITERS: Mapping[str, tuple[Writer, str]] = {
@@ -51,11 +51,11 @@ def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", request.param, locations)
 
 
-def with_first(motion: Motion, **changes: Array) -> Motion:
+def with_first(motion: RecordedMotion, **changes: Array) -> RecordedMotion:
     return replace(motion, arms=(replace(motion.arms[0], **changes), *motion.arms[1:]))
 
 
-def only(motion: Motion, rig: RigConfig) -> MotionProblem:
+def only(motion: RecordedMotion, rig: RigConfig) -> MotionProblem:
     (problem,) = find_faults(motion, rig)
     return problem
 
@@ -130,7 +130,7 @@ def test_a_gripper_that_stalls_only_while_opening_is_mirrored(
 
 
 # Fault -> its spoiler, a part of its line, and whether the recording is refused.
-FAULTS: Mapping[str, tuple[Callable[[Motion, float], Motion], str, bool]] = {
+FAULTS: Mapping[str, tuple[Callable[[RecordedMotion, float], RecordedMotion], str, bool]] = {
     "gap": (with_gap, "nothing was recorded for 0.71 s from 0.59 s on", False),
     "froze": (froze, "right_joint3 was measured at exactly", False),
     "swapped": (swapped, "are the arms swapped? If so, say --swap-arms", True),
@@ -161,7 +161,7 @@ def test_a_fault_is_reported_or_refused(
     spoil, line, is_refused = FAULTS[fault]
     motion = spoil(swinging(station, 2.0), full_opening(station))
     path = WRITERS[form][0](tmp_path / "one", motion, station)
-    assert form.startswith(format_of(path))
+    assert form.startswith(detect_format(path))
     if is_refused:
         assert line in refused(path, station, locations)
         assert not (tmp_path / "real").exists()
@@ -174,7 +174,7 @@ def test_a_fault_is_reported_or_refused(
 @pytest.mark.parametrize("form", list(WRITERS))
 def test_a_good_recording_has_no_problem(form: str, station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     path = WRITERS[form][0](tmp_path / "one", swinging(station, 2.0), station)
-    (recording,) = reader_of(format_of(path))(path, station, None, locations)
+    (recording,) = format_reader(detect_format(path))(path, station, None, locations)
     assert recording.problems == ()
     assert find_faults(recording.in_metres(station), station) == []
 

@@ -29,12 +29,12 @@ from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import ConfigError, DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.source import open_source
 from yamsim_cli.real.recordings.lerobot_files import VideoPaths
-from yamsim_cli.real.recordings.reading import format_of, reader_of
+from yamsim_cli.real.recordings.motion_reading import detect_format, format_reader
 from yamsim_cli.real.recordings.recording import Recording
 
 _PATTERN = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
@@ -51,7 +51,7 @@ def recorded(
 
 
 def only(path: Path, rig: RigConfig, locations: Locations, mapping: str | None = None) -> Recording:
-    (recording,) = reader_of(format_of(path))(path, rig, mapping, locations)
+    (recording,) = format_reader(detect_format(path))(path, rig, mapping, locations)
     return recording
 
 
@@ -62,7 +62,7 @@ def test_raidens_raw_recordings(
     rig: RigConfig = request.getfixturevalue(name)
     motion = swinging(rig, 1.0)
     folder = write_raiden_raw(tmp_path / "raw", motion, rig)
-    assert format_of(folder) == format_of(folder / "robot_data.npz") == "raiden_raw"
+    assert detect_format(folder) == detect_format(folder / "robot_data.npz") == "raiden_raw"
     recording = only(folder, rig, locations)
     assert (recording.gripper, recording.prompt) == ("share", PROMPT)
     same_motion(recording.in_metres(rig), motion)
@@ -140,7 +140,7 @@ def test_our_own_export_to_lerobot_comes_back(
     recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     export_lerobot(open_source(recorded, None, locations), tmp_path / "lerobot", lambda done, total: None)
-    back = reader_of("lerobot")(tmp_path / "lerobot", config.rig, None, locations)
+    back = format_reader("lerobot")(tmp_path / "lerobot", config.rig, None, locations)
     assert len(back) == 2
     for number, recording in enumerate(back):
         frames = open_episode(recorded / f"ep_{number:06d}").frames()
@@ -159,7 +159,7 @@ def test_the_layout_of_raidens_converter(
         open_source(recorded, "0", locations), tmp_path / "raiden", locations, lambda done, total: None, options
     )
     (folder,) = (path.parent for path in (tmp_path / "raiden").glob("**/lowdim"))
-    assert format_of(folder) == "lowdim"
+    assert detect_format(folder) == "lowdim"
     recording = only(folder, config.rig, locations)
     frames = open_episode(recorded / "ep_000000").frames()
     assert recording.gripper == "share"
@@ -285,8 +285,8 @@ def test_videos_are_checked_when_a_dataset_is_read(station: RigConfig, locations
     info = json.loads((folder / "meta/info.json").read_text())
     (folder / "meta/info.json").write_text(json.dumps(info | {"fps": None}))
     with pytest.raises(DatasetError, match=r"fps is None; valid: "):
-        reader_of("lerobot")(folder, station, None, locations)
+        format_reader("lerobot")(folder, station, None, locations)
     features = info["features"] | {"observation.images.a/b": info["features"].pop("observation.images.top")}
     (folder / "meta/info.json").write_text(json.dumps(info | {"features": features}))
     with pytest.raises(DatasetError, match="camera 'a/b' is not valid"):
-        reader_of("lerobot")(folder, station, None, locations)
+        format_reader("lerobot")(folder, station, None, locations)

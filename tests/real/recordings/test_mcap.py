@@ -13,28 +13,28 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.jpeg import decode_jpeg
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.real.import_recording.importing import ImportRequest, import_recordings
-from yamsim_cli.real.recordings.reading import format_of, reader_of
+from yamsim_cli.real.recordings.motion_reading import detect_format, format_reader
 
 pytest.importorskip("mcap", reason="the extra mcap is not installed")
 
 
 @pytest.fixture(scope="module")
-def motion(station: RigConfig) -> Motion:
+def motion(station: RigConfig) -> RecordedMotion:
     return swinging(station, 0.6)
 
 
 @pytest.fixture(scope="module")
-def file(station: RigConfig, motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(station: RigConfig, motion: RecordedMotion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_mcap(tmp_path_factory.mktemp("mcap") / "episode.mcap", motion, station)
 
 
 def test_a_recording_comes_in_with_its_film(
-    file: Path, station: RigConfig, motion: Motion, locations: Locations
+    file: Path, station: RigConfig, motion: RecordedMotion, locations: Locations
 ) -> None:
-    assert format_of(file) == "mcap"
-    (recording,) = reader_of("mcap")(file, station, None, locations)
+    assert detect_format(file) == "mcap"
+    (recording,) = format_reader("mcap")(file, station, None, locations)
     same_motion(recording.in_metres(station), motion, atol=1e-9)
     assert recording.prompt == PROMPT
     pictures = recording.pictures["top_camera"]
@@ -48,7 +48,7 @@ def test_a_recording_comes_in_with_its_film(
 
 def test_the_error_for_another_rig_names_the_topics(file: Path, single: RigConfig, locations: Locations) -> None:
     with pytest.raises(DatasetError, match="/left-arm-state"):
-        reader_of("mcap")(file, single, None, locations)
+        format_reader("mcap")(file, single, None, locations)
 
 
 def test_a_topic_that_ends_early_and_a_camera_that_paused_are_reported(

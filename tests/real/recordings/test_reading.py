@@ -16,9 +16,9 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.real.recordings.csv_file import header, read_csv
-from yamsim_cli.real.recordings.faults import find_faults
-from yamsim_cli.real.recordings.reading import read_motions
+from yamsim_cli.real.recordings.csv_file import csv_columns, read_csv
+from yamsim_cli.real.recordings.motion_faults import find_faults
+from yamsim_cli.real.recordings.motion_reading import read_motions
 
 
 @pytest.fixture(scope="module", params=["single", "russet"])
@@ -28,7 +28,7 @@ def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
 
 def test_the_header_is_the_documented_one(single: RigConfig) -> None:
     kinds = [[f"{kind}_joint{k}" for k in range(1, 7)] + [f"{kind}_gripper"] for kind in ("command", "position")]
-    assert header(single) == ["t", *kinds[0], *kinds[1]]
+    assert csv_columns(single) == ["t", *kinds[0], *kinds[1]]
 
 
 def test_a_csv_comes_back_to_the_last_bit(rig: RigConfig, locations: Locations, tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_an_arm_may_come_first_in_a_columns_name(locations: Locations, tmp_path:
 
 def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    names = [name for name in header(single) if name.startswith("position_joint")]
+    names = [name for name in csv_columns(single) if name.startswith("position_joint")]
     path.write_text(",".join(["t", "note", *names]) + "\n" + "12.5,7,0,0,0,0,0,0\n12.6,8,0,0,0,0,0,0.5\n")
     motion = read_csv(path, single)
     np.testing.assert_allclose(motion.times, [0.0, 0.1])

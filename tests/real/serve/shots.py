@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.real.serve.pictures import Shot
+from yamsim_cli.real.serve.render_process import CameraFrames
 
 SIZE = (8, 6)
 
 
-class Shots:
-    """In place of a `PictureProcess`: each shot has pictures of one grey, its number."""
+class FakeRenderProcess:
+    """In place of a `RenderProcess`: each shot has pictures of one grey, its number."""
 
     cameras = ("top", "left")
     size = SIZE
@@ -20,11 +20,11 @@ class Shots:
     K = dict.fromkeys(cameras, np.diag([7.0, 7.0, 1.0]))
 
     def __init__(self, joints: tuple[Any, ...] = ()) -> None:
-        self.shot: Shot | None = None
+        self.shot: CameraFrames | None = None
         self._joints = joints
 
     def take(self, number: int, sim_time: float = 0.0) -> None:
         width, height = self.size
         pictures = {name: np.full((height, width, 3), number, np.uint8) for name in self.cameras}
         poses = dict.fromkeys(self.cameras, np.eye(4))
-        self.shot = Shot(number, 1_000_000_000 + number, sim_time, self._joints, poses, pictures)
+        self.shot = CameraFrames(number, 1_000_000_000 + number, sim_time, self._joints, poses, pictures)

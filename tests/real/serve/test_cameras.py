@@ -14,19 +14,19 @@ from typing import Any
 
 import pytest
 
-from tests.real.serve.shots import SIZE, Shots
+from tests.real.serve.shots import SIZE, FakeRenderProcess
 from yamsim_cli.camera_reader import CameraReader, served_cameras
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.real.serve.cameras import CameraServer
 
 
 @pytest.fixture
-def shots() -> Shots:
-    return Shots()
+def shots() -> FakeRenderProcess:
+    return FakeRenderProcess()
 
 
 @pytest.fixture
-def server(shots: Shots, tmp_path: Path) -> Iterator[CameraServer]:
+def server(shots: FakeRenderProcess, tmp_path: Path) -> Iterator[CameraServer]:
     made = CameraServer(tmp_path / "served", shots)  # type: ignore[arg-type]
     yield made
     made.close()
@@ -67,7 +67,9 @@ def said(message: Any) -> bytes:
 
 
 @pytest.mark.usefixtures("goes_on")
-def test_a_reader_gets_each_camera_and_waits_for_the_next_picture(server: CameraServer, shots: Shots) -> None:
+def test_a_reader_gets_each_camera_and_waits_for_the_next_picture(
+    server: CameraServer, shots: FakeRenderProcess
+) -> None:
     shots.take(3)
     assert list(served_cameras(server.path.parent)) == ["top", "left"]
     with CameraReader("left", server.path.parent) as reader:
@@ -94,7 +96,7 @@ def test_another_camera_or_no_server_is_one_line(server: CameraServer, tmp_path:
         CameraReader("top", tmp_path)
 
 
-def test_a_wrong_question_is_told_and_the_next_is_answered(server: CameraServer, shots: Shots) -> None:
+def test_a_wrong_question_is_told_and_the_next_is_answered(server: CameraServer, shots: FakeRenderProcess) -> None:
     shots.take(0)
     one = join(server)
     for wrong in ({"ask": "film"}, {"ask": "picture", "camera": ["top"]}, {"ask": "picture", "after": "1"}, {}):
@@ -119,7 +121,7 @@ def test_what_is_no_message_is_hung_up_on(server: CameraServer, noise: bytes) ->
     assert one.recv(8) == b""
 
 
-def test_one_that_reads_nothing_waits_and_fills_no_memory(server: CameraServer, shots: Shots) -> None:
+def test_one_that_reads_nothing_waits_and_fills_no_memory(server: CameraServer, shots: FakeRenderProcess) -> None:
     shots.size = (640, 480)
     shots.take(0)
     one = join(server)
@@ -135,7 +137,7 @@ def test_one_that_reads_nothing_waits_and_fills_no_memory(server: CameraServer, 
     assert other.recv(4)
 
 
-def test_10000_random_messages_do_no_harm(server: CameraServer, shots: Shots) -> None:
+def test_10000_random_messages_do_no_harm(server: CameraServer, shots: FakeRenderProcess) -> None:
     draw = random.Random(7)
     shots.take(0)
     whole = json.dumps({"ask": "picture", "camera": "top", "after": -1}).encode()

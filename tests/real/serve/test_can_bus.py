@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.real.motors import frames
-from yamsim_cli.real.motors.bus import Bus
-from yamsim_cli.real.motors.frames import Frame
+from yamsim_cli.real.motors import can_frames as frames
+from yamsim_cli.real.motors.can_frames import CanFrame
 from yamsim_cli.real.motors.motor import KINDS, Motor
+from yamsim_cli.real.motors.motor_bus import MotorBus
 from yamsim_cli.real.serve import can_bus
 from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus, program_environment
 
@@ -38,7 +38,7 @@ def join(bus: UnixBus) -> socket.socket:
     return one
 
 
-def heard(bus: UnixBus) -> list[Frame]:
+def heard(bus: UnixBus) -> list[CanFrame]:
     """What the bus hears until nobody says more."""
     found = []
     while ready := select.select(bus.readers, [], [], 0.02)[0]:
@@ -51,8 +51,8 @@ def test_a_frame_gets_there_whole_however_it_is_cut(served: UnixBus) -> None:
     one.sendall(ENABLE[:5])
     assert heard(served) == []
     one.sendall(ENABLE[5:] + ENABLE)
-    assert heard(served) == [Frame(1, b"\xff" * 7 + b"\xfc")] * 2
-    served.send(Frame(0x11, b"abc"))
+    assert heard(served) == [CanFrame(1, b"\xff" * 7 + b"\xfc")] * 2
+    served.send(CanFrame(0x11, b"abc"))
     assert one.recv(16) == struct.pack("=IB3x8s", 0x11, 3, b"abc")
 
 
@@ -68,7 +68,7 @@ def test_programs_on_a_bus_hear_each_other(served: UnixBus) -> None:
 
 def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
     """A program that sends 10,000 messages of noise and never reads; another one is answered all the same."""
-    motors = Bus("can0", [Motor(1, KINDS["DM4340"])])
+    motors = MotorBus("can0", [Motor(1, KINDS["DM4340"])])
     noisy, other = join(served), join(served)
     draw = random.Random(5)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -122,10 +122,10 @@ def test_a_program_finds_the_buses_first(served: UnixBus, tmp_path: Path) -> Non
 
 def test_frames_of_other_kinds_are_nobodys() -> None:
     for flag in (0x80000000, 0x40000000, 0x20000000):
-        assert frames.parse(struct.pack("=IB3x8s", 1 | flag, 8, bytes(8))) is None
-    assert frames.parse(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None
-    assert frames.parse(struct.pack("=IB3x8s", 1, 9, bytes(8))) is None
-    assert frames.parse(struct.pack("=IB3x8s", 1, 2, b"abcdefgh")) == Frame(1, b"ab")
+        assert frames.parse_frame(struct.pack("=IB3x8s", 1 | flag, 8, bytes(8))) is None
+    assert frames.parse_frame(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None
+    assert frames.parse_frame(struct.pack("=IB3x8s", 1, 9, bytes(8))) is None
+    assert frames.parse_frame(struct.pack("=IB3x8s", 1, 2, b"abcdefgh")) == CanFrame(1, b"ab")
 
 
 class CanSocket:
@@ -177,10 +177,10 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
     can.other.send(struct.pack("=IB3x8s", 1 | 0x80000000, 8, bytes(8)))  # Of another kind, which no motor has.
     can.other.send(ENABLE)
     assert [frame.id for frame in bus.receive({reader})] == [1, 1]
-    bus.send(Frame(0x11, b"12345678"))
-    assert can.other.recv(64) == frames.to_wire(Frame(0x11, b"12345678"))
+    bus.send(CanFrame(0x11, b"12345678"))
+    assert can.other.recv(64) == frames.to_wire(CanFrame(0x11, b"12345678"))
     can.other.close()
-    bus.send(Frame(0x11, b"12345678"))  # An interface that went down loses frames, and stops nothing.
+    bus.send(CanFrame(0x11, b"12345678"))  # An interface that went down loses frames, and stops nothing.
     bus.close()
 
 

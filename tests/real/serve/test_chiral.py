@@ -18,7 +18,7 @@ from websockets.client import ClientProtocol
 from websockets.frames import Frame, Opcode
 from websockets.uri import parse_uri
 
-from tests.real.serve.shots import Shots
+from tests.real.serve.shots import FakeRenderProcess
 from yamsim_cli.real.serve import chiral
 from yamsim_cli.real.serve.chiral import ChiralError, ChiralServer, read_message
 from yamsim_cli.real.serve.policy_robot import CameraView, RobotObservation
@@ -33,7 +33,7 @@ class Robot:
     stopped = ""
 
     def __init__(self) -> None:
-        self.shots = Shots()
+        self.shots = FakeRenderProcess()
         self.told: list[np.ndarray] = []
         self.resets = 0
 

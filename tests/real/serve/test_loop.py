@@ -13,9 +13,9 @@ import pytest
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.real.serve.arms import serve_arms
 from yamsim_cli.real.serve.can_bus import UnixBus
-from yamsim_cli.real.serve.loop import ServeLoop
+from yamsim_cli.real.serve.realtime_loop import ServeLoop
+from yamsim_cli.real.serve.served_arms import serve_arms
 
 ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
 

@@ -12,15 +12,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.types import Attempt, EpisodeJob
-from yamsim_cli.real.serve.arms import Served, serve_arms, served_cameras
-from yamsim_cli.real.serve.pictures import PictureProcess, Shot
+from yamsim_cli.real.serve.render_process import CameraFrames, RenderProcess
+from yamsim_cli.real.serve.served_arms import ServedArms, serve_arms, served_cameras
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -32,18 +32,18 @@ def session(make_config: Callable[..., RecordConfig], locations: Locations) -> S
 
 
 @pytest.fixture(scope="module")
-def served(session: Session) -> Served:
+def served(session: Session) -> ServedArms:
     return serve_arms(session, start="home")
 
 
 @pytest.fixture
-def source(session: Session, served: Served) -> Iterator[PictureProcess]:
-    made = PictureProcess(session, ("top", "left"), 50.0, served.state, itertools.count(1).__next__)
+def source(session: Session, served: ServedArms) -> Iterator[RenderProcess]:
+    made = RenderProcess(session, ("top", "left"), 50.0, served.state, itertools.count(1).__next__)
     yield made
     made.close()
 
 
-def next_shot(source: PictureProcess, after: int = -1) -> Shot:
+def next_shot(source: RenderProcess, after: int = -1) -> CameraFrames:
     until = time.monotonic() + 60
     while time.monotonic() < until:
         source.flush()
@@ -53,13 +53,13 @@ def next_shot(source: PictureProcess, after: int = -1) -> Shot:
     raise AssertionError("no shot came")
 
 
-def test_it_draws_what_is_there_now(source: PictureProcess, served: Served, session: Session) -> None:
+def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, session: Session) -> None:
     first = next_shot(source)
     assert (first.number, first.time_ns, first.sim_time) == (0, 1, 0.0)
     np.testing.assert_equal(first.joints[0], served.followers[0].joint_pos())
     at_home = served.plant.data.qpos.copy()
     with Simulator(session) as simulator:
-        own = render(simulator, Attempt(EpisodeJob(0, 0)), at_home, ("top", "left"))
+        own = render_cameras(simulator, Attempt(AttemptJob(0, 0)), at_home, ("top", "left"))
         pose = simulator.replica.T_cam_in_base("left")
     for name, picture in own.items():
         np.testing.assert_equal(first.pictures[name], picture)
@@ -74,7 +74,7 @@ def test_it_draws_what_is_there_now(source: PictureProcess, served: Served, sess
     assert (later.pictures["left"] != before).any()
 
 
-def test_its_death_is_told(source: PictureProcess) -> None:
+def test_its_death_is_told(source: RenderProcess) -> None:
     next_shot(source)
     assert source._process.pid
     os.kill(source._process.pid, signal.SIGKILL)
@@ -89,7 +89,7 @@ def test_wrists_are_drawn_that_a_recording_leaves_out(
     session = Session(config, locations).without_meshes()
     cameras = served_cameras(config)
     assert config.recorded_cameras == cameras[:1]
-    source = PictureProcess(session, cameras, 50.0, serve_arms(session).state, itertools.count(1).__next__)
+    source = RenderProcess(session, cameras, 50.0, serve_arms(session).state, itertools.count(1).__next__)
     try:
         scene, wrist = next_shot(source).pictures.values()
         assert np.ptp(wrist) > 0 and not np.array_equal(scene, wrist)

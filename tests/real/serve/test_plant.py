@@ -11,24 +11,24 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.real.motors.bus import BusFault
-from yamsim_cli.real.motors.frames import Mit
+from yamsim_cli.real.motors.can_frames import MitCommand
 from yamsim_cli.real.motors.motor import Motor, Status
-from yamsim_cli.real.serve.arms import Served, serve_arms
-from yamsim_cli.real.serve.plant import Plant
+from yamsim_cli.real.motors.motor_bus import BusFault
+from yamsim_cli.real.serve.motor_simulation import MotorSimulation
+from yamsim_cli.real.serve.served_arms import ServedArms, serve_arms
 
-Serve = Callable[..., Served]
+Serve = Callable[..., ServedArms]
 
 
 @pytest.fixture(scope="module")
 def serve(make_config: Callable[..., RecordConfig], locations: Locations) -> Serve:
-    def made(rig: str = "yam_v1+linear_4310", **given: object) -> Served:
+    def made(rig: str = "yam_v1+linear_4310", **given: object) -> ServedArms:
         return serve_arms(Session(make_config({("rig",): rig}), locations), **given)  # type: ignore[arg-type]
 
     return made
 
 
-def run(plant: Plant, seconds: float, tell: Callable[[], None] = lambda: None) -> None:
+def run(plant: MotorSimulation, seconds: float, tell: Callable[[], None] = lambda: None) -> None:
     for _ in range(round(seconds / plant.timestep)):
         tell()
         plant.step()
@@ -55,8 +55,8 @@ def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
     before = positions(motors)
 
     def tell() -> None:
-        for motor, torque in zip(motors, plant.held(0), strict=True):
-            motor.drive(Mit(0, 0, 0, 0, torque), plant.now)
+        for motor, torque in zip(motors, plant.gravity_torques(0), strict=True):
+            motor.drive(MitCommand(0, 0, 0, 0, torque), plant.now)
 
     run(plant, 2, tell)
     assert np.abs(positions(motors) - before)[:6].max() < 1e-3
@@ -70,10 +70,10 @@ def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
 
     def tell() -> None:
         for motor, position in zip(motors, start, strict=True):
-            motor.drive(Mit(float(position), 0, 80.0, 2.0, 0), plant.now)
+            motor.drive(MitCommand(float(position), 0, 80.0, 2.0, 0), plant.now)
 
     run(plant, 2, tell)
-    held = np.array(plant.held(0))[:6]
+    held = np.array(plant.gravity_torques(0))[:6]
     sag = (positions(motors) - start)[:6]
     # Friction may hold a part of it.
     friction = np.array([0.3, 0.3, 0.3, 0.06, 0.06, 0.06])
@@ -86,7 +86,7 @@ def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
     motor = plant.buses[0].motors[-1]
     ends = []
     for torque in (0.5, -0.5):
-        run(plant, 1.0, lambda torque=torque: motor.drive(Mit(0, 0, 0, 0, torque), plant.now))  # type: ignore[misc]
+        run(plant, 1.0, lambda torque=torque: motor.drive(MitCommand(0, 0, 0, 0, torque), plant.now))  # type: ignore[misc]
         ends.append(motor.position)
     # 95 mm of the 96 that 6.57 rad are for; forwards closes.
     assert ends == pytest.approx([0.0, -6.5], abs=0.05)
@@ -96,7 +96,7 @@ def test_a_stuck_gripper_stays(serve: Serve) -> None:
     plant = serve(faults=[BusFault("stuck")]).plant
     motor = plant.buses[0].motors[-1]
     run(plant, 0.1)
-    run(plant, 0.5, lambda: motor.drive(Mit(-6.0, 0, 20.0, 0.5, 0), plant.now))
+    run(plant, 0.5, lambda: motor.drive(MitCommand(-6.0, 0, 20.0, 0.5, 0), plant.now))
     assert abs(motor.position) < 0.05
     assert abs(motor.torque) == pytest.approx(10.0, abs=0.1)
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.real.serve.shots import Shots
+from tests.real.serve.shots import FakeRenderProcess
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.real.serve.arms import Served, policy_robot, serve_arms
-from yamsim_cli.real.serve.policy_robot import PolicyRobot, pose_of_rows
+from yamsim_cli.real.serve.policy_robot import PolicyRobot, pose_from_rotation_rows
+from yamsim_cli.real.serve.served_arms import ServedArms, make_policy_robot, serve_arms
 
 STATION = "yam_station_linear_4310_d405"
 HOME = np.tile([0, 0, 0, 0, 0, 0, 1.0], 2)
@@ -27,9 +27,9 @@ class Driven:
     """A robot and its time."""
 
     def __init__(self, session: Session) -> None:
-        self.served: Served = serve_arms(session)
-        self.shots = Shots()
-        self.robot: PolicyRobot = policy_robot(session, self.served, self.shots)  # type: ignore[arg-type]
+        self.served: ServedArms = serve_arms(session)
+        self.shots = FakeRenderProcess()
+        self.robot: PolicyRobot = make_policy_robot(session, self.served, self.shots)  # type: ignore[arg-type]
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / self.served.plant.timestep)):
@@ -126,6 +126,6 @@ def test_cameras_have_raidens_names_and_squares(driven: Driven, session: Session
 
 
 def test_a_rotation_is_made_of_any_two_rows() -> None:
-    T = pose_of_rows(np.arange(3.0), np.array([2.0, 0, 0, 1, 3, 0]))
+    T = pose_from_rotation_rows(np.arange(3.0), np.array([2.0, 0, 0, 1, 3, 0]))
     np.testing.assert_allclose(T[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_equal(T[:3, 3], np.arange(3.0))

@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from yamsim_cli.real.serve.portal import HANDSHAKE, PortalError, PortalServer, pack, unpack
+from yamsim_cli.real.serve.portal import HANDSHAKE, PortalError, PortalServer, pack_tree, unpack_tree
 
 # What `portal.packlib.pack({"joint_pos": np.arange(2.0), "n": 3})` of 3.8.3 gives, joined.
 PACKED = bytes.fromhex(
@@ -71,7 +71,7 @@ def serve(server: PortalServer) -> None:
 
 def request(name: str, *arguments: Any, number: int = 1) -> bytes:
     body = number.to_bytes(8, "little") + len(name).to_bytes(8, "little") + name.encode()
-    body += pack(list(arguments))
+    body += pack_tree(list(arguments))
     return len(body).to_bytes(8, "little") + body
 
 
@@ -82,18 +82,18 @@ def answered(one: socket.socket) -> tuple[int, int, Any]:
     while len(body) < length:
         body += one.recv(length - len(body))
     number, status = struct.unpack("<QQ", body[:16])
-    return number, status, body[16:].decode() if status else unpack(body[16:])
+    return number, status, body[16:].decode() if status else unpack_tree(body[16:])
 
 
 def test_bytes_are_portals_own() -> None:
     tree = {"joint_pos": np.arange(2.0), "n": 3}
-    assert pack(tree) == PACKED
-    np.testing.assert_equal(unpack(PACKED), tree)
+    assert pack_tree(tree) == PACKED
+    np.testing.assert_equal(unpack_tree(PACKED), tree)
 
 
 def test_trees_come_back_as_they_were() -> None:
     tree = [{"pos": np.arange(7.0), "kp": np.float32(2.0)}, None, np.zeros((0, 3)), 4]
-    back = unpack(pack(tree))
+    back = unpack_tree(pack_tree(tree))
     np.testing.assert_equal(back, [{"pos": np.arange(7.0), "kp": np.float32(2.0)}, None, np.zeros((0, 3)), 4])
 
 
@@ -157,7 +157,7 @@ def _packed(tree: Any, specs: Any, *buffers: bytes) -> bytes:
 )
 def test_what_is_not_taken_is_refused(data: bytes) -> None:
     with pytest.raises(PortalError):
-        unpack(data)
+        unpack_tree(data)
 
 
 def test_another_greeting_or_a_message_without_end_is_hung_up_on(server: PortalServer) -> None:

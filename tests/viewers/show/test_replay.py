@@ -24,9 +24,9 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import sha256_bytes
-from yamsim_cli.datasets.verify import repeat_episode
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.show.replay import positions, shown_again
+from yamsim_cli.datasets.verify import reproduce_episode
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.show.replay import episode_positions, session_with_wrist_camera
 from yamsim_cli.viewers.viewed_scene import EpisodePlayer
 from yamsim_cli.viewers.viewpoint import Viewpoint
 
@@ -49,12 +49,12 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def simulator(original: Path, locations: Locations) -> Simulator:
-    return Simulator(shown_again(Session(dataset_config(original, locations), locations)))
+    return Simulator(session_with_wrist_camera(Session(dataset_config(original, locations), locations)))
 
 
 @pytest.fixture
 def player(original: Path, simulator: Simulator) -> EpisodePlayer:
-    states = positions(open_episode(original / "ep_000001"), simulator)
+    states = episode_positions(open_episode(original / "ep_000001"), simulator)
     return EpisodePlayer("test", simulator.scene.model, states, 0.064)
 
 
@@ -173,19 +173,19 @@ def test_without_the_library_the_extra_is_named(original: Path, tmp_path: Path, 
 
 def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Locations) -> None:
     config = dataset_config(dataset, locations)
-    assert repeat_episode(open_episode(dataset / "ep_000000"), Session(config, locations)).max_error == 0.0  # type: ignore[union-attr]
+    assert reproduce_episode(open_episode(dataset / "ep_000000"), Session(config, locations)).max_error == 0.0  # type: ignore[union-attr]
     for k in range(frame_count(dataset / "ep_000000")):
         change_frame(dataset / "ep_000000", k, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
-    assert repeat_episode(open_episode(dataset / "ep_000000"), Session(config, locations)) is None
+    assert reproduce_episode(open_episode(dataset / "ep_000000"), Session(config, locations)) is None
 
 
 def test_states_of_another_scene_are_not_shown(dataset: Path, simulator: Simulator) -> None:
     change_frame(dataset / "ep_000001", 9, rehash=True, sim_qpos=np.zeros(5))
     with pytest.raises(DatasetError, match="frame 9 has 5 positions, and its scene 22"):
-        positions(open_episode(dataset / "ep_000001"), simulator)
+        episode_positions(open_episode(dataset / "ep_000001"), simulator)
     change_frame(dataset / "ep_000000", 9, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
     with pytest.raises(DatasetError, match="holds no sim_qpos"):
-        positions(open_episode(dataset / "ep_000000"), simulator)
+        episode_positions(open_episode(dataset / "ep_000000"), simulator)
 
 
 def test_the_player_shows_each_frame_for_its_time_and_begins_again(player: EpisodePlayer, original: Path) -> None:

@@ -19,22 +19,22 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
 from tests.programs import FOLD, ONTO_PLATE, first_attempt, session_of
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, Simulators
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.viewers.address import PageAddress
-from yamsim_cli.viewers.show.view import PERIOD, LivePictures, live_rig, live_task
+from yamsim_cli.viewers.page_address import PageAddress
+from yamsim_cli.viewers.show.viewer import PERIOD, LivePictures, make_live_rig, make_live_task
 from yamsim_cli.viewers.viewed_scene import EpisodePlayer, LiveRig
-from yamsim_cli.viewers.viewpoint import FOV_DEG, frame_rig
+from yamsim_cli.viewers.viewpoint import FOV_DEG, rig_viewpoint
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -43,7 +43,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 def live(locations: Locations) -> LiveRig:
     rig = load_config(RigConfig, "rigs", "russet", locations)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
-    return live_rig(Blueprint(rig, scene), locations)
+    return make_live_rig(Blueprint(rig, scene), locations)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def open_page() -> Iterator[Callable[..., Any]]:
     with contextlib.ExitStack() as stack:
 
         def opened(live: LiveRig, port: int = 0, **options: Any) -> Any:
-            page = module.RigPage(live, frame_rig(live.rig), PageAddress(port), **options)
+            page = module.RigPage(live, rig_viewpoint(live.rig), PageAddress(port), **options)
             stack.callback(page.close)
             return page
 
@@ -128,7 +128,7 @@ def test_a_drive_moves_its_joint_and_no_other_arm(live: LiveRig) -> None:
 @pytest.mark.parametrize("name", ["single", "bimanual", "russet"])
 def test_the_first_view_holds_every_arm_and_board(name: str, locations: Locations) -> None:
     rig = load_config(RigConfig, "rigs", name, locations)
-    view = frame_rig(rig)
+    view = rig_viewpoint(rig)
     sight = (view.look_at - view.position) / view.distance
     for k, arm in enumerate(rig.arms):
         base = rig.T_base_in_world(k)
@@ -163,7 +163,7 @@ def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(
 @pytest.mark.parametrize("margin", [None, 0.9])
 def test_boards_and_mounts_stand_with_their_arms(live: LiveRig, margin: float | None) -> None:
     if margin is not None:
-        live.place(margin)
+        live.set_margin(margin)
     for action in (lambda: run(live, 0.5), live.reset):
         action()
         positions, quaternions = live.body_poses()
@@ -177,9 +177,9 @@ def test_boards_and_mounts_stand_with_their_arms(live: LiveRig, margin: float | 
 
 
 def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locations) -> None:
-    live = live_task(Session(config, locations))
+    live = make_live_task(Session(config, locations))
     with Simulator(Session(config, locations)) as simulator:
-        layout = sample(simulator, EpisodeJob(config.seed, 0)).layout
+        layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     assert layout
     positions, _ = live.body_poses()
     assert set(layout.T_in_world) == {"banana", "plate"}
@@ -199,10 +199,10 @@ def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None
         "expert": [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "cabinet"}}],
     }
     session = session_of(tmp_path, ONTO_PLATE | opened)
-    live = live_task(session)
+    live = make_live_task(session)
     with Simulators(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-    assert attempt.layout is not None and simulator.cast is not None
+    assert attempt.layout is not None and simulator.roles is not None
     positions, quaternions = live.body_poses()
     for name, T in attempt.layout.T_in_world.items():
         body = live.model.body(name).id
@@ -217,7 +217,7 @@ def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None
 
 
 def test_cloth_is_shown_where_its_points_are(tmp_path: Path, open_page: Callable[..., Any]) -> None:
-    live = live_task(session_of(tmp_path, FOLD))
+    live = make_live_task(session_of(tmp_path, FOLD))
     page = open_page(live)
     (node,) = page._cloths._nodes
     assert node.vertices.shape == (81, 3) and node.faces.shape == (128, 3)
@@ -233,7 +233,7 @@ def test_cloth_is_shown_where_its_points_are(tmp_path: Path, open_page: Callable
 
 
 def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
-    live = live_task(session_of(tmp_path, FOLD))
+    live = make_live_task(session_of(tmp_path, FOLD))
     lying = live.cloth_points()
     player = EpisodePlayer("test", live.model, np.array([live.data.qpos, live.data.qpos + 0.1]), 0.064)
     assert np.abs(player.cloth_points() - lying).max() < 1e-9

@@ -16,17 +16,19 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.viewers.teleop.demonstrated import planned_lines, write_stream
 from tests.viewers.teleop.test_teleop import play, run
-from tests.viewers.teleop.tray import Tray
+from tests.viewers.teleop.tray import CollectingReceiver
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
-from yamsim_cli.viewers.teleop.journal import Journal
+from yamsim_cli.viewers.teleop.recording_journal import RecordingJournal
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
 
-def driven_in(folder: Path, config: RecordConfig, locations: Locations, **more: float) -> tuple[DrivenScene, Tray]:
-    tray = Tray()
-    return DrivenScene(Session(config, locations), tray, Journal(folder), **more), tray
+def driven_in(
+    folder: Path, config: RecordConfig, locations: Locations, **more: float
+) -> tuple[TeleopScene, CollectingReceiver]:
+    tray = CollectingReceiver()
+    return TeleopScene(Session(config, locations), tray, RecordingJournal(folder), **more), tray
 
 
 @pytest.fixture
@@ -47,10 +49,10 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     living.stop()
     living.settle()
 
-    (left,) = Journal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished()
     assert left.stopped is None
     following, taken = driven_in(tmp_path, config, locations)
-    following.take_up(left)
+    following.submit_unfinished(left)
     (stopped,), (found,) = tray.attempts, taken.attempts
     assert found.attempt.job == stopped.attempt.job
     assert found.attempt.places == stopped.attempt.places
@@ -71,17 +73,17 @@ def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
     run(killed, 1.0)
     killed.stop()
     run(killed, 0.32)
-    (left,) = Journal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished()
     assert (len(left.ticks), left.stopped) == (41, 31)
     following, tray = driven_in(tmp_path, config, locations)
-    following.take_up(left)
+    following.submit_unfinished(left)
     assert len(tray.actions.ctrl) == 31 + config.task.timing.settle_ticks + config.task.hold_ticks
 
 
 def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     driven, _ = driven_in(tmp_path, config, locations)
     run(driven, 0.1)
-    assert Journal(tmp_path).unfinished() == []
+    assert RecordingJournal(tmp_path).unfinished() == []
     driven.start()
     run(driven, 0.1)
     driven.discard()
@@ -91,7 +93,7 @@ def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locat
     driven.stop()
     driven.settle()
     # Handed in, and not yet in the dataset.
-    journal = Journal(tmp_path)
+    journal = RecordingJournal(tmp_path)
     assert len(journal.unfinished()) == 1
     journal.drop(0)
     assert list(tmp_path.iterdir()) == []
@@ -106,14 +108,14 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(
     run(driven, 0.32)
     (file,) = (tmp_path / ".recordings").iterdir()
     file.write_bytes(file.read_bytes()[:-cut])
-    (left,) = Journal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished()
     assert len(left.ticks) == ticks
 
 
 def test_one_without_a_beginning_is_removed(tmp_path: Path) -> None:
     (tmp_path / ".recordings").mkdir()
     (tmp_path / ".recordings" / "000000.jsonl").write_bytes(b'{"seed": 0')
-    assert Journal(tmp_path).unfinished() == []
+    assert RecordingJournal(tmp_path).unfinished() == []
     assert not list((tmp_path / ".recordings").iterdir())
 
 
@@ -131,11 +133,11 @@ def test_a_recording_ends_at_its_limit(config: RecordConfig, locations: Location
 
 def test_who_leaves_a_recording_pauses_it(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     driven, _ = driven_in(tmp_path, config, locations)
-    driven.leave()
+    driven.pause_unattended()
     assert not driven.paused, "nothing is recorded that could go on unseen"
     driven.start()
     run(driven, 0.32)
-    driven.leave()
+    driven.pause_unattended()
     before = driven.status.seconds
     run(driven, 1.0)
     assert driven.status.seconds == before

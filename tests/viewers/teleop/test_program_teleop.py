@@ -13,15 +13,15 @@ from tests.cli.run_cli import yamsim
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from tests.viewers.teleop.demonstrated import write_stream
 from tests.viewers.teleop.test_teleop import play
-from tests.viewers.teleop.tray import Tray
+from tests.viewers.teleop.tray import CollectingReceiver
+from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import demonstrate
-from yamsim_cli.core.episode.rules import EndRule
+from yamsim_cli.core.episode.episode_rules import EndRule
+from yamsim_cli.core.episode.execution import demonstrate
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import ConfigError, SimulationError
-from yamsim_cli.core.types import Cause
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
-from yamsim_cli.viewers.teleop.stream import read_stream
+from yamsim_cli.viewers.teleop.command_stream import read_stream
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
 TICK = 0.032
 
@@ -51,8 +51,8 @@ def lines(session: Session) -> list[dict[str, Any]]:
 def test_a_stream_that_reaches_the_goal_is_a_success(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    tray = Tray()
-    driven = DrivenScene(session, tray)
+    tray = CollectingReceiver()
+    driven = TeleopScene(session, tray)
     assert driven.status.goal.startswith("not yet: on(cube, plate)") and driven.status.magnet is None
     said = driven.status.prompt
     assert said in ONTO_PLATE["phrasings"]["training"]
@@ -68,21 +68,21 @@ def test_a_stream_that_reaches_the_goal_is_a_success(
 def test_what_is_not_recorded_goes_on_once_the_goal_holds(
     session: Session, lines: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    driven = DrivenScene(session, Tray(), end=EndRule.SUCCESS)
+    driven = TeleopScene(session, CollectingReceiver(), end=EndRule.SUCCESS)
     play(driven, [line for line in lines if "event" not in line], tmp_path)
     for _ in range(20):
         driven.tick()
     assert driven.status.goal == "the goal holds"
     joints = driven.data.qpos[:6].copy()
-    driven.aim_joints(joints + 0.2)
+    driven.set_joint_target(joints + 0.2)
     for _ in range(20):
         driven.tick()
     assert np.abs(driven.data.qpos[:6] - joints).max() > 0.1
 
 
 def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
-    tray = Tray()
-    driven = DrivenScene(session, tray)
+    tray = CollectingReceiver()
+    driven = TeleopScene(session, tray)
     models, kinds = {id(driven.model): driven.model}, set[str]()
     for _ in range(4):
         driven.start()
@@ -91,15 +91,15 @@ def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
         driven.settle()
         models[id(driven.model)] = driven.model
     for submitted in tray.attempts:
-        assert submitted.attempt.cast is not None
-        kinds.add(submitted.attempt.cast.kinds["cube"])
+        assert submitted.attempt.roles is not None
+        kinds.add(submitted.attempt.roles.config_names["cube"])
     assert kinds == {"cube_red", "cube_blue"} and len(models) == 2
-    assert {submitted.outcome.cause for submitted in tray.attempts} == {Cause.GOAL}
+    assert {submitted.outcome.cause for submitted in tray.attempts} == {FailureCause.GOAL}
 
 
 def test_a_stop_lets_nothing_go_and_waits_as_long_as_the_goal_has_to_hold(session: Session) -> None:
-    tray = Tray()
-    driven = DrivenScene(session, tray)
+    tray = CollectingReceiver()
+    driven = TeleopScene(session, tray)
     driven.start()
     driven.set_gripper(0.01)
     for _ in range(20):
@@ -120,7 +120,7 @@ def test_a_magnet_is_told_not_to_be_there(session: Session, tmp_path: Path) -> N
 def test_things_without_room_are_told(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     with pytest.raises(SimulationError, match="task 'small': no free place for the cube where it is to start"):
-        DrivenScene(session_of(tmp_path, tight), Tray())
+        TeleopScene(session_of(tmp_path, tight), CollectingReceiver())
 
 
 @pytest.mark.slow

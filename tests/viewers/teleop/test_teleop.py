@@ -22,76 +22,78 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import failed_attempt, made
 from tests.viewers.teleop.demonstrated import TICK, planned_lines, write_stream
-from tests.viewers.teleop.tray import Tray
+from tests.viewers.teleop.tray import CollectingReceiver
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
-from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
-from yamsim_cli.core.episode.engine import Simulated, repeat
-from yamsim_cli.core.episode.rules import REPEATED_RULES
+from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
+from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
-from yamsim_cli.core.scene.build import noting_meshes
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-from yamsim_cli.viewers.teleop.attempt_writer import AttemptWriter, DrivenRunner
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
-from yamsim_cli.viewers.teleop.loop import Jitter, TickClock, open_teleop
-from yamsim_cli.viewers.teleop.stream import Player, read_stream
+from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.viewers.teleop.attempt_writer import AttemptWriter, TeleopAttemptRenderer
+from yamsim_cli.viewers.teleop.command_stream import StreamPlayer, read_stream
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
+from yamsim_cli.viewers.teleop.teleop_session import Jitter, TickClock, open_teleop
 
 
 @pytest.fixture
-def tray() -> Tray:
-    return Tray()
+def tray() -> CollectingReceiver:
+    return CollectingReceiver()
 
 
 @pytest.fixture
-def driven(config: RecordConfig, locations: Locations, tray: Tray) -> DrivenScene:
-    return DrivenScene(Session(config, locations), tray)
+def driven(config: RecordConfig, locations: Locations, tray: CollectingReceiver) -> TeleopScene:
+    return TeleopScene(Session(config, locations), tray)
 
 
-def pinch(driven: DrivenScene) -> Array:
+def pinch(driven: TeleopScene) -> Array:
     """Where the hand is, as physics has it."""
     site = driven.data.site("pinch_site")
     return pose(site.xpos, site.xmat.reshape(3, 3))
 
 
-def run(driven: DrivenScene, seconds: float) -> None:
+def run(driven: TeleopScene, seconds: float) -> None:
     for _ in range(round(seconds / driven.tick_seconds)):
         driven.tick()
 
 
-def player_of(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> Player:
+def player_of(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> StreamPlayer:
     stream = write_stream(folder / "stream.jsonl", lines)
-    return Player(read_stream(stream, driven._config))
+    return StreamPlayer(read_stream(stream, driven._config))
 
 
-def play(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> None:
+def play(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> None:
     player = player_of(driven, lines, folder)
     while not player.done:
         player.act(driven, driven.time)
         driven.tick()
 
 
-def test_the_hand_goes_to_its_target(driven: DrivenScene) -> None:
+def test_the_hand_goes_to_its_target(driven: TeleopScene) -> None:
     wanted = driven.target
     wanted[:3, 3] += (0.08, 0.06, -0.05)
-    driven.aim(wanted)
+    driven.set_target_pose(wanted)
     run(driven, 2.0)
     assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01)
     assert np.allclose(pinch(driven)[:3, :3], wanted[:3, :3], atol=0.05)
     status = driven.status
-    assert (status.free, status.apart, status.at_limit, status.blocked) == (True, 0.0, (), "")
+    assert (status.can_follow, status.target_distance, status.at_limit, status.obstacle) == (True, 0.0, (), "")
 
 
-def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(driven: DrivenScene, tray: Tray) -> None:
+def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(
+    driven: TeleopScene, tray: CollectingReceiver
+) -> None:
     driven.start()
     wanted = driven.target
     wanted[:3, 3] += (0.1, 0.3, -0.1)
-    driven.aim(wanted)
+    driven.set_target_pose(wanted)
     run(driven, 2.0)
     driven.stop()
     driven.settle()
@@ -102,57 +104,57 @@ def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(driven: Driv
     assert speed[0] > 1.0, "and it does not dawdle"
 
 
-def test_a_target_out_of_reach_is_told_with_its_distance(driven: DrivenScene) -> None:
+def test_a_target_out_of_reach_is_told_with_its_distance(driven: TeleopScene) -> None:
     far = driven.target
     far[:3, 3] = (1.2, 0.0, 0.2)
-    driven.aim(far)
+    driven.set_target_pose(far)
     run(driven, 3.0)
-    assert 0.2 < driven.status.apart < 0.8
-    assert not driven.status.free
+    assert 0.2 < driven.status.target_distance < 0.8
+    assert not driven.status.can_follow
     assert np.isfinite(driven.data.qpos).all()
 
 
-def test_a_joint_at_its_stop_is_named(driven: DrivenScene) -> None:
-    driven.aim_joints(np.array([0, 1.92, 2.22, -3.0, 0, 0]))
+def test_a_joint_at_its_stop_is_named(driven: TeleopScene) -> None:
+    driven.set_joint_target(np.array([0, 1.92, 2.22, -3.0, 0, 0]))
     run(driven, 2.0)
     assert driven.status.at_limit == ("joint4",)
 
 
-def test_a_target_in_the_table_is_lifted_out_of_it(driven: DrivenScene, config: RecordConfig) -> None:
+def test_a_target_in_the_table_is_lifted_out_of_it(driven: TeleopScene, config: RecordConfig) -> None:
     below = driven.target
     below[2, 3] = -0.2
-    driven.aim(below)
+    driven.set_target_pose(below)
     assert driven.target[2, 3] == pytest.approx(config.table.top + 0.012)
     run(driven, 3.0)
     assert pinch(driven)[2, 3] > config.table.top
 
 
-def test_the_arm_stops_before_the_table_and_says_so(driven: DrivenScene, config: RecordConfig) -> None:
+def test_the_arm_stops_before_the_table_and_says_so(driven: TeleopScene, config: RecordConfig) -> None:
     # Forearm first: no target for the hand would do that.
-    driven.aim_joints(np.array([0, 2.8, 0.8, 0.0, 0, 0]))
+    driven.set_joint_target(np.array([0, 2.8, 0.8, 0.0, 0, 0]))
     run(driven, 3.0)
-    assert driven.status.blocked == "table"
+    assert driven.status.obstacle == "table"
     model, data = driven.model, driven.data
     table = model.geom("table").id
     deepest = min((contact.dist for contact in data.contact if table in contact.geom), default=0.0)
     assert deepest > -0.005
-    driven.aim_joints(np.array(config.task.start_joints))
+    driven.set_joint_target(np.array(config.task.start_joints))
     run(driven, 3.0)
-    assert driven.status.blocked == "", "it can go back"
+    assert driven.status.obstacle == "", "it can go back"
     assert np.allclose(data.qpos[:6], config.task.start_joints, atol=0.05)
 
 
-def test_the_magnet_holds_only_what_the_hand_is_at(driven: DrivenScene) -> None:
+def test_the_magnet_holds_only_what_the_hand_is_at(driven: TeleopScene) -> None:
     driven.set_magnet(True)
     run(driven, 0.1)
-    assert not driven.status.holds
+    assert not driven.status.magnet_holds
     assert not driven.status.magnet
     assert driven.message == "the magnet found nothing within its reach"
 
 
-def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driven: DrivenScene) -> None:
+def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driven: TeleopScene) -> None:
     start = driven.data.qpos.copy()
-    driven.aim_joints(np.zeros(6))
+    driven.set_joint_target(np.zeros(6))
     run(driven, 1.0)
     assert not np.allclose(driven.data.qpos, start, atol=0.1)
     driven.start()
@@ -160,7 +162,7 @@ def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driv
     assert driven.recording
 
 
-def test_discarded_comes_again_and_stopped_comes_next(driven: DrivenScene, tray: Tray) -> None:
+def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray: CollectingReceiver) -> None:
     def banana() -> Array:
         place: Array = driven.data.body("banana").xpos.copy()
         return place
@@ -183,7 +185,7 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: DrivenScene, tray:
 
 
 def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
-    driven: DrivenScene, tray: Tray, config: RecordConfig
+    driven: TeleopScene, tray: CollectingReceiver, config: RecordConfig
 ) -> None:
     driven.start()
     driven.toggle_gripper()
@@ -193,7 +195,7 @@ def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
     for k in range(ticks):
         assert driven.recording, k
         assert not tray.attempts
-        driven.aim_joints(np.zeros(6))
+        driven.set_joint_target(np.zeros(6))
         driven.toggle_gripper()
         driven.set_magnet(True)
         driven.tick()
@@ -211,14 +213,14 @@ THINGS = ["007_tuna_fish_can", "008_pudding_box", "025_mug"]
 
 @pytest.mark.parametrize("thing", THINGS)
 def test_a_wider_gripper_opens_as_wide_as_it_goes(
-    thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: Tray
+    thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: CollectingReceiver
 ) -> None:
     """The crank's fingers end at 37.5 mm; what needs more is taken by linear_4310."""
     config = make_config({("rig",): "single_linear", OBJECT: thing})
     grasp = config.task.things["object"].of[0].grasp
     assert grasp is not None
     assert grasp.opening > 0.0375 - 0.003
-    driven = DrivenScene(Session(config, locations), tray)
+    driven = TeleopScene(Session(config, locations), tray)
     driven.set_gripper(0.0475)
     run(driven, 1.0)
     fingers = driven._stage.scene.arm.fingers.qpos
@@ -231,10 +233,10 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
 
 
 def test_a_stream_takes_what_is_wide(
-    make_config: Callable[..., RecordConfig], locations: Locations, tray: Tray, tmp_path: Path
+    make_config: Callable[..., RecordConfig], locations: Locations, tray: CollectingReceiver, tmp_path: Path
 ) -> None:
     config = make_config({("rig",): "single_linear", OBJECT: "025_mug", ("seed",): 1})
-    driven = DrivenScene(Session(config, locations), tray)
+    driven = TeleopScene(Session(config, locations), tray)
     play(driven, planned_lines(config, locations, 0), tmp_path)
     driven.settle()
     (submitted,) = tray.attempts
@@ -248,21 +250,21 @@ def varied(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 @pytest.mark.slow
 def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
-    varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
+    varied: RecordConfig, locations: Locations, tray: CollectingReceiver, tmp_path: Path
 ) -> None:
-    driven = DrivenScene(Session(varied, locations), tray)
+    driven = TeleopScene(Session(varied, locations), tray)
     others = [driven.model.body(item.name).id for item in varied.randomization.extras]
     wanted = driven.target
     wanted[:3, 3] += (0.08, 0.06, -0.05)
-    driven.aim(wanted)
+    driven.set_target_pose(wanted)
     run(driven, 2.0)
-    assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01), driven.status.blocked
+    assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01), driven.status.obstacle
     assert (driven.data.xpos[others, 2] < -1).all()
 
     play(driven, planned_lines(varied, locations, 0, began=driven.time), tmp_path)
     driven.settle()
     (submitted,) = tray.attempts
-    with DrivenRunner(Session(varied, locations), render=False) as runner:
+    with TeleopAttemptRenderer(Session(varied, locations), render=False) as runner:
         payload = runner.run(submitted)
         again = runner.run(submitted)
     assert payload.outcome.success, payload.outcome.detail
@@ -277,11 +279,11 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["config", "varied"])
 def test_what_is_recorded_repeats_bit_for_bit(
-    name: str, request: pytest.FixtureRequest, locations: Locations, tray: Tray, tmp_path: Path
+    name: str, request: pytest.FixtureRequest, locations: Locations, tray: CollectingReceiver, tmp_path: Path
 ) -> None:
     """The recorded actions lead to the same states and to the same verdict, also with varied masses and friction."""
     config: RecordConfig = request.getfixturevalue(name)
-    driven = DrivenScene(Session(config, locations), tray)
+    driven = TeleopScene(Session(config, locations), tray)
     seen: list[Array] = []
     player = player_of(driven, planned_lines(config, locations, 0), tmp_path)
     while not player.done:
@@ -291,7 +293,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
     driven.settle()
     (submitted,) = tray.attempts
     with Simulator(Session(config, locations)) as simulator:
-        done = repeat(simulator, submitted.attempt, tray.actions, REPEATED_RULES)
+        done = run_actions(simulator, submitted.attempt, tray.actions, REPLAY_RULES)
     assert done.outcome.success, done.outcome.detail
     assert done.outcome == submitted.outcome
     every = config.task.timing.ticks_per_frame
@@ -299,7 +301,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
         assert np.array_equal(state.qpos, qpos)
 
 
-def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: DrivenScene, tmp_path: Path) -> None:
+def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: TeleopScene, tmp_path: Path) -> None:
     grasp = driven.data.site("grasp_site")
     T = pose(grasp.xpos, grasp.xmat.reshape(3, 3))
     T[:3, 3] += (0.05, -0.05, -0.03)
@@ -371,9 +373,9 @@ def test_both_arms_of_a_row_are_looked_at(
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
     """The jitter of a loop whose turns take so long each, s, and when its last one began."""
     now = [0.0]
-    monkeypatch.setattr("yamsim_cli.viewers.teleop.loop.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("yamsim_cli.viewers.teleop.teleop_session.time.monotonic", lambda: now[0])
     monkeypatch.setattr(
-        "yamsim_cli.viewers.teleop.loop.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds)
+        "yamsim_cli.viewers.teleop.teleop_session.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds)
     )
     pace, began = TickClock(TICK), 0.0
     for seconds in slow:
@@ -407,7 +409,7 @@ def test_pace_catches_up_unless_it_is_far_behind(monkeypatch: pytest.MonkeyPatch
     assert began == pytest.approx(0.4 + TICK)
 
 
-class Refusing:
+class FullDiskDataset:
     """A dataset on a disk that takes nothing any more."""
 
     path = Path("full")
@@ -430,22 +432,24 @@ class Failing:
     """An executor whose jobs all fail."""
 
     def __init__(self) -> None:
-        self.jobs: list[Simulated] = []
+        self.jobs: list[SimulatedAttempt] = []
 
-    def submit(self, job: Simulated) -> None:
+    def submit(self, job: SimulatedAttempt) -> None:
         self.jobs.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[Simulated, EpisodePayload]:
+    def result(self, timeout: float | None = None) -> tuple[SimulatedAttempt, AttemptPayload]:
         job = self.jobs.pop()
-        return job, EpisodePayload(job.attempt, Outcome(False, Cause.OFF_TARGET))
+        return job, AttemptPayload(job.attempt, Outcome(False, FailureCause.OFF_TARGET))
 
 
 def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config: RecordConfig) -> None:
-    sink = Refusing()
+    sink = FullDiskDataset()
     with AttemptWriter(config, sink, Failing()) as writer:  # type: ignore[arg-type]
         for number in range(2):
             assert writer.next_attempt == number
-            writer.submit(Simulated(Attempt(EpisodeJob(0, number)), Outcome(False, Cause.OFF_TARGET), None))
+            writer.submit(
+                SimulatedAttempt(Attempt(AttemptJob(0, number)), Outcome(False, FailureCause.OFF_TARGET), None)
+            )
         wait(list(writer._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
             writer.next_written()
@@ -458,7 +462,7 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
 ) -> None:
     """A demonstration cannot be made again; its line says so from then on."""
     out = tmp_path / "out"
-    with DatasetWriter(out, noting_meshes(Session(config, locations)).config.data_config(), OpenMode.NEW) as writer:
+    with DatasetWriter(out, state_meshes(Session(config, locations)).config.data_config(), OpenMode.NEW) as writer:
         for k in range(3):
             writer.log(failed_attempt(k))
     lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)

@@ -11,12 +11,12 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.viewers.teleop.demonstrated import planned_lines, write_stream
-from tests.viewers.teleop.tray import Tray
+from tests.viewers.teleop.tray import CollectingReceiver
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.viewers.teleop.driven_scene import DrivenScene
+from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
 
 @pytest.fixture(scope="module")
@@ -25,23 +25,23 @@ def handover(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 @pytest.fixture
-def driven(handover: RecordConfig, locations: Locations) -> DrivenScene:
-    return DrivenScene(Session(handover, locations), Tray())
+def driven(handover: RecordConfig, locations: Locations) -> TeleopScene:
+    return TeleopScene(Session(handover, locations), CollectingReceiver())
 
 
-def hands(driven: DrivenScene) -> Array:
+def hands(driven: TeleopScene) -> Array:
     """Where the left and the right hand are (2, 3)."""
     return np.array([driven.data.site(name).xpos for name in ("arm2_pinch_site", "pinch_site")])
 
 
-def test_one_arm_is_driven_and_then_the_other(driven: DrivenScene) -> None:
+def test_one_arm_is_driven_and_then_the_other(driven: TeleopScene) -> None:
     assert (driven.sides, driven.status.arm) == (("left", "right"), "right"), "the one that begins the task"
     start = hands(driven)
     for number in (1, 0):
         wanted = driven.target
         np.testing.assert_allclose(wanted[:3, 3], start[number], atol=0.005)
         wanted[2, 3] += 0.06
-        driven.aim(wanted)
+        driven.set_target_pose(wanted)
         driven.set_magnet(False)
         driven.switch_arm()
         # What it was told, it goes on to do.
@@ -51,28 +51,28 @@ def test_one_arm_is_driven_and_then_the_other(driven: DrivenScene) -> None:
         np.testing.assert_allclose(moved[number], (0, 0, 0.06), atol=0.008)
         assert np.abs(moved[1 - number]).max() < 0.005 or number == 0
     assert driven.status.arm == "right"
-    driven.drive("left")
+    driven.select_arm("left")
     assert driven.status.arm == "left"
 
 
-def test_a_gripper_is_that_of_the_driven_arm(driven: DrivenScene) -> None:
+def test_a_gripper_is_that_of_the_driven_arm(driven: TeleopScene) -> None:
     driven.toggle_gripper()
     assert not driven.status.gripper_open
     driven.switch_arm()
     assert driven.status.gripper_open
 
 
-def test_an_arm_stops_before_the_other_one(driven: DrivenScene) -> None:
+def test_an_arm_stops_before_the_other_one(driven: TeleopScene) -> None:
     """The left hand is sent to where the right one is."""
     other = driven.target
     driven.switch_arm()
-    driven.aim(other)
+    driven.set_target_pose(other)
     for _ in range(120):
         driven.tick()
     apart = np.linalg.norm(np.subtract(*hands(driven)))
-    assert driven.status.blocked
+    assert driven.status.obstacle
     assert 0.02 < apart < 0.2
-    assert not driven.status.free
+    assert not driven.status.can_follow
 
 
 @pytest.mark.render

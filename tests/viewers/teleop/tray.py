@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from tests.attempts import all_actions
-from yamsim_cli.core.episode.engine import Simulated
-from yamsim_cli.core.types import Actions
+from yamsim_cli.core.attempt_data import ActionSequence
+from yamsim_cli.core.episode.execution import SimulatedAttempt
 
 
-class Tray:
+class CollectingReceiver:
     """Takes what is handed in, and leaves it."""
 
     def __init__(self) -> None:
-        self.attempts: list[Simulated] = []
+        self.attempts: list[SimulatedAttempt] = []
 
     @property
     def next_attempt(self) -> int:
         return len(self.attempts)
 
-    def submit(self, driven: Simulated) -> None:
+    def submit(self, driven: SimulatedAttempt) -> None:
         self.attempts.append(driven)
 
     @property
-    def actions(self) -> Actions:
+    def actions(self) -> ActionSequence:
         """What acted in the first attempt that was handed in."""
         return all_actions(self.attempts[0].states)

@@ -9,25 +9,32 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from ..errors import ConfigError, UsageError, suggest
-from ..files.documents.base import Config, ConflictError, Reference
-from ..files.documents.document import Document, KeyPath, is_setting, parse_yaml
-from ..files.documents.explain import dotted, explain, explain_conflict, kind_instead, mapped_to, models_in
+from ..files.documents.config_base import Config, ConfigReference, ConflictError
 from ..files.documents.units import AS_RECORDED
+from ..files.documents.validation_messages import (
+    detect_other_kind,
+    explain_conflict,
+    explain_validation_error,
+    format_key_path,
+    mapping_value_type,
+    models_in,
+)
+from ..files.documents.yaml_document import Document, KeyPath, is_setting, parse_yaml
 from ..files.resources import Locations
 from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
-from . import robot_names
+from . import robot_families as robot_names
 from .cameras.camera import CameraConfig
-from .older_tasks import OLDER_KINDS, upgrade_task
-from .pictures import RenderConfig
+from .objects.object_config import ObjectConfig
 from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
-from .real import RecordingNames
+from .real_recordings import RecordingNames
 from .recording import RecordConfig
+from .rendering import RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
-from .things.thing import ObjectConfig
+from .task_migration import OLDER_KINDS, upgrade_task
 
 KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,
@@ -55,7 +62,7 @@ C = TypeVar("C", bound=Config)
 Check = Callable[[Config], None]
 
 
-def model_of(kind: str) -> type[Config]:
+def config_model(kind: str) -> type[Config]:
     """The model of a kind of config. Raises ConfigError if no kind has that name."""
     if kind not in KINDS:
         raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
@@ -70,9 +77,9 @@ def _require_task_kind(document: Document) -> None:
         raise ConfigError(f"{document.place(('kind',))}: kind: unknown kind {kind!r}; {suggest(str(kind), valid)}")
 
 
-def schema_of(kind: str) -> dict[str, Any]:
-    """The JSON schema of a kind of config. Raises as `model_of`."""
-    return model_of(kind).model_json_schema()
+def config_json_schema(kind: str) -> dict[str, Any]:
+    """The JSON schema of a kind of config. Raises as `config_model`."""
+    return config_model(kind).model_json_schema()
 
 
 def load_config(
@@ -95,7 +102,7 @@ def load_config(
         ConfigError: the config is not valid; the message has file, line, key path, value and what would be valid.
         UsageError: likewise, for a value that a flag or keyword in `overrides` gave.
     """
-    document = _named(model, kind, name, locations)
+    document = _load_named(model, kind, name, locations)
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
     # References are resolved between two passes: a flag can change a value inside a config that another flag names.
@@ -106,7 +113,7 @@ def load_config(
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
         if path[-1] == REVISION:
-            _revise(document, path[:-1], value, place, locations)
+            _set_revision(document, path[:-1], value, place, locations)
         elif path[-1] == ROBOT:
             _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
@@ -131,16 +138,16 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
     return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
 
 
-def _named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
+def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
     """The document of a named config. Raises as `Locations.config_file`."""
     if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
-        return _joined(name)
+        return _single_arm_rig(name)
     if kind == robot_names.ARMS:
-        name = robot_names.model_named(name, locations)
+        name = robot_names.resolve_model_name(name, locations)
     return _read(model, locations.config_file(kind, name))
 
 
-def _joined(name: str) -> Document:
+def _single_arm_rig(name: str) -> Document:
     """The rig of one arm named by its robot and its gripper: `yam_pro+linear_4310`."""
     robot, _, gripper = name.partition(_JOINED)
     document = parse_yaml("{}", f"rig {name}")
@@ -149,11 +156,11 @@ def _joined(name: str) -> Document:
     return document
 
 
-def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
+def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
     """Replace the model of each arm of the rig at `path` by another revision of its family."""
     for k, (model, _) in _arms(document, path).items():
         try:
-            name = robot_names.revised(model, str(revision), locations)
+            name = robot_names.other_revision(model, str(revision), locations)
         except ConfigError as error:
             raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
         document.set((*path, "arms", k, "model"), name, place)
@@ -163,7 +170,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
     """Add the dynamics in each file to the arms of the rig at `path` with its model and side."""
     for file in files:
         try:
-            dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+            dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
         except ConfigError as error:
             raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
         if instead := _other_kind(Dynamics, dynamics):
@@ -172,7 +179,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
         arms = _arms(document, path)
         matching = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
         for k in matching:
-            document.graft((*path, "arms", k, "dynamics"), dynamics)
+            document.insert_document((*path, "arms", k, "dynamics"), dynamics)
         if not matching:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
             raise (UsageError if is_setting(place) else ConfigError)(
@@ -215,7 +222,7 @@ def _upgrade(task: dict[str, Any]) -> None:
 def _other_kind(model: type[Config], document: Document) -> str | None:
     """An error message if the file's keys are those of another kind of config; else None."""
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
-    if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
+    if kind is None or (instead := detect_other_kind(KINDS, kind, document.data)) is None:
         return None
     keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
     return f"{document.source}: is of the kind {instead!r}, to judge by its keys {keys}; give one of {kind!r}"
@@ -241,7 +248,7 @@ def _check(
             check(config)
         return config
     except ValidationError as error:
-        place, message = explain(model, document, error, flags or {})
+        place, message = explain_validation_error(model, document, error, flags or {})
         cause: Exception = error
     except ConflictError as error:
         place, message = explain_conflict(document, error, flags or {})
@@ -253,7 +260,7 @@ def _check(
 def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
     for name, info in model.model_fields.items():
         for mark in info.metadata:
-            if isinstance(mark, Reference):
+            if isinstance(mark, ConfigReference):
                 yield name, mark.kind, KINDS[mark.kind]
 
 
@@ -269,15 +276,15 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
         named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}
         for inner, value in named.items():
             if isinstance(value, str):
-                _graft_reference(document, inner, kind, target, value, locations)
+                _insert_referenced_config(document, inner, kind, target, value, locations)
             if isinstance(value, str | dict):
                 _resolve_references(target, document, inner, locations)
     for name, info in model.model_fields.items():
-        if any(isinstance(mark, Reference) for mark in info.metadata):
+        if any(isinstance(mark, ConfigReference) for mark in info.metadata):
             continue
         value = here.get(name)
         inside: dict[KeyPath, Any] = {(*path, name): value}
-        parts, values = models_in(info.annotation), mapped_to(info.annotation)
+        parts, values = models_in(info.annotation), mapping_value_type(info.annotation)
         if isinstance(value, list):
             inside = {(*path, name, k): item for k, item in enumerate(value)}
         elif values is not None and isinstance(value, dict):
@@ -288,29 +295,29 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
                     _resolve_references(part, document, inner, locations)
 
 
-def _graft_reference(
+def _insert_referenced_config(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
     """Replace the name of a config at `path` by its content."""
     if kind == robot_names.ARMS and name.endswith((".yaml", ".yml")):
         name = _with_dynamics(document, path, name, locations)
     try:
-        other = _named(target, kind, name, locations)
+        other = _load_named(target, kind, name, locations)
     except ConfigError as error:
-        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
+        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {error}") from error
     if instead := _other_kind(target, other):
-        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
-    document.graft(path, other)
+        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {instead}")
+    document.insert_document(path, other)
 
 
 def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Locations) -> str:
     """Add the dynamics in a file beside the `model` at `path`, and return the name of their robot model."""
     key = (*path[:-1], "dynamics")
     try:
-        dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+        dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
     except ConfigError as error:
-        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
-    document.graft(key, dynamics)
+        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {error}") from error
+    document.insert_document(key, dynamics)
     return _base(dynamics)
 
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from ..files.documents.base import Config, ConflictError, Name
-from ..files.documents.units import Within
+from ..files.documents.config_base import Config, ConflictError, Name
+from ..files.documents.units import QuantityBounds
 
 # A key in a message of another program, such as `observation.images.top`.
 Key = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
@@ -15,7 +15,7 @@ Dtype = Literal["float32", "float64"]
 Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
-CameraName = Name  # of a camera in `policies.base.IMAGES`, or of a station's camera
+CameraName = Name  # of a camera in `policies.policy_protocol.IMAGES`, or of a station's camera
 Constant = bool | int | float | str
 
 
@@ -57,7 +57,7 @@ class ActionsMapping(Config):
 
     key: Key = "actions"
     weld: bool = False
-    hz: Annotated[float, Within("a second", 0.1, 1000)]
+    hz: Annotated[float, QuantityBounds("a second", 0.1, 1000)]
     period_ms_key: Key | None = None
     done_key: Key | None = None
 

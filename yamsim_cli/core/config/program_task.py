@@ -10,7 +10,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
 from ..errors import suggest
-from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
+from ..files.documents.config_base import (
+    OMIT_EMPTY,
+    OMIT_NONE,
+    Config,
+    ConfigReference,
+    ConflictError,
+    Name,
+    omit_if_default,
+)
 from ..files.documents.units import (
     Distance,
     Heading,
@@ -18,16 +26,16 @@ from ..files.documents.units import (
     JointAngle,
     OffsetPoint,
     Place,
+    QuantityBounds,
     ReachRange,
     Share,
-    Within,
-    as_recorded,
+    is_recorded_config,
 )
-from .goals.cast import Cast
 from .goals.goal import Goal
 from .goals.predicates import On
+from .goals.role_assignment import RoleAssignment
 from .goals.world import TABLE
-from .things.thing import ObjectConfig
+from .objects.object_config import ObjectConfig
 
 PROGRAM = "program"  # the `kind` of tasks
 
@@ -56,10 +64,10 @@ class Role(Config):
             roles.
     """
 
-    of: Annotated[tuple[ObjectConfig, ...], Reference("objects"), Field(min_length=1)]
+    of: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects"), Field(min_length=1)]
     count: Annotated[int, Field(ge=1, le=20)] = 1
-    sizes: Annotated[tuple[Annotated[FiniteFloat, Within("times", 0.1, 10)], ...], OMIT_EMPTY] = ()
-    named: Annotated[Literal["role", "object"], omit_default("role")] = "role"
+    sizes: Annotated[tuple[Annotated[FiniteFloat, QuantityBounds("times", 0.1, 10)], ...], OMIT_EMPTY] = ()
+    named: Annotated[Literal["role", "object"], omit_if_default("role")] = "role"
 
     @model_validator(mode="after")
     def _named_after_one_object(self) -> Role:
@@ -73,7 +81,7 @@ class Role(Config):
 
     @model_validator(mode="after")
     def _every_size_can_be_made(self, info: ValidationInfo) -> Role:
-        if as_recorded(info):
+        if is_recorded_config(info):
             return self
         for k, factor in enumerate(self.sizes):
             for item in self.of:
@@ -199,7 +207,7 @@ class ProgramTiming(Config):
 
     settle_ticks: int = Field(default=15, ge=0, le=10_000)
     physics_steps_per_tick: int = Field(default=16, ge=1, le=1000)
-    timestep: Annotated[FiniteFloat, Within("s", 1e-5, 0.01)] = 0.002
+    timestep: Annotated[FiniteFloat, QuantityBounds("s", 1e-5, 0.01)] = 0.002
     ticks_per_frame: int = Field(default=2, ge=1, le=100)
 
     @property
@@ -254,8 +262,8 @@ class ProgramTask(Config):
     name: Name
     kind: Literal["program"]
     rig: str
-    arms: Annotated[Literal["all", "one"], omit_default("all")] = "all"
-    grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1), omit_default(("contact",))] = (
+    arms: Annotated[Literal["all", "one"], omit_if_default("all")] = "all"
+    grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1), omit_if_default(("contact",))] = (
         "contact",
     )
     held_at_the_end: Annotated[bool, OMIT_EMPTY] = False
@@ -268,7 +276,7 @@ class ProgramTask(Config):
     near_misses: tuple[NearMiss, ...] = ()
     expert: Annotated[tuple[Mapping[str, Any], ...], Field(min_length=1)]
     timing: ProgramTiming = ProgramTiming()
-    time_limit_s: Annotated[FiniteFloat, Within("s", 0.1, 3600)] = 120.0
+    time_limit_s: Annotated[FiniteFloat, QuantityBounds("s", 0.1, 3600)] = 120.0
     start_joints: tuple[JointAngle, ...] | None = None
 
     @model_validator(mode="after")
@@ -352,11 +360,11 @@ class ProgramTask(Config):
 
     @model_validator(mode="after")
     def _placeholders_are_known(self, info: ValidationInfo) -> ProgramTask:
-        known = self._words(self.typical_cast)
+        known = self._words(self.typical_roles)
         texts: dict[tuple[str | int, ...], str] = {("language_task",): self.language_task}
         for key in ("training", "held_out"):
             texts |= {("phrasings", key, k): text for k, text in enumerate(getattr(self.phrasings, key))}
-        for path, text in () if as_recorded(info) else texts.items():
+        for path, text in () if is_recorded_config(info) else texts.items():
             for word in _PLACEHOLDER.findall(text):
                 if word not in known:
                     raise ConflictError(
@@ -395,7 +403,7 @@ class ProgramTask(Config):
     @property
     def language_prompt(self) -> str:
         """The first training prompt with the names of the typical cast."""
-        return _filled(self.phrasings.training[0], _spoken(self._words(self.typical_cast)))
+        return _filled(self.phrasings.training[0], _without_underscores(self._words(self.typical_roles)))
 
     @property
     def valid_grasps(self) -> tuple[GraspKind, ...]:
@@ -426,7 +434,7 @@ class ProgramTask(Config):
                 yield path, predicate
 
     @property
-    def most_ticks(self) -> int:
+    def max_ticks(self) -> int:
         """The time limit in control ticks."""
         return math.ceil(self.time_limit_s / self.timing.tick)
 
@@ -436,13 +444,15 @@ class ProgramTask(Config):
         return math.ceil(self.goal.for_s / self.timing.tick)
 
     @property
-    def typical_cast(self) -> Cast:
+    def typical_roles(self) -> RoleAssignment:
         """The cast that takes the first objects of each list, for everything that no draw changes."""
-        return self.cast_of(
+        return self.assign_roles(
             {role: tuple(k % len(one.of) for k in range(one.count)) for role, one in self.things.items()}
         )
 
-    def cast_of(self, drawn: Mapping[str, tuple[int, ...]], sizes: Mapping[str, float] | None = None) -> Cast:
+    def assign_roles(
+        self, drawn: Mapping[str, tuple[int, ...]], sizes: Mapping[str, float] | None = None
+    ) -> RoleAssignment:
         """The cast of drawn objects.
 
         Args:
@@ -454,7 +464,9 @@ class ProgramTask(Config):
             for role, numbers in drawn.items()
             for name, k in zip(self.names_of(role, numbers), numbers, strict=True)
         }
-        return Cast({role: self.names_of(role, numbers) for role, numbers in drawn.items()}, kinds, sizes or {})
+        return RoleAssignment(
+            {role: self.names_of(role, numbers) for role, numbers in drawn.items()}, kinds, sizes or {}
+        )
 
     def names_of(self, role: str, drawn: tuple[int, ...]) -> tuple[str, ...]:
         """Names of the things of a role, given the indices in `of` of their objects.
@@ -473,17 +485,17 @@ class ProgramTask(Config):
         count = self.things[role].count
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
-    def _words(self, cast: Cast) -> dict[str, str]:
+    def _words(self, roles: RoleAssignment) -> dict[str, str]:
         """Placeholder -> its text."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
             if one.count == 1:
-                kind = cast.kinds[cast.one(role)]
+                kind = roles.config_names[roles.object_of(role)]
                 words[role] = kind
                 words[f"{role}.preposition"] = next(item.preposition for item in one.of if item.name == kind)
         return words
 
-    def done_by(self, first: str, second: str) -> ProgramTask:
+    def with_arm_sides(self, first: str, second: str) -> ProgramTask:
         """The task with the sides of its arms, "left" and "right", in its phrasings and its name."""
         words = {"first_arm": first, "second_arm": second}
         return self._filled(words, words)
@@ -494,17 +506,18 @@ class ProgramTask(Config):
             update={"phrasings": phrasings, "language_task": _filled(self.language_task, name_words)}
         )
 
-    def played_by(self, cast: Cast) -> ProgramTask:
+    def with_objects_of(self, roles: RoleAssignment) -> ProgramTask:
         """The task whose roles have the things of a cast, by their names there."""
-        words = self._words(cast)
+        words = self._words(roles)
         things = {}
         for role, one in self.things.items():
             kinds = {item.name: item for item in one.of}
             items = tuple(
-                kinds[cast.kinds[name]].scaled(cast.sizes.get(name, 1.0)).called(name) for name in cast.of(role)
+                kinds[roles.config_names[name]].scaled(roles.scale_factors.get(name, 1.0)).with_name(name)
+                for name in roles.objects_of(role)
             )
             things[role] = one.model_copy(update={"of": items})
-        return self._filled(_spoken(words), words).model_copy(update={"things": things})
+        return self._filled(_without_underscores(words), words).model_copy(update={"things": things})
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
@@ -512,6 +525,6 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
     return _PLACEHOLDER.sub(lambda found: words.get(found[1], found[0]), text)
 
 
-def _spoken(words: Mapping[str, str]) -> dict[str, str]:
+def _without_underscores(words: Mapping[str, str]) -> dict[str, str]:
     """The words with spaces for underscores."""
     return {name: word.replace("_", " ") for name, word in words.items()}

@@ -6,9 +6,18 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from ..files.documents.base import OMIT_NONE, Config, ConflictError, Name, Positive, Range, Reference, ordered
-from ..files.documents.units import ReachRange, Within
-from .things.thing import ObjectConfig
+from ..files.documents.config_base import (
+    OMIT_NONE,
+    Config,
+    ConfigReference,
+    ConflictError,
+    Name,
+    Positive,
+    Range,
+    require_ordered,
+)
+from ..files.documents.units import QuantityBounds, ReachRange
+from .objects.object_config import ObjectConfig
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:
@@ -25,12 +34,12 @@ def _share(value: tuple[float, float]) -> tuple[float, float]:
 
 Factor = Annotated[Range, AfterValidator(_positive)]
 Share = Annotated[Range, AfterValidator(_share)]
-_Brightness = Annotated[FiniteFloat, Within("of 1", -1, 1)]
-_Noise = Annotated[FiniteFloat, Within("of 255", 0, 128)]
-_Lens = Annotated[FiniteFloat, Within("degrees", -60, 60)]
-_Delay = Annotated[FiniteFloat, Within("ms", 0, 500)]
-_Reading = Annotated[FiniteFloat, Within("rad", 0, 0.1)]
-_Gravity = Annotated[FiniteFloat, Within("of 1", -1, 1)]
+_Brightness = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
+_Noise = Annotated[FiniteFloat, QuantityBounds("of 255", 0, 128)]
+_Lens = Annotated[FiniteFloat, QuantityBounds("degrees", -60, 60)]
+_Delay = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
+_Reading = Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)]
+_Gravity = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
 Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
@@ -58,7 +67,7 @@ class HeadlightRanges(Config):
 class CameraRanges(Config):
     """The scene camera's pose: largest shift along each axis (m) and rotation about each axis (degrees)."""
 
-    position: Annotated[FiniteFloat, Within("m", 0, 1)]
+    position: Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
     rotation_deg: float = Field(ge=0, le=20)
 
 
@@ -104,11 +113,11 @@ class Distractors(Config):
         clearance: smallest distance (m) from each other and, during the whole episode, from everything that moves.
     """
 
-    objects: Annotated[tuple[ObjectConfig, ...], Reference("objects")] = Field(min_length=1, max_length=20)
+    objects: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects")] = Field(min_length=1, max_length=20)
     count: tuple[Annotated[int, Field(ge=0, le=20)], Annotated[int, Field(ge=0, le=20)]]
     x: ReachRange
     y: ReachRange
-    clearance: Annotated[FiniteFloat, Within("m", 1e-4, 1)]
+    clearance: Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 1)]
 
     @model_validator(mode="after")
     def _are_rigid(self) -> Distractors:
@@ -128,9 +137,9 @@ class PictureRanges(Config):
         salt_pepper: share of pixels that turn white or black; sampled for each attempt.
     """
 
-    brightness: Annotated[tuple[_Brightness, _Brightness], AfterValidator(ordered)] = (0.0, 0.0)
+    brightness: Annotated[tuple[_Brightness, _Brightness], AfterValidator(require_ordered)] = (0.0, 0.0)
     contrast: Factor = (1.0, 1.0)
-    noise: Annotated[tuple[_Noise, _Noise], AfterValidator(ordered)] = (0.0, 0.0)
+    noise: Annotated[tuple[_Noise, _Noise], AfterValidator(require_ordered)] = (0.0, 0.0)
     salt_pepper: Share = (0.0, 0.0)
 
 
@@ -145,11 +154,11 @@ class ArmRanges(Config):
         gravity_error: error of the gravity compensation as a factor of the joint's weight; sampled for each joint.
     """
 
-    command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(ordered)] = (0.0, 0.0)
-    sensor_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(ordered)] = (0.0, 0.0)
-    sensor_noise_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(ordered)] = (0.0, 0.0)
-    encoder_step_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(ordered)] = (0.0, 0.0)
-    gravity_error: Annotated[tuple[_Gravity, _Gravity], AfterValidator(ordered)] = (0.0, 0.0)
+    command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(require_ordered)] = (0.0, 0.0)
+    sensor_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(require_ordered)] = (0.0, 0.0)
+    sensor_noise_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(require_ordered)] = (0.0, 0.0)
+    encoder_step_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(require_ordered)] = (0.0, 0.0)
+    gravity_error: Annotated[tuple[_Gravity, _Gravity], AfterValidator(require_ordered)] = (0.0, 0.0)
 
 
 class RandomizationConfig(Config):
@@ -170,7 +179,7 @@ class RandomizationConfig(Config):
     headlight: HeadlightRanges | None = None
     mass: Factor | None = None
     friction: Factor | None = None
-    lens_deg: Annotated[tuple[_Lens, _Lens], AfterValidator(ordered)] | None = None
+    lens_deg: Annotated[tuple[_Lens, _Lens], AfterValidator(require_ordered)] | None = None
     camera: CameraRanges | None = None
     table: SurfaceRanges | None = None
     floor: SurfaceRanges | None = None

@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from ..files.documents.base import OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
-from ..files.documents.units import as_recorded
-from ..robots.stops import beyond_stops
-from .pictures import ImageConfig, RenderConfig
+from ..files.documents.config_base import OMIT_NONE, Config, ConfigReference, ConflictError, Name, omit_if_default
+from ..files.documents.units import is_recorded_config
+from ..robots.joint_limits import describe_limit_violation
+from .mesh_provenance import PATTERN
+from .objects.object_config import ObjectConfig
 from .program_task import GraspKind as GraspKind
 from .program_task import ProgramTask, Start
 from .randomization import RandomizationConfig
+from .rendering import ImageConfig, RenderConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
-from .shown_meshes import PATTERN
-from .things.thing import ObjectConfig
 
 SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
 
@@ -48,18 +48,18 @@ class RecordConfig(Config):
             wrist cameras; else the scene's, and with `wrist` those of the acting arms.
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what varies between episodes besides the starts of things.
-        truth: also record ground truth for every image, see `core.dataset.truth_files`.
-        meshes: asset set -> the meshes that are shown, see `core.config.shown_meshes`. Written by the recorder,
+        truth: also record ground truth for every image, see `core.dataset.ground_truth_files`.
+        meshes: asset set -> the meshes that are shown, see `core.config.describe_meshes`. Written by the recorder,
             whatever a file has; None in datasets without this entry.
     """
 
-    rig: Annotated[RigConfig, Reference("rigs")]
-    scene: Annotated[SceneConfig, Reference("scenes")]
-    task: Annotated[ProgramTask, Reference("tasks")]
-    arm: Annotated[Side, omit_default("right")] = "right"
+    rig: Annotated[RigConfig, ConfigReference("rigs")]
+    scene: Annotated[SceneConfig, ConfigReference("scenes")]
+    task: Annotated[ProgramTask, ConfigReference("tasks")]
+    arm: Annotated[Side, omit_if_default("right")] = "right"
     # Validation replaces None by the task's default.
     grasp: GraspKind = Field(default=cast(GraspKind, None), validate_default=True)
-    action: Annotated[ActionKind, omit_default("drives")] = "drives"
+    action: Annotated[ActionKind, omit_if_default("drives")] = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
@@ -68,8 +68,8 @@ class RecordConfig(Config):
     boards: bool = False
     truth: bool = False
     image: ImageConfig
-    render: Annotated[RenderConfig, Reference("quality")]
-    randomization: Annotated[RandomizationConfig, Reference("randomization")] = RandomizationConfig()
+    render: Annotated[RenderConfig, ConfigReference("quality")]
+    randomization: Annotated[RandomizationConfig, ConfigReference("randomization")] = RandomizationConfig()
     meshes: Annotated[Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, OMIT_NONE] = None
 
     @field_validator("grasp", mode="before")
@@ -127,7 +127,7 @@ class RecordConfig(Config):
     @model_validator(mode="after")
     def _fill_in_the_arms(self) -> RecordConfig:
         first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
-        return self.model_copy(update={"task": self.task.done_by(first, second)})
+        return self.model_copy(update={"task": self.task.with_arm_sides(first, second)})
 
     @model_validator(mode="after")
     def _arms_can_grasp(self) -> RecordConfig:
@@ -139,7 +139,7 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # `core.expert.skills.checked` knows the things that the task picks up, and checks them.
+            # `core.expert.skills.program_checks` knows the things that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
             _check_pads(self.grasp, self.rig, self.acting_arms)
@@ -162,7 +162,7 @@ class RecordConfig(Config):
         if given is None:
             start = _common_start(self.task.name, self.acting_arms)
             return self.model_copy(update={"task": self.task.model_copy(update={"start_joints": start})})
-        _check_start(self.task.name, self.rig, self.acting_arms, given, stops=not as_recorded(info))
+        _check_start(self.task.name, self.rig, self.acting_arms, given, stops=not is_recorded_config(info))
         return self
 
     @property
@@ -184,7 +184,7 @@ class RecordConfig(Config):
         return self.scene.for_span(self.rig.span)
 
     @property
-    def acting(self) -> tuple[int, ...]:
+    def acting_indices(self) -> tuple[int, ...]:
         """Indices in the rig of the arms that do the task, the one that begins first."""
         alone = self.task.arms == "one" or self.second_arm == self.first_arm
         return (self.first_arm,) if alone else (self.first_arm, self.second_arm)
@@ -202,7 +202,7 @@ class RecordConfig(Config):
     @property
     def starts(self) -> Mapping[str, Start]:
         """Role -> where its things start, with all regions in `world`."""
-        places = {"first": self.rig.place_y(self.first_arm), "second": self.rig.place_y(self.second_arm)}
+        places = {"first": self.rig.base_y(self.first_arm), "second": self.rig.base_y(self.second_arm)}
         return {
             role: start if start.from_arm is None else start.moved(places[start.from_arm])
             for role, start in self.task.starts.items()
@@ -211,12 +211,12 @@ class RecordConfig(Config):
     @property
     def acting_arms(self) -> tuple[ArmConfig, ...]:
         """The arms at the indices `acting`."""
-        return tuple(self.rig.arms[k] for k in self.acting)
+        return tuple(self.rig.arms[k] for k in self.acting_indices)
 
     @property
     def acting_scene_arms(self) -> tuple[int, ...]:
         """Indices of the acting arms in compiled scenes and recordings, where the left one of two arms is 0."""
-        return tuple(self.rig.recorded.index(k) for k in self.acting)
+        return tuple(self.rig.recording_order.index(k) for k in self.acting_indices)
 
     @property
     def recorded_cameras(self) -> tuple[str, ...]:
@@ -225,13 +225,13 @@ class RecordConfig(Config):
             return self.cameras
         if self.rig.cameras:
             return self.rig.camera_names
-        acting = (self.rig.arms[k] for k in self.rig.recorded if k in self.acting)
+        acting = (self.rig.arms[k] for k in self.rig.recording_order if k in self.acting_indices)
         return (SCENE_CAMERA, *(arm.wrist_camera_name for arm in acting if self.wrist))
 
     @property
     def wrist_arms(self) -> tuple[ArmConfig, ...]:
         """The arms whose wrist cameras are recorded, the left arm first."""
-        arms = (self.rig.arms[k] for k in self.rig.recorded)
+        arms = (self.rig.arms[k] for k in self.rig.recording_order)
         return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
 
     def data_config(self) -> dict[str, Any]:
@@ -314,5 +314,5 @@ def _check_start(task: str, rig: RigConfig, arms: Sequence[ArmConfig], given: Se
                 "leave start_joints out",
                 *where,
             )
-        if stops and (fault := beyond_stops(arm.name, robot, np.array(given), 0.0)):
+        if stops and (fault := describe_limit_violation(arm.name, robot, np.array(given), 0.0)):
             raise ConflictError(f"task {task!r}: start_joints: {fault}", *where)

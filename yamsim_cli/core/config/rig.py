@@ -18,35 +18,43 @@ from pydantic import (
     model_validator,
 )
 
-from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Reference
-from ..files.documents.units import Heading, PlacePoint, Within, as_recorded
+from ..files.documents.config_base import (
+    OMIT_EMPTY,
+    OMIT_NONE,
+    Config,
+    ConfigReference,
+    ConflictError,
+    Name,
+    Quaternion,
+)
+from ..files.documents.units import Heading, PlacePoint, QuantityBounds, is_recorded_config
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
 from ..robots.dynamics import Dynamics
-from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_of
+from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_for_size
 from ..robots.robot import Robot, assemble
 
-_OnMount = Annotated[FiniteFloat, Within("mm", -2000, 2000)]  # a coordinate of a printed mount
+_OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # a coordinate of a printed mount
 _MIN_MM = 1.0  # smallest distance from the base and extent of a mount: smaller values were probably given in m
 
 
-def _off_the_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
-    if 0 < math.hypot(*value) < _MIN_MM and not as_recorded(info):
+def _require_off_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
+    if 0 < math.hypot(*value) < _MIN_MM and not is_recorded_config(info):
         meant = ", ".join(f"{1000 * part:g}" for part in value)
         raise ValueError(f"lies {math.hypot(*value):.2g} mm from the base; is it in m? Then give [{meant}]")
     return value
 
 
-def _extended(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+def _require_extended(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
     low, high = value
-    if high - low < _MIN_MM and not as_recorded(info):
+    if high - low < _MIN_MM and not is_recorded_config(info):
         meant = f"; is it in m? Then give [{1000 * low:g}, {1000 * high:g}]" if high > low else ""
         raise ValueError(f"a mount is at least {_MIN_MM:g} mm wide, and this is {high - low:.3g}{meant}")
     return value
 
 
-_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_off_the_base)]
-_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_extended)]
+_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_require_off_base)]
+_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_require_extended)]
 
 
 class BasePose(Config):
@@ -75,8 +83,8 @@ class BoardConfig(Config):
     columns: int = Field(ge=1, le=50)
     rows: int = Field(ge=1, le=50)
     dictionary: Annotated[str, StringConstraints(pattern=r"^DICT_\w+$")]
-    marker_length_mm: Annotated[FiniteFloat, Within("mm", 2, 500)]
-    gap_mm: Annotated[FiniteFloat, Within("mm", 0.1, 500)]
+    marker_length_mm: Annotated[FiniteFloat, QuantityBounds("mm", 2, 500)]
+    gap_mm: Annotated[FiniteFloat, QuantityBounds("mm", 0.1, 500)]
     position_mm: _BoardPoint
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
@@ -141,11 +149,11 @@ class ArmConfig(Config):
     name: Name
     side: Literal["left", "right"]
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
-    model: Annotated[ArmModel, Reference("robots"), *_BY_NAME]
-    gripper: Annotated[Gripper, Reference("grippers"), *_BY_NAME]
-    dynamics: Annotated[Dynamics | None, Reference("revisions"), OMIT_NONE] = None
+    model: Annotated[ArmModel, ConfigReference("robots"), *_BY_NAME]
+    gripper: Annotated[Gripper, ConfigReference("grippers"), *_BY_NAME]
+    dynamics: Annotated[Dynamics | None, ConfigReference("revisions"), OMIT_NONE] = None
     base: BasePose = BasePose()
-    grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
+    grasp_offset: Annotated[FiniteFloat, QuantityBounds("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
     board: BoardConfig | None = None
     mount: MountConfig | None = None
@@ -219,7 +227,7 @@ class RigCamera(Config):
 
     def fovy(self, size: tuple[int, int]) -> float:
         """Vertical field of view of images of a size (width, height), degrees."""
-        return fovy_of(size, self.fovy_deg, self.modes)
+        return fovy_for_size(size, self.fovy_deg, self.modes)
 
 
 class RigConfig(Config):
@@ -233,14 +241,17 @@ class RigConfig(Config):
     """
 
     name: Name
-    margin: Annotated[FiniteFloat, Within("m", 0, 3)] = 0.0
+    margin: Annotated[FiniteFloat, QuantityBounds("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
     cameras: Annotated[tuple[RigCamera, ...], OMIT_EMPTY] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:
         """Names of the station's cameras, then of the wrist cameras, the left arm's first."""
-        return (*(camera.name for camera in self.cameras), *(self.arms[k].wrist_camera_name for k in self.recorded))
+        return (
+            *(camera.name for camera in self.cameras),
+            *(self.arms[k].wrist_camera_name for k in self.recording_order),
+        )
 
     def T_cam_in_world(self, camera: RigCamera) -> Array:
         """Pose (4, 4) of a station's camera in OpenCV's convention."""
@@ -254,7 +265,7 @@ class RigConfig(Config):
         return (len(self.arms) - 1) * self.margin
 
     @property
-    def recorded(self) -> tuple[int, ...]:
+    def recording_order(self) -> tuple[int, ...]:
         """Indices of the arms in the order of recordings: the left arm first."""
         return tuple(sorted(range(len(self.arms)), key=lambda k: self.arms[k].side))
 
@@ -263,13 +274,13 @@ class RigConfig(Config):
         """The number of drives of each arm: of its joints, and of its gripper if that has fingers."""
         return len(self.arms[0].robot.drives)
 
-    def place_y(self, arm: int) -> float:
+    def base_y(self, arm: int) -> float:
         """Position of an arm's place along world y, m."""
         return (arm - (len(self.arms) - 1) / 2) * self.margin
 
     def T_base_in_world(self, arm: int) -> Array:
         """Pose (4, 4) of an arm's base."""
-        return pose((0.0, self.place_y(arm), 0.0)) @ self.arms[arm].base.T
+        return pose((0.0, self.base_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")
     def _arms_go_together(self) -> RigConfig:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from ..files.documents.base import Config, ConflictError, Name, Rgb, Rgba, Vector
+from ..files.documents.config_base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from ..files.documents.units import FieldOfView, Place, PlacePoint, Size
-from .things.thing import Contact
+from .objects.object_config import Contact
 
 
 class Table(Config):
@@ -62,7 +62,7 @@ class FixedCamera(Config):
             raise ValueError("position and look_at are the same point")
         return self
 
-    def stepped_back(self, by: float) -> FixedCamera:
+    def moved_back(self, by: float) -> FixedCamera:
         """The camera, `by` metres farther from the point that it looks at."""
         away = 1 + by / math.dist(self.position, self.look_at)
         x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
@@ -106,6 +106,6 @@ class SceneConfig(Config):
         return self.model_copy(
             update={
                 "table": self.table and self.table.widened(span),
-                "scene_camera": self.scene_camera and self.scene_camera.stepped_back(_STEP_BACK * span),
+                "scene_camera": self.scene_camera and self.scene_camera.moved_back(_STEP_BACK * span),
             }
         )

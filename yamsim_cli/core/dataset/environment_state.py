@@ -20,9 +20,11 @@ _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for a
 
 def object_pose_keys(config: RecordConfig) -> dict[str, str]:
     """Thing -> key of its pose in an observation, of all things of a task, in their order in a row."""
-    cast = config.task.typical_cast
-    names = {thing: role if len(things) == 1 else thing for role, things in cast.things.items() for thing in things}
-    return {thing: f"T_{names[thing]}_in_world" for thing in cast.kinds}
+    cast = config.task.typical_roles
+    names = {
+        thing: role if len(things) == 1 else thing for role, things in cast.objects_by_role.items() for thing in things
+    }
+    return {thing: f"T_{names[thing]}_in_world" for thing in cast.config_names}
 
 
 def joints_key(thing: str) -> str:

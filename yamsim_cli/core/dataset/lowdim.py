@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..attempt_data import ActionSequence, WeldStates
 from ..errors import DatasetError
 from ..geometry.se3 import Array
-from ..types import Actions, Holds
-from .unpickle import read_pickle
+from .safe_unpickle import read_pickle
 
 _PROTOCOL = 4  # of pickle; fixed, so that bytes do not change with Python's default
 
@@ -34,7 +34,7 @@ SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
 _MAX_SIM_VALUE = 1e3  # m or rad, largest position or command: a simulation that starts with more breaks down
 
 
-def shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
+def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
     """Key -> shape of the arrays that every frame has, without those of objects and cameras.
 
     Args:
@@ -61,7 +61,7 @@ class SimulationData:
 
     qpos: ArrayLike
     ctrl: ArrayLike
-    magnet: Holds
+    magnet: WeldStates
 
 
 def frame_data(
@@ -74,7 +74,7 @@ def frame_data(
     ee_pose: Array,
     ctrl: Array,
     action_joints: Array,
-    magnet: Holds,
+    magnet: WeldStates,
     language_task: str,
     language_prompt: str,
     wrist_camera: str | None = None,
@@ -118,7 +118,7 @@ def frame_data(
     data |= {f"{name}_joints": _f32(joints) for name, joints in (object_joints or {}).items()}
     data |= {f"{name}_points": _f32(points) for name, points in (cloth_points or {}).items()}
     data |= {
-        "ee_pose": _f32(_squeezed(ee_pose)),
+        "ee_pose": _f32(_squeeze_arms(ee_pose)),
         "ctrl": _f32(ctrl.ravel()),
         "action_joints": _f32(action_joints.ravel()),
         "magnet": np.array(magnet, dtype=np.bool_) if len(magnet) > 1 else bool(magnet[0]),
@@ -138,7 +138,7 @@ def frame_data(
         data |= {
             "sim_qpos": _f64(simulation.qpos),
             "sim_ctrl": _f64(simulation.ctrl),
-            "sim_magnet": np.ascontiguousarray(_squeezed(simulation.magnet, axis=1), dtype=np.bool_),
+            "sim_magnet": np.ascontiguousarray(_squeeze_arms(simulation.magnet, axis=1), dtype=np.bool_),
         }
     return data
 
@@ -150,7 +150,7 @@ def with_opening_shares(values: Array, full_openings: Sequence[float]) -> Array:
     return shares
 
 
-def _squeezed(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
+def _squeeze_arms(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
     """Values without the axis of arms, if the axis has only one arm."""
     return values if values.shape[axis] > 1 else values.squeeze(axis)
 
@@ -188,15 +188,15 @@ def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
     """SHA-256 over the decoded values of an episode's frames, whatever the pickle format."""
     digest = hashlib.sha256()
     for frame in frames:
-        _feed(digest, frame)
+        _update_digest(digest, frame)
     return digest.hexdigest()
 
 
-def _feed(digest: Any, value: Any) -> None:
+def _update_digest(digest: Any, value: Any) -> None:
     if isinstance(value, Mapping):
         for key in sorted(value, key=str):
             digest.update(f"{key}:".encode())
-            _feed(digest, value[key])
+            _update_digest(digest, value[key])
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.dtype.str}{value.shape}".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -205,7 +205,7 @@ def _feed(digest: Any, value: Any) -> None:
     digest.update(b";")
 
 
-def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
+def flatten_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     """A frame's entries by flat keys: entries of an inner dictionary have keys such as `intrinsics[camera]`."""
     entries: dict[str, Any] = {}
     for key, value in frame.items():
@@ -244,7 +244,7 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
     return faults
 
 
-def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> tuple[Array, Actions] | None:
+def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> tuple[Array, ActionSequence] | None:
     """The exact start of an episode and its actions.
 
     Args:
@@ -272,7 +272,7 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
     # Frames of a lone arm have no axis of arms.
     magnet = magnet.reshape(len(magnet), -1)
     planned = np.array([planned_joints(frame, magnet.shape[1]) for frame in frames])
-    actions = Actions(
+    actions = ActionSequence(
         np.concatenate([frame["sim_ctrl"] for frame in frames]), magnet, np.repeat(planned, counts, axis=0)
     )
     return frames[0]["sim_qpos"], actions

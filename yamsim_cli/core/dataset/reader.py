@@ -13,15 +13,15 @@ import numpy as np
 from ..config.loader import parse_config
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
-from ..errors import ConfigError, DatasetError, UsageError, counted, ranges
+from ..errors import ConfigError, DatasetError, UsageError, count_noun, join_ranges
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..images.image import Image
 from .checks.context import find_episodes
-from .checks.lowdim import frame_faults, recorded_forms
-from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
+from .checks.lowdim import frame_faults, recorded_specs
+from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
+from .imported_records import RealEpisodeRecord, is_real, real_config
 from .lowdim import load_frame
-from .real import RealRecord, is_real, real_config
 from .records import EpisodeRecord, from_json
 
 _REAL_SOURCE = re.compile(rb'"source"\s*:\s*"real"')  # in the `episode.json` of an imported recording
@@ -33,7 +33,7 @@ class RecordedEpisode:
     """An episode on the disk, simulated or real: its directory, and the content of its `episode.json`."""
 
     directory: Path
-    record: EpisodeRecord | RealRecord
+    record: EpisodeRecord | RealEpisodeRecord
 
     @property
     def dataset(self) -> Path:
@@ -47,14 +47,14 @@ class RecordedEpisode:
         except OSError as error:
             raise DatasetError(f"{self.directory / name} cannot be read: {error.strerror or error}") from error
 
-    def altered(self, name: str, data: bytes) -> bool:
+    def altered_files(self, name: str, data: bytes) -> bool:
         """Whether a file's content differs from what was recorded."""
         return sha256_bytes(data) != self.record.files.get(name)
 
-    def whole(self, name: str) -> bytes:
+    def read_verified(self, name: str) -> bytes:
         """Content of one file as recorded; DatasetError if the file cannot be read or was altered."""
         data = self.read(name)
-        if self.altered(name, data):
+        if self.altered_files(name, data):
             raise DatasetError(
                 f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE}; "
                 "copy the episode anew, or record it again"
@@ -70,11 +70,11 @@ class RecordedEpisode:
 
     def frames(self) -> list[dict[str, Any]]:
         """The low-dimensional data of all frames; DatasetError if a file is missing, damaged or altered."""
-        return [self.frame(k, self.whole(lowdim_name(k))) for k in range(self.record.frames)]
+        return [self.frame(k, self.read_verified(lowdim_name(k))) for k in range(self.record.frames)]
 
     def image(self, camera: str, number: int) -> bytes:
         """A frame's JPEG; DatasetError if the file is missing or altered."""
-        return self.whole(image_name(camera, number))
+        return self.read_verified(image_name(camera, number))
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class StoredEpisode(RecordedEpisode):
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
         """As `RecordedEpisode.frame`; DatasetError too if keys, shapes or types are not those of the record."""
         frame = super().frame(number, data)
-        faults = frame_faults(frame, recorded_forms(self.record))
+        faults = frame_faults(frame, recorded_specs(self.record))
         if faults:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame
@@ -111,7 +111,7 @@ def open_recorded(directory: Path) -> RecordedEpisode:
             "give a directory such as dataset/ep_000003"
         ) from error
     if _REAL_SOURCE.search(text):
-        return RecordedEpisode(directory, from_json(RealRecord, text, file))
+        return RecordedEpisode(directory, from_json(RealEpisodeRecord, text, file))
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
 
 
@@ -123,7 +123,7 @@ def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
     """
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
-        raise _plain(dataset)
+        raise _not_recorded_error(dataset)
     return [open_recorded(episode.path) for episode in found]
 
 
@@ -155,22 +155,22 @@ class StoredEpisodes(Sequence[StoredEpisode]):
         try:
             directory = self._directories[key]
         except IndexError:
-            raise IndexError(f"{self.path} has {counted(len(self), 'episode')}, and none at place {key}") from None
+            raise IndexError(f"{self.path} has {count_noun(len(self), 'episode')}, and none at place {key}") from None
         return open_episode(directory)
 
     def __repr__(self) -> str:
-        return f"<{counted(len(self), 'episode')} of {self.path}>"
+        return f"<{count_noun(len(self), 'episode')} of {self.path}>"
 
 
 def open_episodes(dataset: Path) -> StoredEpisodes:
     """The episodes of a dataset; DatasetError if there is no dataset, or yamsim did not record it."""
     found, recorded = find_episodes(dataset)
     if not recorded:
-        raise _plain(dataset)
+        raise _not_recorded_error(dataset)
     return StoredEpisodes(dataset, [episode.path for episode in found])
 
 
-def _plain(dataset: Path) -> DatasetError:
+def _not_recorded_error(dataset: Path) -> DatasetError:
     return DatasetError(
         f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
         "episodes cannot be opened; give the directory that `yamsim record` wrote, or bring it in with `yamsim import`"
@@ -254,13 +254,13 @@ def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise UsageError(
-                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {ranges(there)}"
+                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {join_ranges(there)}"
             )
         # The range is compared with existing numbers: a list of the whole range may not fit into memory.
         named = [number for number in there if first <= number <= last]
         if len(named) != last - first + 1:
             missing = next(number for number in range(first, last + 1) if number not in set(named))
-            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {ranges(there)}")
+            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {join_ranges(there)}")
         chosen.update(named)
     return sorted(chosen)
 

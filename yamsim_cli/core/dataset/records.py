@@ -11,16 +11,16 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, WrapSerializer
 
-from ..config.goals.cast import Cast
+from ..attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, FullPose, Layout, MotionMargins, Outcome
+from ..config.goals.role_assignment import RoleAssignment
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..config.variation import Variation
 from ..errors import DatasetError
-from ..files.documents.base import Name
+from ..files.documents.config_base import Name
 from ..files.writing import sha256_bytes
 from ..geometry.se3 import Array, UprightPose
-from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, FullPose, Layout, Margins, Outcome
-from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION, PROGRAM_FORMAT_VERSION
+from .dataset_paths import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION, PROGRAM_FORMAT_VERSION
 
 # Path of a file inside its episode. No part begins with a dot, so that no path leads out of the episode.
 FilePath = Annotated[
@@ -53,7 +53,7 @@ class Record(BaseModel):
 
 
 class MarginsRecord(Record):
-    """The motion's margins to the arm's limits, see `types.Margins`."""
+    """The motion's margins to the arm's limits, see `types.MotionMargins`."""
 
     velocity_share: float
     torque_share: float
@@ -62,7 +62,7 @@ class MarginsRecord(Record):
     object_tilt_rad: float | None
 
     @classmethod
-    def of(cls, margins: Margins) -> MarginsRecord:
+    def from_margins(cls, margins: MotionMargins) -> MarginsRecord:
         """The record of `margins`."""
         return cls(
             velocity_share=margins.velocity,
@@ -74,7 +74,7 @@ class MarginsRecord(Record):
 
 
 class MeasureRecord(Record):
-    """The margin by which a part of a goal holds, see `goals.measure.Measure`."""
+    """The margin by which a part of a goal holds, see `goals.measure.GoalMeasure`."""
 
     what: str
     margin: float
@@ -113,7 +113,7 @@ class OutcomeRecord(Record):
     recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 
     @classmethod
-    def of(cls, outcome: Outcome) -> OutcomeRecord:
+    def from_outcome(cls, outcome: Outcome) -> OutcomeRecord:
         """The record of `outcome`."""
         return cls(
             success=outcome.success,
@@ -124,12 +124,12 @@ class OutcomeRecord(Record):
             speed_mps=outcome.speed,
             plan_error_m=None,
             tilt_rad=None,
-            margins=MarginsRecord.of(outcome.margins) if outcome.margins else None,
+            margins=MarginsRecord.from_margins(outcome.margins) if outcome.margins else None,
             measures=tuple(MeasureRecord(**asdict(measure)) for measure in outcome.measures),
             recoveries=tuple(RecoveryRecord(**asdict(recovery)) for recovery in outcome.recoveries),
         )
 
-    def within(self, threshold: float, max_height: float = math.inf) -> bool:
+    def is_within(self, threshold: float, max_height: float = math.inf) -> bool:
         """Whether the object ended on its target, within `threshold` metres of the target's centre.
 
         Args:
@@ -137,7 +137,7 @@ class OutcomeRecord(Record):
                 measure contact instead.
         """
         # For other causes distance does not count: the object may have been thrown there.
-        if self.dxy_m is None or self.dz_m is None or self.cause not in (None, Cause.OFF_TARGET):
+        if self.dxy_m is None or self.dz_m is None or self.cause not in (None, FailureCause.OFF_TARGET):
             return False
         on_it = self.measures or 0.0 <= self.dz_m <= max_height
         others = all(measure.margin >= 0 for measure in self.measures if not measure.is_distance)
@@ -148,7 +148,7 @@ class OutcomeRecord(Record):
 StartPlace = UprightPose | FullPose
 
 
-class CastRecord(Record):
+class RoleAssignmentRecord(Record):
     """A task's cast: role -> things, thing -> its object, thing -> scale of that object."""
 
     things: dict[str, tuple[str, ...]]
@@ -165,7 +165,7 @@ class AttemptRecord(Record):
     outcome: OutcomeRecord
     layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
-    cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
+    cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
 
 
@@ -199,7 +199,7 @@ class EpisodeRecord(Record):
     layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
     # From format version 2 on.
-    cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
+    cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
     # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
     joints: Annotated[dict[Name, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
@@ -207,7 +207,7 @@ class EpisodeRecord(Record):
     cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> shown meshes, see `core.config.shown_meshes`; None in earlier records.
+    # Asset set -> shown meshes, see `core.config.describe_meshes`; None in earlier records.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
@@ -242,7 +242,7 @@ R = TypeVar("R", bound=Record)
 
 def to_json(record: Record, *, indent: int | None = None) -> bytes:
     """JSON text of a record; equal records give equal bytes."""
-    return (json.dumps(plain(record), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return (json.dumps(record_data(record), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
@@ -255,16 +255,18 @@ def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
         raise DatasetError(f"{source}: {where + ': ' if where else ''}{first['msg']}") from error
 
 
-def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecord:
+def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecord:
     """The ledger's line for a finished attempt; `episode` is the number of the published episode, or None."""
-    cast, recorded = payload.attempt.cast, None
+    cast, recorded = payload.attempt.roles, None
     if cast is not None:
-        recorded = CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes))
+        recorded = RoleAssignmentRecord(
+            things=dict(cast.objects_by_role), kinds=dict(cast.config_names), sizes=dict(cast.scale_factors)
+        )
     return AttemptRecord(
         attempt=payload.job.attempt,
         seed=payload.job.seed,
         episode=episode,
-        outcome=OutcomeRecord.of(payload.outcome),
+        outcome=OutcomeRecord.from_outcome(payload.outcome),
         layout=payload.attempt.places,
         randomized=payload.attempt.variation,
         cast=recorded,
@@ -274,8 +276,8 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
 
 def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
     """The attempt that a recorded episode was made of; `start` is MuJoCo's positions (nq,) of the first frame."""
-    cast = None if record.cast is None else Cast(record.cast.things, record.cast.kinds, record.cast.sizes)
-    job, layout = EpisodeJob(record.seed, record.attempt), Layout.of(record.layout)
+    cast = None if record.cast is None else RoleAssignment(record.cast.things, record.cast.kinds, record.cast.sizes)
+    job, layout = AttemptJob(record.seed, record.attempt), Layout.from_places(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)
 
 
@@ -284,13 +286,13 @@ def file_hashes(files: Mapping[str, bytes]) -> dict[str, str]:
     return {name: sha256_bytes(files[name]) for name in sorted(files)}
 
 
-def plain(record: Record) -> dict[str, Any]:
+def record_data(record: Record) -> dict[str, Any]:
     """A record as JSON-ready data."""
     data: dict[str, Any] = record.model_dump(mode="json")
     return data
 
 
-def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) -> EpisodeRecord:
+def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) -> EpisodeRecord:
     """The `episode.json` of a successful attempt that is published as number `episode`."""
     cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
     attempt = attempt_record(payload, episode)

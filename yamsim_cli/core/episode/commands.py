@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..attempt_data import ActionSequence, JointPath
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
-from ..types import Actions, JointPath
+from ..scene.compiled import ArmAddresses, CompiledScene, FingerAddresses
 
 
-def drive_commands(arm: SceneArm, path: JointPath) -> Array:
+def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
     """Return the commands (n, dof) of an arm's joint drives on each control tick of a path, rad.
 
     A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
@@ -24,22 +24,22 @@ def drive_commands(arm: SceneArm, path: JointPath) -> Array:
     return clipped
 
 
-def grip_command(fingers: SceneFingers, path: JointPath) -> Array:
+def grip_command(fingers: FingerAddresses, path: JointPath) -> Array:
     """Return a gripper's commands (n,), m: `opening - 2 grip / gain`. Each finger takes half of the drive's force."""
-    clipped: Array = np.clip(path.gripper - 2 * path.grip / fingers.gain, *fingers.ctrl_range)
+    clipped: Array = np.clip(path.gripper - 2 * path.grip_force / fingers.gain, *fingers.ctrl_range)
     return clipped
 
 
-def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> Actions:
+def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> ActionSequence:
     """Return the actions that make each of the scene's arms follow its path; all paths have the same length."""
     ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
     for arm, path in zip(scene.arms, paths, strict=True):
         ctrl[:, arm.arm_ctrl] = drive_commands(arm, path)
         if arm.fingers is not None:
             ctrl[:, arm.fingers.ctrl] = grip_command(arm.fingers, path)
-    magnet = np.column_stack([path.magnet for path in paths])
+    magnet = np.column_stack([path.weld_on for path in paths])
     references = [
         path.joints[1:] if arm.fingers is None else np.column_stack([path.joints[1:], path.gripper])
         for arm, path in zip(scene.arms, paths, strict=True)
     ]
-    return Actions(ctrl, magnet, np.stack(references, axis=1))
+    return ActionSequence(ctrl, magnet, np.stack(references, axis=1))

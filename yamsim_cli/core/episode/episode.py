@@ -9,17 +9,17 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from ..config.goals.cast import Cast
-from ..config.goals.goal import Goal, Verdict, judge
+from ..attempt_data import ActionSequence, AttemptJob, FailureCause, MotionMargins, StepState, WeldStates
+from ..config.goals.goal import Goal, GoalVerdict, evaluate_goal
+from ..config.goals.role_assignment import RoleAssignment
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
-from ..sim.readings import readings, sensed
-from ..sim.world import SimWorld, world_of
-from ..types import Actions, Cause, EpisodeJob, Holds, Margins, StepState
-from .grasps import grasp_of, weld_holds
-from .held import HeldThings
-from .monitor import Monitor, limits_fault
-from .rules import End, EndReason, EndRule, EpisodeRules
+from ..sim.encoder_readings import delayed_positions, encoder_readings
+from ..sim.sim_world import SimWorld, make_sim_world
+from .episode_rules import EndReason, EndRule, EpisodeEnd, EpisodeRules
+from .grasps import is_weld_active, make_grasp_simulator
+from .held_objects import HeldObjectMonitor
+from .monitor import StepMonitor, describe_exceeded_limits
 
 #: Called at the start and after every physics step with the state, which it must not change.
 OnStep = Callable[[mujoco.MjData], None]
@@ -52,12 +52,12 @@ class EpisodeGoal:
     """
 
     goal: Goal
-    cast: Cast
+    roles: RoleAssignment
     hold_ticks: int
 
 
 @dataclass(frozen=True)
-class Played:
+class EpisodeResult:
     """Everything that happened in an episode.
 
     Attributes:
@@ -73,10 +73,10 @@ class Played:
     """
 
     states: tuple[StepState, ...]
-    end: End
-    verdict: Verdict | None
+    end: EpisodeEnd
+    verdict: GoalVerdict | None
     held_ticks: int
-    margins: Margins | None
+    margins: MotionMargins | None
     collision: str | None
     T_at_start: dict[str, Array]
     T_at_end: dict[str, Array]
@@ -128,11 +128,11 @@ class Episode:
         self._rules, self._on_step = rules or EpisodeRules(), on_step
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
-        self.world = world_of(scene, self.data, sides) if world is None else world(self.data)
-        self.world.begin()
-        self._grasp = grasp_of(scene, self._rules.magnet_reach)
-        self._monitor = Monitor(scene, timing.physics_steps_per_tick)
-        self._held_things = HeldThings(scene, self.world)
+        self.world = make_sim_world(scene, self.data, sides) if world is None else world(self.data)
+        self.world.store_start()
+        self._grasp = make_grasp_simulator(scene, self._rules.magnet_reach)
+        self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
+        self._held_things = HeldObjectMonitor(scene, self.world)
         self._T_at_start = self._poses()
         self._ctrl: list[Array] = []
         self._magnet: list[Sequence[bool]] = []
@@ -140,10 +140,10 @@ class Episode:
         self._frames: list[tuple[float, Array, Array | None]] = []
         self._low, self._high = scene.model.actuator_ctrlrange.T
         self.ticks = 0
-        self.end: End | None = None
+        self.end: EpisodeEnd | None = None
         self.held_ticks = 0
-        self.verdict: Verdict | None = None
-        self._last_unmet: Verdict | None = None
+        self.verdict: GoalVerdict | None = None
+        self._last_unmet: GoalVerdict | None = None
         self._judge()
         if on_step:
             on_step(self.data)
@@ -167,7 +167,7 @@ class Episode:
     @property
     def held(self) -> tuple[bool, ...]:
         """Whether each arm's weld holds a thing (arms,)."""
-        return tuple(weld_holds(self.data, arm) for arm in self.scene.arms)
+        return tuple(is_weld_active(self.data, arm) for arm in self.scene.arms)
 
     @property
     def joint_velocities(self) -> Array:
@@ -175,9 +175,9 @@ class Episode:
         return np.array([self.data.qvel[arm.recorded_dof] for arm in self.scene.arms])
 
     @property
-    def actions(self) -> Actions:
+    def actions(self) -> ActionSequence:
         """All actions so far."""
-        return Actions(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
+        return ActionSequence(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
 
     @property
     def status(self) -> str:
@@ -190,13 +190,13 @@ class Episode:
         left = (self._goal.hold_ticks - self.held_ticks) * self._timing.tick
         return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
 
-    def readings(self, job: EpisodeJob) -> Array:
+    def readings(self, job: AttemptJob) -> Array:
         """Return what encoders read now of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
         now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
-        seen = sensed(self.scene, self.data)
-        return readings(self.scene, now if seen is None else seen, job, self.ticks)
+        seen = delayed_positions(self.scene, self.data)
+        return encoder_readings(self.scene, now if seen is None else seen, job, self.ticks)
 
-    def step(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None = None) -> None:
+    def step(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None = None) -> None:
         """Execute a command for one control tick; nothing happens once the episode has ended.
 
         Args:
@@ -208,7 +208,7 @@ class Episode:
         command[self.scene.drives] = ctrl
         self._tick(command, magnet, joints)
 
-    def act(self, actions: Actions, *, until_success: bool = False) -> None:
+    def act(self, actions: ActionSequence, *, until_success: bool = False) -> None:
         """Execute the actions of several control ticks, until the episode ends.
 
         Args:
@@ -219,7 +219,7 @@ class Episode:
                 return
             self._tick(ctrl, magnet, joints)
 
-    def finish(self) -> Played:
+    def finish(self) -> EpisodeResult:
         """End the episode on behalf of its actor if it has not ended, and return all that happened."""
         if self.end is None:
             self._end(EndReason.ACTOR)
@@ -229,7 +229,7 @@ class Episode:
             if self._goal_holds and not self.succeeds and self._last_unmet is not None
             else self.verdict
         )
-        return Played(
+        return EpisodeResult(
             states=self._states(),
             end=self.end,
             verdict=verdict,
@@ -245,13 +245,13 @@ class Episode:
     def _goal_holds(self) -> bool:
         return self.verdict is not None and self.verdict.reached
 
-    def _tick(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None) -> None:
+    def _tick(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None) -> None:
         if self.end is not None:
             return
         scene, data, timing = self.scene, self.data, self._timing
         ctrl = np.clip(ctrl, self._low, self._high)
         if self.ticks % timing.ticks_per_frame == 0:
-            self._frames.append((data.time, data.qpos.copy(), sensed(scene, data)))
+            self._frames.append((data.time, data.qpos.copy(), delayed_positions(scene, data)))
         self._magnet.append(self._grasp.update(data, ctrl, magnet))
         self._ctrl.append(ctrl)
         self._joints.append(ctrl[scene.drives] if joints is None else joints)
@@ -264,7 +264,7 @@ class Episode:
         self._refresh()
         self._monitor.end_tick(data)
         self.ticks += 1
-        self._held_things.watch(self.world.watch())
+        self._held_things.watch(self.world.update_handovers())
         self._judge()
         self._check_end()
 
@@ -281,7 +281,7 @@ class Episode:
         if self._goal is None:
             return
         held_before = self._goal_holds
-        self.verdict = judge(self._goal.goal, self.world, self._goal.cast)
+        self.verdict = evaluate_goal(self._goal.goal, self.world, self._goal.roles)
         self.held_ticks = self.held_ticks + 1 if held_before and self._goal_holds else 0
         if not self._goal_holds:
             self._last_unmet = self.verdict
@@ -289,29 +289,29 @@ class Episode:
     def _check_end(self) -> None:
         monitor, rules = self._monitor, self._rules
         if monitor.breakdown:
-            self._end(EndReason.UNSTABLE, Cause.UNSTABLE, monitor.breakdown)
+            self._end(EndReason.UNSTABLE, FailureCause.UNSTABLE, monitor.breakdown)
         elif rules.strict and monitor.collision:
-            self._end(EndReason.FORBIDDEN, Cause.COLLIDED, monitor.collision)
-        elif rules.strict and (fault := limits_fault(monitor.margins())):
-            self._end(EndReason.FORBIDDEN, Cause.LIMITS, fault)
+            self._end(EndReason.FORBIDDEN, FailureCause.COLLIDED, monitor.collision)
+        elif rules.strict and (fault := describe_exceeded_limits(monitor.margins())):
+            self._end(EndReason.FORBIDDEN, FailureCause.LIMITS, fault)
         elif rules.end is EndRule.SUCCESS and self.succeeds:
             self._end(EndReason.SUCCESS)
         elif rules.max_ticks is not None and self.ticks >= rules.max_ticks:
             self._end(EndReason.TIME_LIMIT)
 
-    def _end(self, reason: EndReason, cause: Cause | None = None, detail: str = "") -> None:
+    def _end(self, reason: EndReason, cause: FailureCause | None = None, detail: str = "") -> None:
         if cause is None and self._goal is not None and not self.succeeds:
             cause, detail = self._goal_failure()
-        self.end = End(reason, self.ticks, cause, detail)
+        self.end = EpisodeEnd(reason, self.ticks, cause, detail)
 
-    def _goal_failure(self) -> tuple[Cause, str]:
+    def _goal_failure(self) -> tuple[FailureCause, str]:
         """Return the cause and details of a goal that is not reached now."""
         assert self.verdict is not None and self._goal is not None
         if not self._goal_holds:
             worst = self.verdict.worst
-            return Cause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
+            return FailureCause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
         tick = self._timing.tick
-        return Cause.GOAL, (
+        return FailureCause.GOAL, (
             f"the goal has held for {self.held_ticks * tick:.2f} s, and has to hold for "
             f"{self._goal.hold_ticks * tick:.2f} s"
         )
@@ -323,6 +323,6 @@ class Episode:
         ticks, actions = self._timing.ticks_per_frame, self.actions
         spans = [slice(k * ticks, (k + 1) * ticks) for k in range(len(self._frames))]
         return tuple(
-            StepState(time, qpos, Actions(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)
+            StepState(time, qpos, ActionSequence(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)
             for (time, qpos, seen), span in zip(self._frames, spans, strict=True)
         )

@@ -7,16 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..attempt_data import ArmPosture
 from ..config.recording import RecordConfig
-from ..expert.planning.arm_tools import ArmTools, start_stands
+from ..expert.planning.arm_solvers import ArmSolvers, start_postures
+from ..expert.planning.collision_checker import CollisionChecker
 from ..expert.planning.ik import Tolerance
-from ..expert.planning.obstacles import Obstacles
-from ..expert.skills.bench import Bench
 from ..expert.skills.hand import Hand
+from ..expert.skills.planning_context import PlanningContext
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from ..scene.compiled import CompiledScene, Kind
-from ..sim.world import SimWorld
-from ..types import Stand
+from ..scene.compiled import CompiledScene, GeomOwner
+from ..sim.sim_world import SimWorld
 
 # Candidate poses of a hand at a place.
 LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, from straight down
@@ -27,48 +27,52 @@ TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about t
 _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
-class ExpertTools:
+class ExpertPlanner:
     """The tools of skills in one scene, as far as they are the same for all attempts."""
 
-    def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmTools, ...]) -> None:
+    def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
-        fingers = (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
+        fingers = (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
         distractors = [item.name for item in config.randomization.extras]
-        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms, distractors)
+        self._obstacles = CollisionChecker(scene.model, scene.arms, list(scene.things), geoms, distractors)
 
-    def reaches_place(self, place: Array) -> bool:
+    def is_place_reachable(self, place: Array) -> bool:
         """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""
-        stands = start_stands(self._config)
+        stands = start_postures(self._config)
         for k in self._config.acting_scene_arms:
             ik = self._tools[k].ik
-            if any(ik.reach(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
+            if any(ik.solve_from(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
                 return True
         return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Return the height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
+        """Return the height at which a thing that comes straight down meets something, see `CollisionChecker.rest_height`."""
         return self._obstacles.rest_height(qpos, thing, T_in_world, lowest)
 
-    def bench(self, world: SimWorld, stands: list[Stand], rng: np.random.Generator) -> Bench:
+    def planning_context(
+        self, world: SimWorld, postures: list[ArmPosture], rng: np.random.Generator
+    ) -> PlanningContext:
         """Return the bench of an attempt, with the arms at their start."""
         config, scene = self._config, self._scene
         hands = [
             Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
             for k, (side, arm, tools, stand) in enumerate(
-                zip(sides(config), scene.arms, self._tools, stands, strict=True)
+                zip(arm_sides(config), scene.arms, self._tools, postures, strict=True)
             )
         ]
         items = {item.name: item for item in config.task.objects}
-        acting, first = config.acting_scene_arms, config.rig.recorded.index(config.first_arm)
-        return Bench(scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick)
+        acting, first = config.acting_scene_arms, config.rig.recording_order.index(config.first_arm)
+        return PlanningContext(
+            scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick
+        )
 
 
-def sides(config: RecordConfig) -> tuple[str, ...]:
+def arm_sides(config: RecordConfig) -> tuple[str, ...]:
     """Return the sides of the scene's arms, in its order."""
-    return tuple(config.rig.arms[number].side for number in config.rig.recorded)
+    return tuple(config.rig.arms[number].side for number in config.rig.recording_order)
 
 
 def _hand_poses(place: Array) -> Iterator[Array]:

@@ -8,16 +8,16 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from ..attempt_data import WeldStates
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene, SceneArm
+from ..scene.compiled import ArmAddresses, CompiledScene
 from ..sim.cloth import ClothGrips
-from ..types import Holds
 
 
-class Grasp(Protocol):
+class GraspSimulator(Protocol):
     """Decides before every control tick what each hand holds during the tick."""
 
-    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """Return whether a constraint holds something in each arm's hand (arms,).
 
         Args:
@@ -28,18 +28,18 @@ class Grasp(Protocol):
         ...
 
 
-class FrictionGrasp:
+class FrictionGraspSimulator:
     """A grasp by friction alone, without constraints."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._none = (False,) * len(scene.arms)
 
-    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `Grasp`; `magnet` is ignored."""
         return self._none
 
 
-class WeldGrasp:
+class WeldGraspSimulator:
     """A magnet in each hand, which welds the nearest thing to the flange while commanded on.
 
     Args:
@@ -55,18 +55,18 @@ class WeldGrasp:
         self._geoms = np.flatnonzero((model.geom_contype != 0) & np.isin(roots, things))
         self._bodies = roots[self._geoms]
 
-    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `Grasp`."""
         return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
-    def _switch(self, data: mujoco.MjData, arm: SceneArm, on: bool) -> bool:
+    def _switch(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
         if arm.weld is None:
             return False
-        if on and not weld_holds(data, arm):
+        if on and not is_weld_active(data, arm):
             body, distance = self._nearest(data, data.site(f"{arm.prefix}pinch_site").xpos)
             on = self._reach is None or distance <= self._reach
             if on:
-                attach(self._scene.model, arm, data, body)
+                set_weld_pose(self._scene.model, arm, data, body)
         data.eq_active[arm.weld] = on
         return on
 
@@ -85,36 +85,36 @@ class WeldGrasp:
         return int(self._bodies[nearest]), float(distances[nearest])
 
 
-class ClothGrasp:
+class ClothGraspSimulator:
     """Constraints that hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid things."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._grips = ClothGrips(scene)
 
-    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `Grasp`; `magnet` is ignored."""
         return self._grips.update(data, ctrl)
 
 
-def grasp_of(scene: CompiledScene, magnet_reach: float | None) -> Grasp:
+def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:
     """Return the grasp of a scene: of cloth if it has cloth, by welds if its arms have welds, else by friction.
 
     Args:
-        magnet_reach: see `WeldGrasp`.
+        magnet_reach: see `WeldGraspSimulator`.
     """
     if scene.cloths:
-        return ClothGrasp(scene)
+        return ClothGraspSimulator(scene)
     if any(arm.weld is not None for arm in scene.arms):
-        return WeldGrasp(scene, magnet_reach)
-    return FrictionGrasp(scene)
+        return WeldGraspSimulator(scene, magnet_reach)
+    return FrictionGraspSimulator(scene)
 
 
-def weld_holds(data: mujoco.MjData, arm: SceneArm) -> bool:
+def is_weld_active(data: mujoco.MjData, arm: ArmAddresses) -> bool:
     """Return whether an arm's weld holds a thing."""
     return arm.weld is not None and bool(data.eq_active[arm.weld])
 
 
-def attach(model: mujoco.MjModel, arm: SceneArm, data: mujoco.MjData, body: int) -> None:
+def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData, body: int) -> None:
     """Write a body's present pose relative to the flange into an arm's weld, so that switching it on moves nothing.
 
     Args:

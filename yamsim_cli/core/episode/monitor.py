@@ -7,14 +7,14 @@ import math
 import mujoco
 import numpy as np
 
+from ..attempt_data import MotionMargins
+from ..scene.compilation import physics_failure
 from ..scene.compiled import CompiledScene
-from ..scene.compiling import breakdown
-from ..types import Margins
 
 CONTACT_STEPS = 8  # physics steps after which contacts are checked even if their number has not changed
 
 
-class Monitor:
+class StepMonitor:
     """Observes how near the arms come to their limits, and keeps the first fault of each kind.
 
     Attributes:
@@ -32,7 +32,7 @@ class Monitor:
         self._ctrl = np.concatenate([arm.arm_ctrl for arm in scene.arms])
         self._range = np.concatenate([arm.joint_range for arm in scene.arms])
         self._motor_speed = np.concatenate([arm.motor_speed for arm in scene.arms])
-        self._most_torque = np.concatenate([arm.most_torque for arm in scene.arms])
+        self._max_torque = np.concatenate([arm.max_torque for arm in scene.arms])
         # One row for every physics step of the present control tick.
         self._positions = np.empty((steps, scene.model.nq))
         self._velocities = np.empty((steps, scene.model.nv))
@@ -57,24 +57,24 @@ class Monitor:
         """Observe the state after a control tick's last physics step."""
         steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
         velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
-        forces = np.abs(self._forces[:steps, self._ctrl]) / self._most_torque
+        forces = np.abs(self._forces[:steps, self._ctrl]) / self._max_torque
         positions = self._positions[:steps, self._qpos]
         self._velocity = max(self._velocity, float(velocities.max()))
         self._torque = max(self._torque, float(forces.max()))
         self._stop_distance = min(self._stop_distance, float(np.minimum(positions - low, high - positions).min()))
         self._step = 0
-        if self.breakdown is None and (text := breakdown(data)):
+        if self.breakdown is None and (text := physics_failure(data)):
             # MuJoCo has reset its own clock, so the time is counted in steps.
             seconds = self._steps * float(self._model.opt.timestep)
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
-    def margins(self, slip: float | None = None, tilt: float | None = None) -> Margins:
+    def margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
         """Return how near the arms have come to their limits.
 
         Args:
             slip, tilt: see `Margins`.
         """
-        return Margins(self._velocity, self._torque, float(self._stop_distance), slip, tilt)
+        return MotionMargins(self._velocity, self._torque, float(self._stop_distance), slip, tilt)
 
     def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
@@ -87,7 +87,7 @@ class Monitor:
 STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be, because stops are soft in physics
 
 
-def limits_fault(margins: Margins) -> str | None:
+def describe_exceeded_limits(margins: MotionMargins) -> str | None:
     """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; else None."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
         return None

@@ -8,23 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..attempt_data import Attempt, AttemptJob, Layout
 from ..config.goals.world import TABLE
 from ..config.recording import RecordConfig
 from ..config.session import Session
 from ..config.variation import Variation
-from ..expert.planning.arm_tools import start_stands
-from ..files.documents.base import ConflictError
+from ..expert.planning.arm_solvers import start_postures
+from ..files.documents.config_base import ConflictError
 from ..geometry.se3 import Array, pose
-from ..scene.casting import BlockOf, Placed, draw_phrasing, draw_places
 from ..scene.compiled import CompiledScene
-from ..scene.randomness import Stream, generator
-from ..scene.sampled_variation import sample_variation
-from ..sim.cloth import crumpled
-from ..sim.settle import settle
-from ..sim.world import world_of
-from ..types import Attempt, EpisodeJob, Layout
-from .expert import sides
-from .rules import EpisodeRules
+from ..scene.random_streams import Stream, random_generator
+from ..scene.randomization_sampling import sample_variation
+from ..scene.start_sampling import BoundsOf, ObjectPlacement, sample_phrasing, sample_placements
+from ..sim.cloth import crumple
+from ..sim.settling import settle_objects
+from ..sim.sim_world import make_sim_world
+from .episode_rules import EpisodeRules
+from .expert import arm_sides
 from .simulator import Simulator, Simulators, open_episode
 
 MAX_DRAWS = 20  # count, draws of the start after which an attempt has no start, because the goal already held in each
@@ -36,22 +36,22 @@ SPARE_HEIGHT = 2.0  # m between things that wait above the table until they are 
 SPAWN_GAP = 2e-4  # m between a placed thing and its support, so that no contact exists before the first step
 
 
-def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
+def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
     """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
 
     A draw in which a thing still moves, such as a bottle that rocks, is used only if there is no other. The attempt has
-    no start if its things have no room or if its goal holds in every draw, see `no_start`.
+    no start if its things have no room or if its goal holds in every draw, see `describe_missing_start`.
     """
-    config, task, cast = simulator.config, simulator.config.task, simulator.cast
-    attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, job))
-    scene = simulator.varied(attempt)
+    config, task, cast = simulator.config, simulator.config.task, simulator.roles
+    attempt = Attempt(job, None, _variation(config, job), roles=cast, phrasing=sample_phrasing(task, job))
+    scene = simulator.set_variation(attempt)
     moving: Attempt | None = None
     for number in range(MAX_DRAWS):
-        places = draw_places(task, cast, _block_of(simulator), config.table, job, number)
+        places = sample_placements(task, cast, _block_of(simulator), config.table, job, number)
         if isinstance(places, str):
             break
-        settled = settle(scene, _placed(simulator, places), task.timing.timestep)
-        start = _crumpled(simulator, settled.qpos, generator(job, Stream.CRUMPLES, number))
+        settled = settle_objects(scene, _drop_objects(simulator, places), task.timing.timestep)
+        start = _crumple_cloths(simulator, settled.qpos, random_generator(job, Stream.CRUMPLES, number))
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
             poses = {name: episode.world.pose(name) for name in scene.things}
@@ -62,38 +62,38 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
     return moving or attempt
 
 
-def sampled_places(simulator: Simulator, job: EpisodeJob) -> dict[str, Placed] | str:
+def sample_object_placements(simulator: Simulator, job: AttemptJob) -> dict[str, ObjectPlacement] | str:
     """Return where an attempt's things are first placed, or the name of a thing that has no room."""
     config = simulator.config
-    return draw_places(config.task, simulator.cast, _block_of(simulator), config.table, job)
+    return sample_placements(config.task, simulator.roles, _block_of(simulator), config.table, job)
 
 
-def no_start(simulator: Simulator, attempt: Attempt) -> str:
+def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
     """Return why an attempt has no start, for a person."""
-    places = sampled_places(simulator, attempt.job)
+    places = sample_object_placements(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
     return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"
 
 
-def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
+def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
     if not config.randomization.parts:
         return Variation()
-    dofs = [config.rig.arms[number].robot.dof for number in config.rig.recorded]
+    dofs = [config.rig.arms[number].robot.dof for number in config.rig.recording_order]
     return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
-def _block_of(simulator: Simulator) -> BlockOf:
-    """Return the function that gives a thing's block, see `draw_places`."""
+def _block_of(simulator: Simulator) -> BoundsOf:
+    """Return the function that gives a thing's block, see `sample_placements`."""
     scene, replica = simulator.scene, simulator.replica
-    world = world_of(scene, replica.data, sides(simulator.config))
+    world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 
     @functools.cache
     def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
         qpos = scene.model.qpos0.copy()
         _set_openings(scene, qpos, name, dict(opened))
         replica.show(qpos)
-        return world.block(name)
+        return world.local_box(name)
 
     return lambda name, opened: block(name, tuple(opened.items()))
 
@@ -106,11 +106,11 @@ def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[
         qpos[joint.qposadr[0]] = low + share * (high - low)
 
 
-def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
+def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -> Array:
     """Return MuJoCo's positions (nq,) after each thing has been placed on its support in turn."""
     scene, top = simulator.scene, simulator.config.table.top
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
-    qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
+    qpos = scene.start_qpos(Layout(waiting), start_postures(simulator.config))
     for name, placed in places.items():
         _set_openings(scene, qpos, name, placed.open)
         T = placed.T.copy()
@@ -123,14 +123,14 @@ def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
     return qpos
 
 
-def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
+def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
     """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all lie flat."""
     task, scene = simulator.config.task, simulator.scene
     for role, how in task.starts.items():
-        for name in simulator.cast.of(role):
+        for name in simulator.roles.objects_of(role):
             if how.crumpled is not None and name in scene.cloths:
                 share = float(rng.uniform(*how.crumpled))
-                start = crumpled(scene, start, name, rng, share, task.timing.timestep)
+                start = crumple(scene, start, name, rng, share, task.timing.timestep)
     return start
 
 
@@ -138,7 +138,7 @@ def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> A
 _CHECKED_ATTEMPTS = 3
 
 
-def check_starts(session: Session) -> None:
+def require_start(session: Session) -> None:
     """Check that one of the first attempts of a task has a start.
 
     Raises:
@@ -148,12 +148,12 @@ def check_starts(session: Session) -> None:
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
         for number in range(_CHECKED_ATTEMPTS):
-            job = EpisodeJob(session.config.seed, number)
-            simulator = simulators.of(job)
-            attempt = sample(simulator, job)
+            job = AttemptJob(session.config.seed, number)
+            simulator = simulators.get(job)
+            attempt = sample_attempt(simulator, job)
             if attempt.layout is not None:
                 return
-            why = no_start(simulator, attempt)
+            why = describe_missing_start(simulator, attempt)
     message = f"{why}; none of the first {_CHECKED_ATTEMPTS} attempts of seed {session.config.seed} has a start"
     if why.startswith(HOLDS_ALREADY):
         raise ConflictError(message, ("task", "goal"))

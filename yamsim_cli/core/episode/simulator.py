@@ -6,26 +6,26 @@ import functools
 from collections import OrderedDict
 from collections.abc import Callable
 
-from ..closing import Closing
-from ..config.goals.cast import Cast
+from ..attempt_data import Attempt, AttemptJob
+from ..closable import Closable
+from ..config.goals.role_assignment import RoleAssignment
 from ..config.session import Session
 from ..errors import SimulationError
-from ..expert.planning.arm_tools import ArmTools, arm_tools
-from ..rendering.labels import SceneLabels, scene_labels
+from ..expert.planning.arm_solvers import ArmSolvers, make_arm_solvers
 from ..rendering.renderer import SceneRenderer
+from ..rendering.scene_labels import SceneLabels, scene_labels
 from ..scene.build import build_scene
-from ..scene.casting import draw_cast
 from ..scene.compiled import CompiledScene
+from ..scene.start_sampling import sample_roles
 from ..sim.placement import DistractorPlacer
-from ..sim.replica import Replica
-from ..types import Attempt, EpisodeJob
+from ..sim.state_replay import StateReplay
 from .episode import Episode, EpisodeGoal, OnStep
-from .expert import ExpertTools, sides
-from .rules import EpisodeRules
-from .varied_scene import VariedScene
+from .episode_rules import EpisodeRules
+from .expert import ExpertPlanner, arm_sides
+from .randomized_scene import RandomizedScene
 
 
-class Simulator(Closing):
+class Simulator(Closable):
     """A session's compiled scene, and what is made from it on demand: replica, the expert's tools and renderer.
 
     A simulator keeps no state of attempts. Close it or use it as a context manager, since it may own a renderer.
@@ -46,35 +46,38 @@ class Simulator(Closing):
     """
 
     def __init__(
-        self, session: Session, cast: Cast | None = None, tools: Callable[[], tuple[ArmTools, ...]] | None = None
+        self,
+        session: Session,
+        roles: RoleAssignment | None = None,
+        tools: Callable[[], tuple[ArmSolvers, ...]] | None = None,
     ) -> None:
-        if cast is None:
-            cast = session.config.task.typical_cast
-            session = played_session(session, cast)
+        if roles is None:
+            roles = session.config.task.typical_roles
+            session = session_for_roles(session, roles)
         self.session = session
         self.config = config = session.config
-        self.cast = cast
-        self._tools = tools or functools.partial(arm_tools, config.rig)
+        self.roles = roles
+        self._tools = tools or functools.partial(make_arm_solvers, config.rig)
         self.scene = build_scene(session)
         # These are made from the scene before its first variation.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
         self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
-        self.variations = VariedScene(config, self.scene)
+        self.randomized = RandomizedScene(config, self.scene)
         self._renderer: SceneRenderer | None = None
 
-    def varied(self, attempt: Attempt) -> CompiledScene:
+    def set_variation(self, attempt: Attempt) -> CompiledScene:
         """Return the scene with an attempt's variation; valid until the next call."""
-        return self.variations.of(attempt)
+        return self.randomized.apply(attempt)
 
     @functools.cached_property
-    def replica(self) -> Replica:
+    def replica(self) -> StateReplay:
         """A copy of the scene that takes on recorded states."""
-        return Replica(self.scene)
+        return StateReplay(self.scene)
 
     @functools.cached_property
-    def expert_tools(self) -> ExpertTools:
+    def expert_tools(self) -> ExpertPlanner:
         """The expert's planning tools; making them reads files."""
-        return ExpertTools(self.config, self.scene, self._tools())
+        return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
         """Make now what reads files, in case the files are gone at the first attempt."""
@@ -99,7 +102,7 @@ class Simulator(Closing):
             self._renderer = None
 
 
-def played_session(session: Session, cast: Cast) -> Session:
+def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
     """Return the session with only the things of a cast, and with start regions in `world`.
 
     Raises:
@@ -107,7 +110,7 @@ def played_session(session: Session, cast: Cast) -> Session:
     """
     task = session.config.task
     try:
-        played = task.played_by(cast)
+        played = task.with_objects_of(roles)
     except ValueError as error:
         # A dataset's task: its things could be made in their sizes when it was recorded.
         raise SimulationError(f"task {task.name!r}: {error}") from error
@@ -127,43 +130,43 @@ _MAX_SIMULATORS = 4
 _Key = tuple[tuple[str, str, float], ...]
 
 
-def cast_for(session: Session, job: EpisodeJob) -> Cast:
+def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
     """Return which thing plays which role in an attempt."""
-    return draw_cast(session.config.task, job)
+    return sample_roles(session.config.task, job)
 
 
-def simulator_for(session: Session, job: EpisodeJob) -> Simulator:
+def simulator_for(session: Session, job: AttemptJob) -> Simulator:
     """Return a new simulator for the things of an attempt.
 
     Raises:
         SimulationError: its scene cannot be compiled, or a thing cannot be made in its size.
     """
-    cast = cast_for(session, job)
-    return Simulator(played_session(session, cast), cast)
+    cast = sample_roles_for(session, job)
+    return Simulator(session_for_roles(session, cast), cast)
 
 
-class Simulators(Closing):
+class Simulators(Closable):
     """Makes simulators and keeps the most recently used. Close it, or use it as a context manager."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self._simulators: OrderedDict[_Key, Simulator] = OrderedDict()
-        self._tools = functools.cache(functools.partial(arm_tools, session.config.rig))
+        self._tools = functools.cache(functools.partial(make_arm_solvers, session.config.rig))
 
-    def of(self, job: EpisodeJob) -> Simulator:
+    def get(self, job: AttemptJob) -> Simulator:
         """Return the simulator of an attempt; valid until the next call.
 
         Raises:
             SimulationError: its scene cannot be compiled.
         """
-        cast = cast_for(self.session, job)
-        key = tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
+        cast = sample_roles_for(self.session, job)
+        key = tuple((name, cast.config_names[name], cast.scale_factors.get(name, 1.0)) for name in cast.config_names)
         if key in self._simulators:
             self._simulators.move_to_end(key)
             return self._simulators[key]
         while len(self._simulators) >= _MAX_SIMULATORS:
             self._simulators.popitem(last=False)[1].close()
-        made = self._simulators[key] = Simulator(played_session(self.session, cast), cast, self._tools)
+        made = self._simulators[key] = Simulator(session_for_roles(self.session, cast), cast, self._tools)
         return made
 
     def close(self) -> None:
@@ -180,6 +183,6 @@ def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on
     """
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
-    goal = EpisodeGoal(task.goal, simulator.cast, task.hold_ticks)
-    scene = simulator.varied(attempt)
-    return Episode(scene, attempt.start, task.timing, sides(simulator.config), goal, rules, on_step=on_step)
+    goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)
+    scene = simulator.set_variation(attempt)
+    return Episode(scene, attempt.start, task.timing, arm_sides(simulator.config), goal, rules, on_step=on_step)

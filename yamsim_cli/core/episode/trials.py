@@ -10,31 +10,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..closing import Closing
+from ..attempt_data import AttemptJob, AttemptPayload, FailureCause
+from ..closable import Closable
 from ..config.program_task import ProgramTask
 from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..config.session import Session
-from ..dataset.records import MarginsRecord, OutcomeRecord, attempt_record, plain
+from ..dataset.records import MarginsRecord, OutcomeRecord, attempt_record, record_data
 from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
-from ..files.writing import move_aside
+from ..files.writing import move_to_backup
 from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
-from ..rendering.views import label
-from ..statistics import spread, wilson95
-from ..types import Cause, EpisodeJob, EpisodePayload
-from ..workers.executor import Executor, Factory, J, LostJobError, run_all
-from ..workers.processes import WorkerPool
-from .engine import Simulated, demonstrate
-from .payload import render
-from .rules import EXPERT_RULES
-from .runner import EpisodeRunner
-from .sampling import sample
+from ..rendering.view_cameras import draw_labels
+from ..statistics import summarize_values, wilson95
+from ..workers.executors import Executor, Factory, J, LostJobError, run_all
+from ..workers.process_pool import ProcessPool
+from .attempt_payload import render_cameras
+from .episode_rules import EXPERT_RULES
+from .execution import SimulatedAttempt, demonstrate
+from .runner import AttemptRunner
+from .sampling import sample_attempt
 from .simulator import Simulator, Simulators
 
 R = TypeVar("R")
 
-_NEVER_MOVED = (Cause.NO_LAYOUT, Cause.UNREACHABLE)  # causes of trials that end before anything moves
+_NEVER_MOVED = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # causes of trials that end before anything moves
 _JPEG_QUALITY = 95  # of frames from a worker to the film: hardly any loss beside the film's own
 
 
@@ -53,9 +53,9 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
     began = time.monotonic()
     config = session.config
     n = config.episodes
-    factory = functools.partial(EpisodeRunner, session.without_meshes(), render=False)
+    factory = functools.partial(AttemptRunner, session.without_meshes(), render=False)
     workers = min(config.workers, n)
-    with WorkerPool[EpisodeJob, EpisodePayload](factory, workers) as pool:
+    with ProcessPool[AttemptJob, AttemptPayload](factory, workers) as pool:
         payloads = run_trials(pool, config.seed, n, progress)
     seconds = time.monotonic() - began
 
@@ -63,14 +63,14 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
     records = [attempt_record(payload, None) for payload in payloads]
     trials = []
     for record in records:
-        trial = plain(record)
+        trial = record_data(record)
         trial["trial"] = trial.pop("attempt")
         del trial["episode"]
         trials.append(trial)
     return {
-        **tally([record.outcome for record in records], config.task, thresholds, [True] * n),
+        **count_outcomes([record.outcome for record in records], config.task, thresholds, [True] * n),
         "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
-        **what_ran(config),
+        **describe_run(config),
         "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
@@ -94,7 +94,7 @@ def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
 
 
 def run_trials(
-    pool: Executor[EpisodeJob, R],
+    pool: Executor[AttemptJob, R],
     seed: int,
     n: int,
     progress: Progress,
@@ -110,7 +110,7 @@ def run_trials(
     """
     results: list[R] = []
     try:
-        for _, result in run_all(pool, (EpisodeJob(seed, number) for number in range(n)), lost):
+        for _, result in run_all(pool, (AttemptJob(seed, number) for number in range(n)), lost):
             results.append(result)
             progress(len(results), n)
     except KeyboardInterrupt:
@@ -120,18 +120,18 @@ def run_trials(
     return results
 
 
-def what_ran(config: RecordConfig) -> dict[str, Any]:
+def describe_run(config: RecordConfig) -> dict[str, Any]:
     """What trials were run with, JSON-ready: rig, task, grasp, arms (those that act), seed."""
     return {
         "rig": config.rig.name,
         "task": config.task.name,
         "grasp": config.grasp,
-        "arms": [config.rig.arms[k].side for k in config.acting],
+        "arms": [config.rig.arms[k].side for k in config.acting_indices],
         "seed": config.seed,
     }
 
 
-def tally(
+def count_outcomes(
     outcomes: Sequence[OutcomeRecord], task: ProgramTask, thresholds: Sequence[float], valid: Sequence[bool]
 ) -> dict[str, Any]:
     """Counts and rates of outcomes, JSON-ready.
@@ -149,7 +149,7 @@ def tally(
     target = task.target_predicate
 
     def rate(threshold: float) -> float:
-        within = (outcome.within(threshold) for outcome in outcomes)
+        within = (outcome.is_within(threshold) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
     return {
@@ -159,22 +159,22 @@ def tally(
         "wilson95": wilson95(succeeded, n),
         "threshold_m": target and target.radius,
         "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
-        "dxy_m": spread([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
+        "dxy_m": summarize_values([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
         "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),
     }
 
 
-def require_success(counts: Mapping[str, Any], least: float | None) -> None:
-    """Raise SimulationError if less than the share `least` of trials succeeded; None accepts any share.
+def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
+    """Raise SimulationError if less than the share `minimum` of trials succeeded; None accepts any share.
 
     Args:
         counts: what `tally` returns.
     """
-    if least is not None and counts["success_rate"] < least:
+    if minimum is not None and counts["success_rate"] < minimum:
         raise SimulationError(
             f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
-            f"--min-success asks for {least:g}"
+            f"--min-success asks for {minimum:g}"
         )
 
 
@@ -186,15 +186,15 @@ class FilmedTrial:
     path: Path
 
 
-class TrialFilmer(Closing):
+class TrialFilmer(Closable):
     """Renders simulated trials; a context manager that closes the renderer."""
 
     def __init__(self, session: Session) -> None:
         self._simulators = Simulators(session)
 
-    def _film(self, simulator: Simulator, done: Simulated) -> list[bytes]:
+    def _film(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
         """The trial's frames as JPEGs; empty if nothing moved."""
-        shown = (render(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
+        shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 
     def close(self) -> None:
@@ -205,10 +205,10 @@ class TrialFilmer(Closing):
 class _ExpertFilmer(TrialFilmer):
     """Simulates the expert's trials again, and renders them whatever their outcome."""
 
-    def run(self, job: EpisodeJob) -> list[bytes]:
+    def run(self, job: AttemptJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        simulator = self._simulators.of(job)
-        return self._film(simulator, demonstrate(simulator, sample(simulator, job)))
+        simulator = self._simulators.get(job)
+        return self._film(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
 
 
 class TrialFilms:
@@ -228,46 +228,48 @@ class TrialFilms:
         self.path = path
         self._period = frame_period
         self._overwrite = overwrite
-        self._reel = VideoWriter(path, frame_period, overwrite=overwrite) if path.suffix.lower() == ".mp4" else None
+        self._single_video = (
+            VideoWriter(path, frame_period, overwrite=overwrite) if path.suffix.lower() == ".mp4" else None
+        )
         self.moved_aside: Path | None = None
-        if not self._reel and path.exists() and not overwrite and (not path.is_dir() or any(path.iterdir())):
+        if not self._single_video and path.exists() and not overwrite and (not path.is_dir() or any(path.iterdir())):
             raise UsageError(f"{path} is not empty; move it aside with --overwrite, or choose another --video")
 
     def write(self, trials: Iterator[tuple[dict[str, Any], list[bytes]]]) -> list[FilmedTrial]:
         """Write trials and their frames, in order; raises ResourceError if the disk refuses."""
-        if self._reel:
-            with self._reel as video:
-                shown = [_add(video, trial, frames) for trial, frames in trials]
-            self.moved_aside = self._reel.moved_aside
+        if self._single_video:
+            with self._single_video as video:
+                shown = [_write_frames(video, trial, frames) for trial, frames in trials]
+            self.moved_aside = self._single_video.moved_aside
             return [FilmedTrial(number, self.path) for number in shown]
         self._make_folder()
         films = []
         for trial, frames in trials:
-            path = self.path / f"trial_{trial['trial']:06d}_{_ending(trial)}.mp4"
+            path = self.path / f"trial_{trial['trial']:06d}_{_outcome_suffix(trial)}.mp4"
             with VideoWriter(path, self._period) as video:
-                films.append(FilmedTrial(_add(video, trial, frames), path))
+                films.append(FilmedTrial(_write_frames(video, trial, frames), path))
         return films
 
     def _make_folder(self) -> None:
         try:
             if self._overwrite and self.path.exists():
-                self.moved_aside = move_aside(self.path)
+                self.moved_aside = move_to_backup(self.path)
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ResourceError(f"{self.path} cannot be made: {error.strerror}; choose another --video") from error
 
 
-def _ending(trial: Mapping[str, Any]) -> str:
+def _outcome_suffix(trial: Mapping[str, Any]) -> str:
     return str(trial["outcome"]["cause"] or "success")
 
 
-def _add(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence[bytes]) -> int:
+def _write_frames(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence[bytes]) -> int:
     number = int(trial["trial"])
     for data in frames:
         image = decode_jpeg(data)
         if image is None:
             raise SimulationError(f"a frame of trial {number} was damaged on its way from the worker")
-        video.write(label(image, {}, f"trial {number}: {_ending(trial).replace('_', ' ')}"))
+        video.write(draw_labels(image, {}, f"trial {number}: {_outcome_suffix(trial).replace('_', ' ')}"))
     return number
 
 
@@ -288,7 +290,7 @@ def film_trials(
     if not chosen:
         return []
     factory = functools.partial(_ExpertFilmer, session)
-    jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
+    jobs = [AttemptJob(trial["seed"], trial["trial"]) for trial in chosen]
     return film_jobs(factory, chosen, jobs, films, session.config.workers, progress)
 
 
@@ -302,7 +304,7 @@ def film_jobs(
 ) -> list[FilmedTrial]:
     """Film trials, whose frames come from as many jobs, at least one. Raises as `film_trials`."""
     try:
-        with WorkerPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
+        with ProcessPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
             return films.write(_with_frames(trials, jobs, pool, progress))
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None

@@ -30,7 +30,7 @@ def _built_in() -> Path:
     return packaged if packaged.is_dir() else _PACKAGE.parent
 
 
-def config_place(kind: str) -> str:
+def config_path_pattern(kind: str) -> str:
     """Path of the configs of a kind below a data root, with `*` for the name."""
     return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
@@ -82,7 +82,7 @@ class Locations:
 
     def config_names(self, kind: str) -> list[str]:
         """Names of the configs of one kind (`rigs`, `tasks`, `robots`, ...), sorted."""
-        place = config_place(kind)
+        place = config_path_pattern(kind)
         depth = place.split("/").index("*") if kind in _PLACES else -1
         found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
         names = {name.removesuffix(".yaml") for name in found}
@@ -116,7 +116,7 @@ class Locations:
             valid = suggest(name, self.config_names(kind))
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
-        return self.file(config_place(kind).replace("*", chosen))
+        return self.file(config_path_pattern(kind).replace("*", chosen))
 
     def _prefixed(self, kind: str, name: str) -> str | None:
         """The only config named by a number and `name` (`013_apple`), or else `kitchen_` and `name`; or None."""

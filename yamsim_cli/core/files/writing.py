@@ -117,14 +117,14 @@ def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_fold
             folder.mkdir(parents=True, exist_ok=True)
         write_files(files)
     except OSError as error:
-        kept = _keep({path.name: data for path, data in files.items()})
+        kept = _save_to_temporary({path.name: data for path, data in files.items()})
         raise ResourceError(
-            f"{folder if len(files) > 1 else next(iter(files))} cannot be written: {refusal(error, folder)}; "
+            f"{folder if len(files) > 1 else next(iter(files))} cannot be written: {describe_refusal(error, folder)}; "
             f"choose another {flag}" + (f". The result is kept in {kept}" if kept else "")
         ) from error
 
 
-def _keep(files: Mapping[str, bytes]) -> Path | None:
+def _save_to_temporary(files: Mapping[str, bytes]) -> Path | None:
     """Save a result in a new temporary folder; None if that fails too."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="yamsim-"))
@@ -222,7 +222,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
         OSError: the tree could not be written; nothing appeared under `final`.
     """
     final = _named(final)
-    _require_elsewhere(final)
+    _refuse_own_directory(final)
     _remove_stale(final.parent, re.compile(rf"\.{re.escape(final.name)}\.[0-9a-f]{{32}}\.part"))
 
     def make() -> Path:
@@ -230,7 +230,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
         path.mkdir()
         return path
 
-    with _held(make) as path:
+    with _locked_folder(make) as path:
         yield from _filled(StagedDirectory(path), final, overwrite=overwrite)
 
 
@@ -241,7 +241,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
         if final.is_dir() and not any(final.iterdir()):
             final.rmdir()
         if overwrite and os.path.lexists(final):
-            stage.moved_aside = move_aside(final)
+            stage.moved_aside = move_to_backup(final)
         # rename(2) refuses a non-empty target, and silently replaces a file.
         if final.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(final))
@@ -256,7 +256,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
 def scratch_directory(prefix: str) -> Iterator[Path]:
     """A new temporary folder for the block; folders of killed processes are removed first."""
     _remove_stale(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
-    with _held(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
+    with _locked_folder(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
         try:
             yield folder
         finally:
@@ -264,7 +264,7 @@ def scratch_directory(prefix: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def _held(make: Callable[[], Path]) -> Iterator[Path]:
+def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
     """A new folder, locked for the block as a sign that a living process uses it."""
     while True:
         folder = make()
@@ -318,7 +318,7 @@ def nearest_directory(path: Path) -> Path:
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
 
-def obstacle(path: Path) -> str | None:
+def why_not_directory(path: Path) -> str | None:
     """Why no directory can be made at `path`, such as `it is a file`; None if no reason is known."""
     try:
         path.lstat()
@@ -336,9 +336,9 @@ def obstacle(path: Path) -> str | None:
     return None
 
 
-def refusal(error: OSError, path: Path) -> str:
+def describe_refusal(error: OSError, path: Path) -> str:
     """Why a directory cannot be made or filled at `path`: an error of the system as a clause."""
-    found = obstacle(path) if error.errno in _PATH_ERRORS else None
+    found = why_not_directory(path) if error.errno in _PATH_ERRORS else None
     return found or error.strerror or str(error)
 
 
@@ -347,7 +347,7 @@ def _named(path: Path) -> Path:
     return path.resolve() if path.name in ("", "..") else path
 
 
-def _require_elsewhere(path: Path) -> None:
+def _refuse_own_directory(path: Path) -> None:
     """Raise UsageError if `path` is this process's directory, or contains it."""
     if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
         raise UsageError(
@@ -355,7 +355,7 @@ def _require_elsewhere(path: Path) -> None:
         )
 
 
-def move_aside(path: Path) -> Path:
+def move_to_backup(path: Path) -> Path:
     """Rename `path` to the first free `<name>.old-<n>` beside it, and return that.
 
     Raises:
@@ -363,7 +363,7 @@ def move_aside(path: Path) -> Path:
         OSError: `path` cannot be renamed.
     """
     path = _named(path)
-    _require_elsewhere(path)
+    _refuse_own_directory(path)
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():
         number += 1

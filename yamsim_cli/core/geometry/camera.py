@@ -48,7 +48,7 @@ class CameraModel:
         K: the camera matrix, row by row.
         distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
         focal_sigma: relative standard deviation of the focal length; a careful calibration gives 0.003.
-        doubt: for an estimated camera, the covariance (4, 4), row by row, of the logarithm of the focal length, the
+        intrinsics_covariance: for an estimated camera, the covariance (4, 4), row by row, of the logarithm of the focal length, the
             principal point (in focal lengths, right and down) and `k1`; empty if only `focal_sigma` is known.
     """
 
@@ -57,7 +57,7 @@ class CameraModel:
     K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     distortion: tuple[float, ...] = ()
     focal_sigma: float = 0.003
-    doubt: tuple[tuple[float, ...], ...] = ()
+    intrinsics_covariance: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
     def pinhole(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
@@ -71,9 +71,13 @@ class CameraModel:
         return math.sqrt(self.K[0][0] * self.K[1][1])
 
     @property
-    def mistakes(self) -> Array:
+    def intrinsics_cholesky(self) -> Array:
         """The Cholesky factor of the covariance: (4, 4) of `doubt`, or (1, 1) of the focal length's logarithm."""
-        return np.linalg.cholesky(np.array(self.doubt)) if self.doubt else np.array([[self.focal_sigma]])
+        return (
+            np.linalg.cholesky(np.array(self.intrinsics_covariance))
+            if self.intrinsics_covariance
+            else np.array([[self.focal_sigma]])
+        )
 
     def scaled(self, factor: float) -> CameraModel:
         """The camera of images resized by `factor`."""
@@ -81,7 +85,7 @@ class CameraModel:
         shift = (factor - 1) / 2
         K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
         size = (round(self.width * factor), round(self.height * factor))
-        return CameraModel(*size, K, self.distortion, self.focal_sigma, self.doubt)
+        return CameraModel(*size, K, self.distortion, self.focal_sigma, self.intrinsics_covariance)
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:

@@ -47,7 +47,7 @@ class LeastSquares(ABC, Generic[S, L]):
     """A least-squares problem over states of type S."""
 
     @abstractmethod
-    def linearized(self, state: S, before: L | None) -> L | None:
+    def linearize(self, state: S, before: L | None) -> L | None:
         """The linearized problem at a state, or None where the problem is undefined there.
 
         Args:
@@ -55,11 +55,11 @@ class LeastSquares(ABC, Generic[S, L]):
         """
 
     @abstractmethod
-    def moved(self, state: S, step: Array) -> S:
+    def apply_step(self, state: S, step: Array) -> S:
         """The state that a step (..., k) leads to."""
 
     @abstractmethod
-    def settled(self, state: S, known: L, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: S, known: L, step: Array, gain: Array) -> bool:
         """Whether to stop.
 
         Args:
@@ -68,27 +68,27 @@ class LeastSquares(ABC, Generic[S, L]):
             gain: reduction of the cost by that step (...); negative where the step was undone.
         """
 
-    def better_of(self, better: NDArray[np.bool_], there: tuple[S, L], here: tuple[S, L]) -> tuple[S, L]:
+    def select_better(self, better: NDArray[np.bool_], there: tuple[S, L], here: tuple[S, L]) -> tuple[S, L]:
         """The new state where it is `better` (...), else the old one. Override this method for many problems."""
         return there if better else here
 
 
-def descend(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
+def solve_least_squares(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
     """The best state found from a first one, and the problem there; None if the problem is undefined at the first."""
-    known = problem.linearized(state, None)
+    known = problem.linearize(state, None)
     if known is None:
         return None
     damping = np.full(np.shape(known.cost), _FIRST)
     for _ in range(most_steps):
         step = _damped_step(known.normal, known.gradient, damping)
-        there = problem.moved(state, step)
-        trial = problem.linearized(there, known)
+        there = problem.apply_step(state, step)
+        trial = problem.linearize(there, known)
         gain = np.asarray(-np.inf if trial is None else np.subtract(known.cost, trial.cost))
         better = gain > 0
         if trial is not None:
-            state, known = problem.better_of(better, (there, trial), (state, known))
+            state, known = problem.select_better(better, (there, trial), (state, known))
         damping = np.where(better, np.maximum(damping * _SHRINK, _LEAST), damping * _GROW)
-        if problem.settled(state, known, step, gain) or (damping > _MOST).all():
+        if problem.is_converged(state, known, step, gain) or (damping > _MOST).all():
             break
     return state, known
 

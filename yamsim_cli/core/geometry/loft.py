@@ -36,14 +36,14 @@ def loft(loops: Sequence[Array]) -> Surface:
         faces += _strip(1 + k * count, 1 + (k + 1) * count, count)
     top = 1 + (len(loops) - 1) * count
     faces.append(np.stack([np.full(count, len(vertices) - 1), top + around, top + following], axis=1))
-    return welded(vertices, np.concatenate(faces))
+    return weld_vertices(vertices, np.concatenate(faces))
 
 
-def ring(loops: Sequence[Array]) -> Surface:
+def loft_closed(loops: Sequence[Array]) -> Surface:
     """A closed surface through loops of points (k, 3), the last one joined to the first."""
     count, size = len(loops), len(loops[0])
     faces = [strip for k in range(count) for strip in _strip(k * size, (k + 1) % count * size, size)]
-    return welded(np.concatenate(loops), np.concatenate(faces))
+    return weld_vertices(np.concatenate(loops), np.concatenate(faces))
 
 
 def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
@@ -56,7 +56,7 @@ def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
     ]
 
 
-def welded(vertices: Array, faces: ArrayLike) -> Surface:
+def weld_vertices(vertices: Array, faces: ArrayLike) -> Surface:
     """The surface with equal points merged, without the triangles that lose a corner by that."""
     _, kept, index = np.unique(np.round(vertices / _POINT), axis=0, return_index=True, return_inverse=True)
     whole = index.reshape(-1)[np.asarray(faces)]
@@ -64,7 +64,7 @@ def welded(vertices: Array, faces: ArrayLike) -> Surface:
     return vertices[kept], whole[left].astype(np.int32)
 
 
-def joined(surfaces: Iterable[Surface]) -> Surface:
+def concatenate_surfaces(surfaces: Iterable[Surface]) -> Surface:
     """Several surfaces as one; vertices are not merged."""
     vertices, faces, count = list[Array](), list[Faces](), 0
     for points, triangles in surfaces:
@@ -74,13 +74,13 @@ def joined(surfaces: Iterable[Surface]) -> Surface:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def moved(surface: Surface, by: ArrayLike, turn: ArrayLike | None = None) -> Surface:
+def transform_surface(surface: Surface, by: ArrayLike, turn: ArrayLike | None = None) -> Surface:
     """The surface rotated by (3, 3), then translated by (3,), m."""
     vertices = surface[0] if turn is None else surface[0] @ np.asarray(turn).T
     return vertices + np.asarray(by), surface[1]
 
 
-def turned(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.0) -> Surface:
+def revolve(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.0) -> Surface:
     """The surface of revolution of a profile about the z axis.
 
     Args:
@@ -94,7 +94,7 @@ def turned(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.0
     return loft([np.column_stack([r * ring, np.full(segments, z)]) for r, z in np.asarray(profile, float)])
 
 
-def outline(half_x: float, half_y: float, corner: float, z: float, per_corner: int = 6) -> Array:
+def rounded_rectangle(half_x: float, half_y: float, corner: float, z: float, per_corner: int = 6) -> Array:
     """A rectangle with round corners at height z: points (4 * per_corner, 3), m, anticlockwise from above."""
     corner = max(min(corner, half_x, half_y), 0.0)
     angle = np.linspace(0, np.pi / 2, per_corner)
@@ -151,7 +151,7 @@ def arc(centre: tuple[float, float], radius: float, start_deg: float, end_deg: f
     return np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def thickened(inside: ArrayLike, wall: float) -> Array:
+def shell_profile(inside: ArrayLike, wall: float) -> Array:
     """The profile (2 n + k, 2) of a shell with a round rim, for `turned`.
 
     Args:

@@ -12,7 +12,7 @@ from .image import Image
 WHITE = 255
 
 
-def dictionary_of(name: str) -> cv2.aruco.Dictionary:
+def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
     """OpenCV's predefined dictionary by its name, such as "DICT_6X6_250".
 
     Raises:
@@ -33,7 +33,7 @@ def marker_cells(board: Board) -> Image:
         ConfigError: OpenCV has no such dictionary, or the dictionary has no such ids.
     """
     try:
-        dictionary = dictionary_of(board.dictionary)
+        dictionary = aruco_dictionary(board.dictionary)
     except ConfigError as error:
         raise ConfigError(f"board {board.name!r}: {error}") from error
     known = len(dictionary.bytesList)

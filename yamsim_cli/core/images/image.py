@@ -21,16 +21,16 @@ class ImageHeader:
 
 
 @dataclass(frozen=True)
-class ImageLook:
+class ImageStats:
     """Measures of a decoded image.
 
     Attributes:
         brightness, contrast: mean and standard deviation of a smaller grey version, 0..255.
         fingerprint: a number that is equal for equal pictures.
-        complaint: the decoder's message; "" for a whole image.
+        decoder_warning: the decoder's message; "" for a whole image.
     """
 
     brightness: float
     contrast: float
     fingerprint: int
-    complaint: str = ""
+    decoder_warning: str = ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from .image import Image
-from .png import whole_png
+from .png import is_complete_png
 
 Mask = NDArray[np.bool_]
 
@@ -37,7 +37,7 @@ def read_image(path: Path) -> Image:
 
 def decode_image(data: bytes) -> Image | None:
     """The RGB image (height, width, 3) of a PNG or JPEG, turned upright by its EXIF data; None for damaged data."""
-    if not _whole(data):
+    if not _is_complete(data):
         return None
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -57,14 +57,14 @@ def read_mask(path: Path) -> Mask:
     return inside
 
 
-def grey_of(image: Image) -> Image:
+def to_grey(image: Image) -> Image:
     """The brightness (height, width) of an RGB image."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
-def _whole(data: bytes) -> bool:
+def _is_complete(data: bytes) -> bool:
     """Whether an image's file is complete: decoders would fill in missing parts with grey."""
     if data.startswith(b"\xff\xd8"):
         # Cameras append previews and notes after the end marker.
         return data.rfind(b"\xff\xd9") > len(data) // 2
-    return whole_png(data)
+    return is_complete_png(data)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ..errors import SimulationError
-from .image import Image, ImageHeader, ImageLook
+from .image import Image, ImageHeader, ImageStats
 from .png import decode_labels
 
 # Brightness and contrast are measured on a reduced image, in which noise is averaged away.
@@ -81,7 +81,7 @@ class JpegReader:
         """See `jpeg_header`."""
         return jpeg_header(data)
 
-    def look(self, data: bytes) -> ImageLook | None:
+    def measure(self, data: bytes) -> ImageStats | None:
         """Measures of the image; None if it cannot be decoded."""
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -92,7 +92,7 @@ class JpegReader:
         size = (max(1, grey.shape[1] // reduction), max(1, grey.shape[0] // reduction))
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         mean, deviation = cv2.meanStdDev(small)
-        return ImageLook(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), complaint)
+        return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), complaint)
 
     def labels(self, data: bytes) -> Image | None:
         """See `decode_labels`."""

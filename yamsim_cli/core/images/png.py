@@ -73,7 +73,7 @@ def encode_labels(labels: Image) -> bytes:
 
 def decode_labels(data: bytes) -> Image | None:
     """A segmentation image (height, width) of uint8 from its PNG; None for other or damaged data."""
-    if not whole_png(data) or len(data) < _HEADER_OFFSET + _HEADER.size:
+    if not is_complete_png(data) or len(data) < _HEADER_OFFSET + _HEADER.size:
         return None
     width, height, bits, colour = _HEADER.unpack_from(data, _HEADER_OFFSET)
     if not 0 < width * height <= _MOST_PIXELS or (bits, colour) != (8, 0):
@@ -85,7 +85,7 @@ def decode_labels(data: bytes) -> Image | None:
     return None if image is None else np.asarray(image, np.uint8)
 
 
-def whole_png(data: bytes) -> bool:
+def is_complete_png(data: bytes) -> bool:
     """Whether the data is a PNG whose chunks all have the right checksum. Source: PNG specification, 5.3.
 
     The decoder reports damage on the process's stderr only.

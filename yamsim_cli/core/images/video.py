@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DatasetError, ResourceError, SimulationError, UsageError
-from ..files.writing import move_aside, publish_file
+from ..files.writing import move_to_backup, publish_file
 from .image import Image
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Matrix:
+class ColorMatrix:
     """A conversion of RGB to luma and two colour differences, in limited range.
 
     Attributes:
@@ -42,16 +42,16 @@ class Matrix:
 
 
 # The matrix that players assume for an untagged H.264 stream. Source: ITU-R BT.709, 3.2.
-BT709 = Matrix(0.2126, 0.0722, 1)
+BT709 = ColorMatrix(0.2126, 0.0722, 1)
 # The matrix that decoders for training assume if they ignore the tag. Source: ITU-R BT.601, 2.5.1.
-BT601 = Matrix(0.299, 0.114, 6)
+BT601 = ColorMatrix(0.299, 0.114, 6)
 
 # Y, Cb and Cr of black, and the ranges of luma and colours. Source: ITU-R BT.709, 3.4 and 3.5; BT.601 has the same.
 _OFFSET = np.array([16.0, 128.0, 128.0])
 _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 
 
-def yuv420(image: Image, matrix: Matrix) -> NDArray[np.uint8]:
+def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
     """The planes Y, Cb and Cr of an RGB image, (3 / 2 height, width); an odd side gets its last row or column twice.
 
     FFmpeg's own conversion is not used: its result depends on how the memory happens to be aligned.
@@ -66,7 +66,7 @@ def yuv420(image: Image, matrix: Matrix) -> NDArray[np.uint8]:
     return rounded
 
 
-def _rows(matrix: Matrix) -> NDArray[np.float64]:
+def _rows(matrix: ColorMatrix) -> NDArray[np.float64]:
     """The matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
     luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
     return np.array(
@@ -185,7 +185,7 @@ class VideoWriter:
         *,
         overwrite: bool = False,
         key_frame_interval: int | None = None,
-        matrix: Matrix = BT709,
+        matrix: ColorMatrix = BT709,
     ) -> None:
         if not frame_period > 0:
             raise ValueError(f"frame_period must be above 0, not {frame_period}")
@@ -254,7 +254,7 @@ class VideoWriter:
             self._container.close()
             self._check_path()
             if self.path.exists():
-                self.moved_aside = move_aside(self.path)
+                self.moved_aside = move_to_backup(self.path)
             publish_file(self._part, self.path)
         except OSError as error:
             raise self._unwritable(error) from error

@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_name
+from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_name
 from ..geometry.camera import opencv_from_mujoco, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
-from ..scene.cloth import triangles
-from .labels import Keypoint, LabelledCloth, SceneLabels
+from ..scene.cloth import grid_triangles
 from .renderer import SceneRenderer
+from .scene_labels import LabelledCloth, LabelledKeypoint, SceneLabels
 
 Depth = NDArray[np.uint16]
 
@@ -31,7 +31,7 @@ class FrameTruth:
     Attributes:
         depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
         labels: the label seen at each pixel (height, width), see `SceneLabels`.
-        arrays: all other arrays by key, see `dataset.truth_files.array_forms`, without the axis of frames.
+        arrays: all other arrays by key, see `dataset.truth_files.array_specs`, without the axis of frames.
     """
 
     depth_mm: Depth
@@ -44,13 +44,13 @@ def measure_frame(
 ) -> FrameTruth:
     """The ground truth of a camera's picture; `data` holds all positions, as for rendering it."""
     labels, distance = renderer.label(data, camera, scene.of_geom, scene.of_flex)
-    depth = whole_mm(distance)
+    depth = depth_in_mm(distance)
     K = renderer.intrinsics(camera).K
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
     T_world_in_cam = inverse(T_cam_in_world)
     boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
-    sheets = [see_cloth(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
+    sheets = [measure_cloth(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
     corners = [(sheet.places, sheet.depths, sheet.visibility) for sheet in sheets]
     points = (_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
     places, depths, visibility = (np.concatenate(parts) for parts in zip(*points, strict=True))
@@ -71,7 +71,7 @@ def measure_frame(
     return FrameTruth(depth, labels, arrays)
 
 
-def whole_mm(distance: NDArray[np.float32]) -> Depth:
+def depth_in_mm(distance: NDArray[np.float32]) -> Depth:
     """Distances z (height, width) of a renderer, m, as whole mm; 0 for nothing, or beyond 65 m."""
     millimetres = np.rint(distance * 1000.0)
     return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
@@ -105,7 +105,12 @@ def instance_boxes(
 
 
 def _keypoints(
-    points: tuple[Keypoint, ...], data: mujoco.MjData, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: Depth
+    points: tuple[LabelledKeypoint, ...],
+    data: mujoco.MjData,
+    T_world_in_cam: Array,
+    K: Array,
+    labels: Image,
+    depth_mm: Depth,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Pixel (n, 2), distance z (n,) and visibility (n,) of each point; zeros for points behind the camera."""
     places, depths = np.zeros((len(points), 2)), np.zeros(len(points))
@@ -120,13 +125,19 @@ def _keypoints(
         u, v = np.rint(places[k])
         if 0 <= u < width and 0 <= v < height:
             normal = None if point.normal is None else T[:3, :3] @ point.normal
-            seen = is_seen(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
+            seen = is_visible(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
             visibility[k] = Visibility.VISIBLE if seen else Visibility.HIDDEN
     return places, depths, visibility
 
 
-def is_seen(
-    point: Keypoint, p: Array, normal: Array | None, K: Array, pixel: tuple[int, int], labels: Image, depth_mm: Depth
+def is_visible(
+    point: LabelledKeypoint,
+    p: Array,
+    normal: Array | None,
+    K: Array,
+    pixel: tuple[int, int],
+    labels: Image,
+    depth_mm: Depth,
 ) -> bool:
     """Whether nothing hides a point, at `p` (3,) in the camera's frame, from the camera.
 
@@ -156,7 +167,7 @@ _AROUND = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))
 
 
 @dataclass(frozen=True)
-class ClothSeen:
+class ClothVisibility:
     """A cloth in a picture.
 
     Attributes:
@@ -172,12 +183,12 @@ class ClothSeen:
     visibility: NDArray[np.uint8]
 
 
-def see_cloth(
+def measure_cloth(
     cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
-) -> ClothSeen:
+) -> ClothVisibility:
     """The cloth in a picture with labels and distances (height, width), at MuJoCo's positions `qpos` (nq,)."""
     points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
-    visible = _seen(points, cloth, K, labels, depth_mm)
+    visible = _visible_points(points, cloth, K, labels, depth_mm)
     numbers = np.array(list(cloth.corners.values()))
     corners = points[numbers]
     before = corners[:, 2] >= _NEAREST
@@ -186,7 +197,7 @@ def see_cloth(
     height, width = labels.shape
     inside = before & (np.rint(places) >= 0).all(axis=1) & (np.rint(places) < (width, height)).all(axis=1)
     shown = np.where(visible[numbers], Visibility.VISIBLE, Visibility.HIDDEN)
-    return ClothSeen(visible, places, depths, np.where(inside, shown, Visibility.OUTSIDE).astype(np.uint8))
+    return ClothVisibility(visible, places, depths, np.where(inside, shown, Visibility.OUTSIDE).astype(np.uint8))
 
 
 def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
@@ -203,7 +214,7 @@ def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tupl
     return points + radius * normals, points - radius * normals
 
 
-def _seen(
+def _visible_points(
     points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
     """Which points (n, 3), in the camera's frame, are visible.
@@ -211,7 +222,7 @@ def _seen(
     The pixel of a visible point shows the cloth at the depth of a triangle that has the point and faces the camera. At
     the rim, where half the pixels show the background, a neighbouring pixel counts too.
     """
-    (columns, rows), corners = cloth.scene.grid, triangles(*cloth.scene.grid)
+    (columns, rows), corners = cloth.scene.grid, grid_triangles(*cloth.scene.grid)
     number = np.arange(len(points))
     rim = np.isin(number % columns, (0, columns - 1)) | np.isin(number // columns, (0, rows - 1))
     visible = np.zeros(len(points), bool)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..closing import Closing
+from ..closable import Closable
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
@@ -93,7 +93,7 @@ class _Contexts:
         self.gl = self.context = None
 
 
-class SceneRenderer(Closing):
+class SceneRenderer(Closable):
     """Renders images of a scene's cameras. Close the renderer, or use it as a context manager.
 
     All memory but that of returned images is allocated once.

@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..files.documents.base import Config, Name
-from ..files.documents.units import Within
+from ..files.documents.config_base import Config, Name
+from ..files.documents.units import QuantityBounds
 from .models import ArmModel, Part
 
-_Milliseconds = Annotated[FiniteFloat, Within("ms", 0, 500)]
+_Milliseconds = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 
 
 class JointDynamics(Config):
@@ -25,13 +25,13 @@ class JointDynamics(Config):
         gravity_factor: gravity compensation as a factor of the joint's weight; 1 is exact.
     """
 
-    armature: Annotated[FiniteFloat, Within("kg m2", 0, 100)] | None = None
-    damping: Annotated[FiniteFloat, Within("N m s/rad", 0, 1e4)] | None = None
-    frictionloss: Annotated[FiniteFloat, Within("N m", 0, 1000)] | None = None
-    kp: Annotated[FiniteFloat, Within("N m/rad", 0, 1e5)] | None = None
-    kv: Annotated[FiniteFloat, Within("N m s/rad", 0, 1e4)] | None = None
-    offset_rad: Annotated[FiniteFloat, Within("rad", -0.5, 0.5)] = 0.0
-    gravity_factor: Annotated[FiniteFloat, Within("of 1", -5, 5)] = 1.0
+    armature: Annotated[FiniteFloat, QuantityBounds("kg m2", 0, 100)] | None = None
+    damping: Annotated[FiniteFloat, QuantityBounds("N m s/rad", 0, 1e4)] | None = None
+    frictionloss: Annotated[FiniteFloat, QuantityBounds("N m", 0, 1000)] | None = None
+    kp: Annotated[FiniteFloat, QuantityBounds("N m/rad", 0, 1e5)] | None = None
+    kv: Annotated[FiniteFloat, QuantityBounds("N m s/rad", 0, 1e4)] | None = None
+    offset_rad: Annotated[FiniteFloat, QuantityBounds("rad", -0.5, 0.5)] = 0.0
+    gravity_factor: Annotated[FiniteFloat, QuantityBounds("of 1", -5, 5)] = 1.0
 
 
 class Dynamics(Config):
@@ -57,9 +57,9 @@ class Dynamics(Config):
     joints: dict[Part, JointDynamics] = Field(default_factory=dict)
     command_delay_ms: _Milliseconds = 0.0
     sensor_delay_ms: _Milliseconds = 0.0
-    sensor_noise_rad: Annotated[FiniteFloat, Within("rad", 0, 0.1)] = 0.0
-    encoder_step_rad: Annotated[FiniteFloat, Within("rad", 0, 0.1)] = 0.0
-    tip_mass_g: Annotated[FiniteFloat, Within("g", 0, 5000)] = 0.0
+    sensor_noise_rad: Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)] = 0.0
+    encoder_step_rad: Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)] = 0.0
+    tip_mass_g: Annotated[FiniteFloat, QuantityBounds("g", 0, 5000)] = 0.0
 
     def __hash__(self) -> int:
         """Hash the JSON, since the mapping inside has no hash."""

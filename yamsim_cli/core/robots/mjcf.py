@@ -10,8 +10,8 @@ from ..errors import ConfigError
 from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
 from .dynamics import Dynamics, JointDynamics
-from .finray.chain import add_fingers, get_section
-from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, root_of
+from .finray.segment_chain import add_fingers, get_section
+from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
 
 # Sections of a gripper's MJCF that are merged into the arm's, besides its body and its classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
@@ -41,23 +41,23 @@ _TIP_SITE = "pinch_site"
 _POINT_INERTIA = 1e-9  # kg m2, of a point mass, since MuJoCo needs an inertia above 0
 
 
-def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
+def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     """The MJCF of an arm with a gripper.
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
 
     Raises ConfigError if a file is no MJCF of a robot, or the two contradict each other.
     """
-    root, hand = parse(arm.mjcf), parse(gripper.mjcf)
+    root, hand = parse_mjcf(arm.mjcf), parse_mjcf(gripper.mjcf)
     if gripper.finray is not None:
         for foot in gripper.finray.feet:
-            body(hand, foot, gripper.mjcf)
+            find_body(hand, foot, gripper.mjcf)
         add_fingers(hand, gripper.name, gripper.finray)
     _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
     _check_sections(hand, gripper.mjcf, _SECTIONS)
     if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
-    flange = body(root, arm.flange, arm.mjcf)
+    flange = find_body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
     _check_sites(frame, gripper.mjcf)
     _check_names(root, frame, arm.mjcf, gripper.mjcf)
@@ -74,13 +74,13 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     return root
 
 
-def parse(mjcf: Mjcf) -> Element:
+def parse_mjcf(mjcf: Mjcf) -> Element:
     """The root element of an MJCF.
 
     Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes of its sets.
     """
     try:
-        root = root_of(mjcf.text)
+        root = parse_root(mjcf.text)
     except RefusedError as error:
         raise ConfigError(f"{mjcf.file}: {error}") from error
     if root.tag != "mujoco":
@@ -106,7 +106,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
                 raise ConfigError(f"{mjcf.file}: a mesh names the file {value!r}; valid: <set>/<file>, without ..")
 
 
-def body(root: Element, name: str, mjcf: Mjcf) -> Element:
+def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
     """The body of that name. Raises ConfigError if there is no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
@@ -114,7 +114,7 @@ def body(root: Element, name: str, mjcf: Mjcf) -> Element:
     return bodies[name]
 
 
-def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
+def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
     """The joint of that name in `worldbody`. Raises ConfigError if there is no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
@@ -122,7 +122,7 @@ def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
     return joints[name]
 
 
-def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
+def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     """The position drive of a joint.
 
     Raises ConfigError if the joint has not exactly one drive, a <position> with a name.
@@ -133,7 +133,7 @@ def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     return found[0]
 
 
-def numbers(values: Iterable[float]) -> str:
+def format_numbers(values: Iterable[float]) -> str:
     """Numbers as an attribute, without loss of precision."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
@@ -219,8 +219,8 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
         inside.set("childclass", childclass)
     moved = mount != Placement()
     if moved:
-        inside.set("pos", numbers(mount.position))
-        inside.set("quat", numbers(mount.quat))
+        inside.set("pos", format_numbers(mount.position))
+        inside.set("quat", format_numbers(mount.quat))
     for element in frame:
         if element.tag != "inertial":
             inside.append(element)
@@ -241,8 +241,8 @@ def _move(inertial: Element, mount: Placement) -> None:
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
     )
     T = mount.T @ pose_from_quat(place, turn)
-    inertial.set("pos", numbers(T[:3, 3]))
-    inertial.set("quat", numbers(quat_from_rotation(T[:3, :3])))
+    inertial.set("pos", format_numbers(T[:3, 3]))
+    inertial.set("quat", format_numbers(quat_from_rotation(T[:3, :3])))
 
 
 def _parts(root: Element, section: str) -> Iterator[Element]:
@@ -274,7 +274,7 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
         if name not in names:
             raise ConfigError(f"{arm.name}: a gripper changes joint {name!r}; its joints: {', '.join(names)}")
     for limits in arm.joints:
-        if "range" in joint(root, limits.name, arm.mjcf).attrib:
+        if "range" in find_joint(root, limits.name, arm.mjcf).attrib:
             raise ConfigError(
                 f"{arm.mjcf.file}: joint {limits.name!r} has a range; model.yaml has it, leave it out here"
             )
@@ -297,7 +297,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
         for site in parent.findall("site"):
             if site.get("name") == _TIP_SITE:
                 body = ElementTree.SubElement(parent, "body", {"name": "tip_mass", "pos": site.get("pos", "0 0 0")})
-                mass, inertia = numbers((dynamics.tip_mass_g / 1000,)), numbers([_POINT_INERTIA] * 3)
+                mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_POINT_INERTIA] * 3)
                 ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": mass, "diaginertia": inertia})
                 return
     raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, where tip_mass_g is to be")
@@ -305,15 +305,15 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
 
 def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | JointDynamics) -> None:
     """Write the values of a joint that are not None."""
-    parts = {"joint": joint(root, name, arm.mjcf), "drive": drive(root, name, arm.mjcf)}
+    parts = {"joint": find_joint(root, name, arm.mjcf), "drive": find_position_drive(root, name, arm.mjcf)}
     for key, (part, attribute) in _ATTRIBUTES.items():
         value = getattr(values, key, None)
         if value is not None:
             written = (-value, value) if key == "torque" else value if isinstance(value, tuple) else (value,)
-            parts[part].set(attribute, numbers(written))
+            parts[part].set(attribute, format_numbers(written))
 
 
-def coupling(root: Element, one: str, other: str) -> float:
+def coupling_ratio(root: Element, one: str, other: str) -> float:
     """The ratio of the positions of two joints that an equality couples linearly; 1 without an equality."""
     for element in _parts(root, "equality"):
         factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])

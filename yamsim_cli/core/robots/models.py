@@ -19,11 +19,20 @@ from pydantic import (
 )
 
 from ..errors import ConfigError
-from ..files.documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Vector, ordered
-from ..files.documents.document import Document, load_yaml, read_config
-from ..files.documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
-from ..files.untrusted.includes import with_includes
-from ..files.untrusted.jail import Folder
+from ..files.documents.config_base import (
+    OMIT_EMPTY,
+    OMIT_NONE,
+    Config,
+    ConflictError,
+    Name,
+    Quaternion,
+    Vector,
+    require_ordered,
+)
+from ..files.documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, QuantityBounds
+from ..files.documents.yaml_document import Document, load_yaml, read_config
+from ..files.untrusted.confined_folder import ConfinedFolder
+from ..files.untrusted.mjcf_includes import with_includes
 from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import Array, pose_from_quat
 from .finray.finger import FinRay
@@ -35,8 +44,8 @@ _OUTSIDE_CODES = ("outside", "missing", "not-a-file")
 
 # A name in an MJCF.
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
-_Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(ordered)]
-_Opening = Annotated[FiniteFloat, Within("m", 1e-4, 0.5)]
+_Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(require_ordered)]
+_Opening = Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 0.5)]
 
 
 class Mjcf(Config):
@@ -80,8 +89,8 @@ class JointLimits(Config):
 
     name: Part
     range: _Range
-    motor_rpm: Annotated[FiniteFloat, Within("rpm", 1, 10_000)]
-    reported_rad_s: Annotated[FiniteFloat, Within("rad/s", 0.1, 1000)]
+    motor_rpm: Annotated[FiniteFloat, QuantityBounds("rpm", 1, 10_000)]
+    reported_rad_s: Annotated[FiniteFloat, QuantityBounds("rad/s", 0.1, 1000)]
 
     @property
     def motor_rad_s(self) -> float:
@@ -101,11 +110,11 @@ class JointChange(Config):
     """
 
     range: _Range | None = None
-    kp: Annotated[FiniteFloat, Within("N m/rad", 0, 1e5)] | None = None
-    kv: Annotated[FiniteFloat, Within("N m s/rad", 0, 1e4)] | None = None
-    torque: Annotated[FiniteFloat, Within("N m", 1e-3, 1e4)] | None = None
-    armature: Annotated[FiniteFloat, Within("kg m2", 0, 100)] | None = None
-    frictionloss: Annotated[FiniteFloat, Within("N m", 0, 1000)] | None = None
+    kp: Annotated[FiniteFloat, QuantityBounds("N m/rad", 0, 1e5)] | None = None
+    kv: Annotated[FiniteFloat, QuantityBounds("N m s/rad", 0, 1e4)] | None = None
+    torque: Annotated[FiniteFloat, QuantityBounds("N m", 1e-3, 1e4)] | None = None
+    armature: Annotated[FiniteFloat, QuantityBounds("kg m2", 0, 100)] | None = None
+    frictionloss: Annotated[FiniteFloat, QuantityBounds("N m", 0, 1000)] | None = None
 
 
 class Placement(Config):
@@ -163,10 +172,10 @@ class WristCamera(Config):
 
     def fovy(self, size: tuple[int, int]) -> float:
         """Vertical field of view of images of a size (width, height), degrees."""
-        return fovy_of(size, self.fovy_deg, self.modes)
+        return fovy_for_size(size, self.fovy_deg, self.modes)
 
 
-def fovy_of(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...]) -> float:
+def fovy_for_size(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...]) -> float:
     """A camera's vertical field of view for images of a size (width, height), degrees."""
     return next((mode.fovy_deg for mode in modes if mode.size_px == size), fovy_deg)
 
@@ -185,14 +194,14 @@ def _read_mjcf(path: Path) -> dict[str, object]:
         return {"file": str(path), "text": text}
     folder = path.parent.resolve()
     try:
-        root = with_includes(data, Folder(folder), folder, root_of)
+        root = with_includes(data, ConfinedFolder(folder), folder, parse_root)
     except RefusedError as error:
         mend = f"; an <include> names an MJCF below {path.parent}" if error.code in _OUTSIDE_CODES else ""
         raise ConfigError(f"{path}: {error}{mend}") from error
     return {"file": str(path), "text": ElementTree.tostring(root, encoding="unicode"), "includes": True}
 
 
-def root_of(data: str | bytes) -> Element:
+def parse_root(data: str | bytes) -> Element:
     """The root element of an XML text. Raises RefusedError if the text is no XML, or declares entities."""
     text = data if isinstance(data, str) else data.decode(errors="replace")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -203,7 +212,7 @@ def root_of(data: str | bytes) -> Element:
         raise RefusedError("damaged", f"not valid XML: {error}") from error
 
 
-class _InAFolder(Config):
+class _FolderConfig(Config):
     """A config that is named after its folder, and has an MJCF beside its YAML."""
 
     name: Name
@@ -231,7 +240,7 @@ class _InAFolder(Config):
         return document
 
 
-class ArmModel(_InAFolder):
+class ArmModel(_FolderConfig):
     """A robot model: an arm without its gripper.
 
     Attributes:
@@ -299,14 +308,14 @@ class Fingers(Config):
     joints: tuple[Part, Part]
     bodies: tuple[Part, Part]
     drive: Part = "gripper"
-    range: Annotated[tuple[Offset, Offset], AfterValidator(ordered)]
+    range: Annotated[tuple[Offset, Offset], AfterValidator(require_ordered)]
     full_opening: _Opening
     start_opening: _Opening | None = None
     radius: _Opening
     pads: bool
 
     @property
-    def opened(self) -> float:
+    def initial_opening(self) -> float:
         """Opening of one finger when a task starts, m."""
         return self.full_opening if self.start_opening is None else self.start_opening
 
@@ -319,7 +328,7 @@ class Fingers(Config):
         return self
 
 
-class Gripper(_InAFolder):
+class Gripper(_FolderConfig):
     """A gripper, which becomes part of an arm's flange.
 
     Attributes:
@@ -342,7 +351,7 @@ class Gripper(_InAFolder):
     arms: dict[Name, Fit] = Field(default_factory=dict)
 
 
-def fit(arm: ArmModel, gripper: Gripper) -> Fit:
+def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
     """How a gripper fits an arm. Raises ValueError if the gripper does not fit, or both files say how."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:

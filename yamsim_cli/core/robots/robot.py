@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from ..geometry.se3 import Array
 from . import mjcf
 from .dynamics import Dynamics
-from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, fit
+from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, find_gripper_fit
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
         ValueError: the gripper does not fit the arm, or the dynamics are another arm's.
         ConfigError: an MJCF lacks what its YAML names, or the two contradict each other.
     """
-    how = fit(arm, gripper)
-    root = mjcf.with_gripper(arm, gripper, how)
-    mjcf.body(root, arm.base, arm.mjcf)
+    how = find_gripper_fit(arm, gripper)
+    root = mjcf.merge_gripper(arm, gripper, how)
+    mjcf.find_body(root, arm.base, arm.mjcf)
     signs = _write_fingers(root, gripper) if gripper.fingers else (1.0, 1.0)
     root.set("model", f"{arm.name}_{gripper.name}")
     if dynamics is not None:
@@ -97,7 +97,9 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
         base=arm.base,
         flange=arm.flange,
         joints=tuple(joint.model_copy(update={"range": ranges.get(joint.name, joint.range)}) for joint in arm.joints),
-        joint_drives=tuple(mjcf.drive(root, joint.name, arm.mjcf).get("name", "") for joint in arm.joints),
+        joint_drives=tuple(
+            mjcf.find_position_drive(root, joint.name, arm.mjcf).get("name", "") for joint in arm.joints
+        ),
         home=arm.home,
         start=arm.home if arm.start is None else arm.start,
         fingers=gripper.fingers,
@@ -108,7 +110,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
     )
 
 
-def widest_joints(arm: ArmModel) -> tuple[JointLimits, ...]:
+def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
     """An arm's joints with the widest stops of all grippers in its file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
@@ -123,20 +125,20 @@ def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, 
     """Write the fingers' stops into the MJCF, and return `Robot.finger_signs`."""
     fingers = gripper.fingers
     assert fingers is not None
-    drive = mjcf.drive(root, fingers.joints[0], gripper.mjcf)
+    drive = mjcf.find_position_drive(root, fingers.joints[0], gripper.mjcf)
     if drive.get("name") != fingers.drive:
         raise ConfigError(
             f"{gripper.mjcf.file}: the drive of {fingers.joints[0]!r} is called {drive.get('name')!r}, and in "
             f"gripper.yaml {fingers.drive!r}"
         )
-    left_for_right = mjcf.coupling(root, *fingers.joints)
+    left_for_right = mjcf.coupling_ratio(root, *fingers.joints)
     signs = (1.0, 1.0 / left_for_right)
     for name, body, sign in zip(fingers.joints, fingers.bodies, signs, strict=True):
-        mjcf.body(root, body, gripper.mjcf)
-        joint = mjcf.joint(root, name, gripper.mjcf)
+        mjcf.find_body(root, body, gripper.mjcf)
+        joint = mjcf.find_joint(root, name, gripper.mjcf)
         if "range" in joint.attrib:
             raise ConfigError(
                 f"{gripper.mjcf.file}: joint {name!r} has a range; gripper.yaml has it, leave it out here"
             )
-        joint.set("range", mjcf.numbers(sorted(sign * end for end in fingers.range)))
+        joint.set("range", mjcf.format_numbers(sorted(sign * end for end in fingers.range)))
     return signs

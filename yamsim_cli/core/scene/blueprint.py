@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ..config.pictures import RenderConfig
+from ..config.objects.object_config import ObjectConfig
 from ..config.randomization import RandomizationConfig
 from ..config.recording import SCENE_CAMERA, RecordConfig
+from ..config.rendering import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
-from ..config.things.thing import ObjectConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
 # MuJoCo's `impratio` for grasps by friction. With the default of 1 an object turns by a few degrees a second in the
@@ -18,7 +18,7 @@ _IMPRATIO, _IMPRATIO_AT_THE_END = 10.0, 100.0
 
 
 @dataclass(frozen=True)
-class Pictures:
+class PictureSettings:
     """Quality and size (width, height), px, of the pictures of a scene."""
 
     quality: RenderConfig
@@ -32,12 +32,12 @@ class TaskPhysics:
     Attributes:
         timestep: of physics, s.
         impratio: MuJoCo's `impratio` for grasps by friction; None where welds hold things.
-        carried: name of the thing for which welds are compiled, or None. At run time a weld holds any grasped thing.
+        weld_placeholder: name of the thing for which welds are compiled, or None. At run time a weld holds any grasped thing.
     """
 
     timestep: float
     impratio: float | None
-    carried: str | None
+    weld_placeholder: str | None
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Blueprint:
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
     physics: TaskPhysics | None = None
     cameras: tuple[SceneCamera, ...] = ()
-    pictures: Pictures | None = None
+    pictures: PictureSettings | None = None
 
 
 def task_blueprint(config: RecordConfig, *, boards: bool = True, background: bool = True) -> Blueprint:
@@ -80,7 +80,7 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
         boards=boards,
         background=background,
         objects=config.task.objects,
-        physics=TaskPhysics(config.task.timing.timestep, _impratio(config), _carried(config)),
+        physics=TaskPhysics(config.task.timing.timestep, _impratio(config), _weld_placeholder(config)),
         cameras=(fixed_camera(SCENE_CAMERA, camera),),
     )
 
@@ -97,11 +97,11 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
             *(station_camera(config.rig, camera, size) for camera in config.rig.cameras),
             *(wrist_camera(arm, size) for arm in config.wrist_arms),
         ),
-        pictures=Pictures(config.render, size),
+        pictures=PictureSettings(config.render, size),
     )
 
 
-def _carried(config: RecordConfig) -> str | None:
+def _weld_placeholder(config: RecordConfig) -> str | None:
     """The thing that welds name until they hold one: any stiff thing; None without welds."""
     stiff = (item.name for item in config.task.objects if item.cloth is None)
     return next(stiff, None) if config.grasp == "weld" else None

@@ -9,21 +9,21 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ..config.mesh_provenance import FULL, PRIMITIVES, REDUCED
+from ..config.objects.object_config import ObjectConfig
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
 from ..config.session import Session
-from ..config.shown_meshes import FULL, PRIMITIVES, REDUCED
-from ..config.things.thing import ObjectConfig
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..robots.models import Fingers
-from .assets.reduction import REPORT
+from .assets.mesh_reduction import REPORT
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
-from .cloth import grip_name, rest_points
-from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
-from .compiling import compile_spec
-from .compose import READING, WELD, compose, mesh_sets
+from .cloth import flat_points, grip_name
+from .compilation import compile_spec
+from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
+from .compose import READING, WELD, compose, visual_mesh_sets
 
 TIMESTEP = 0.002  # s, of physics of a rig alone: the tasks' default
 _MOUNTS = "mounts"  # stands for the mounts for which a rig has its own STL files
@@ -40,11 +40,11 @@ def build_scene(session: Session) -> CompiledScene:
     model = compile_spec(compose(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geoms(model, config.rig)
-    geom_kind[model.geom("table").id] = Kind.TABLE
+    geom_kind[model.geom("table").id] = GeomOwner.TABLE
     welds = config.grasp == "weld"
     return CompiledScene(
         model=model,
-        arms=tuple(_arm_addresses(model, config.rig, number, welds=welds) for number in config.rig.recorded),
+        arms=tuple(_arm_addresses(model, config.rig, number, welds=welds) for number in config.rig.recording_order),
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},
         object_dof={name: int(model.joint(name).dofadr[0]) for name in objects},
         cameras=config.recorded_cameras,
@@ -66,14 +66,14 @@ def build_rig_scene(
     Raises:
         SimulationError: MuJoCo refused the composed model.
     """
-    physics = TaskPhysics(timestep, impratio=None, carried=None)
+    physics = TaskPhysics(timestep, impratio=None, weld_placeholder=None)
     bare = scene.model_copy(update={"table": None})
     blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)
     model = compile_spec(compose(blueprint, locations))
     geom_kind, geom_arm = _geoms(model, rig)
     return CompiledScene(
         model=model,
-        arms=tuple(_arm_addresses(model, rig, number, welds=False) for number in rig.recorded),
+        arms=tuple(_arm_addresses(model, rig, number, welds=False) for number in rig.recording_order),
         object_qpos={},
         object_dof={},
         cameras=(),
@@ -82,8 +82,8 @@ def build_rig_scene(
     )
 
 
-def shown_meshes(session: Session) -> dict[str, str]:
-    """Mesh set -> what a session shows of the set, see `core.config.shown_meshes`.
+def describe_meshes(session: Session) -> dict[str, str]:
+    """Mesh set -> what a session shows of the set, see `core.config.describe_meshes`.
 
     The files of a set are those of all things that the task may draw, so that all casts of a task have the same text.
     """
@@ -94,14 +94,14 @@ def shown_meshes(session: Session) -> dict[str, str]:
     for mesh in spec.meshes:
         path = PurePosixPath(mesh.file)
         files.setdefault(path.parent.name, {})[path.name] = assets[mesh.file]
-    found = {name: _shown(folders.get(name), files.get(name, {})) for name in mesh_sets(blueprint)}
+    found = {name: _describe_mesh_set(folders.get(name), files.get(name, {})) for name in visual_mesh_sets(blueprint)}
     own = {f"{arm.mount.name}.stl" for arm in blueprint.rig.arms if arm.mount and arm.mount.stl}
     if mounts := {name: data for name, data in files.get(_MOUNTS, {}).items() if name in own}:
-        found[_MOUNTS] = _shown(None, mounts)
+        found[_MOUNTS] = _describe_mesh_set(None, mounts)
     return found
 
 
-def _shown(folder: Path | None, files: Mapping[str, bytes]) -> str:
+def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
     if not files:
         return PRIMITIVES
     kind = REDUCED if folder is not None and (folder / REPORT).is_file() else FULL
@@ -109,17 +109,17 @@ def _shown(folder: Path | None, files: Mapping[str, bytes]) -> str:
     return f"{kind} {sha256_bytes(listed.encode())}"
 
 
-def noting_meshes(session: Session) -> Session:
+def state_meshes(session: Session) -> Session:
     """The session with a config that states which meshes the session shows."""
-    return session.with_values(meshes=shown_meshes(session))
+    return session.with_values(meshes=describe_meshes(session))
 
 
-def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds: bool) -> SceneArm:
+def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds: bool) -> ArmAddresses:
     arm = rig.arms[number]
     robot = arm.robot
     joints = [model.joint(arm.prefix + name) for name in robot.joint_names]
     moving = np.array([model.actuator(arm.prefix + name).id for name in robot.joint_drives])
-    return SceneArm(
+    return ArmAddresses(
         number=number,
         prefix=arm.prefix,
         flange=arm.prefix + robot.flange,
@@ -133,14 +133,14 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
         T_base_in_world=rig.T_base_in_world(number),
         joint_range=robot.joint_range,
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
-        most_torque=model.actuator_forcerange[moving, 1].copy(),
+        max_torque=model.actuator_forcerange[moving, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
         **_identified(model, arm),
     )
 
 
 def _identified(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """The attributes of a `SceneArm` beyond MJCF: identified dynamics, and the sensors of late readings."""
+    """The attributes of a `ArmAddresses` beyond MJCF: identified dynamics, and the sensors of late readings."""
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
     read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
@@ -161,13 +161,13 @@ def _identified(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
     }
 
 
-def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:
+def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> ClothAddresses:
     cloth, name = item.cloth, item.name
     assert cloth is not None  # only called for cloth
-    rest = rest_points(cloth)
-    prefixes = [config.rig.arms[number].prefix for number in config.rig.recorded]
+    rest = flat_points(cloth)
+    prefixes = [config.rig.arms[number].prefix for number in config.rig.recording_order]
     joints = [[model.joint(f"{name}_{k}_{axis}") for axis in "xyz"] for k in range(len(rest))]
-    return SceneCloth(
+    return ClothAddresses(
         flex=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)),
         grid=cloth.grid,
         rest=rest,
@@ -178,20 +178,20 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
         ),
         radius=cloth.radius,
         spacing=cloth.spacing,
-        by_layers=cloth.held == "layers",
+        held_by_layers=cloth.held == "layers",
     )
 
 
-def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -> SceneFingers:
+def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -> FingerAddresses:
     drive, joints = model.actuator(arm.prefix + fingers.drive), [model.joint(arm.prefix + j) for j in fingers.joints]
-    return SceneFingers(
+    return FingerAddresses(
         qpos=np.array([joint.qposadr[0] for joint in joints]),
         dof=np.array([joint.dofadr[0] for joint in joints]),
         sign=np.array(arm.robot.finger_signs),
         ctrl=drive.id,
         gain=float(drive.gainprm[0]),
         ctrl_range=drive.ctrlrange.copy(),
-        stops=fingers.range,
+        opening_limits=fingers.range,
         stroke=fingers.full_opening,
         pads=fingers.pads,
     )
@@ -208,14 +208,14 @@ def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
 
 def _geoms(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
     """The `Kind` of every geom (ngeom,) of an arm, and the index of the geom's arm in `CompiledScene.arms`, or -1."""
-    kind = np.full(model.nbody, int(Kind.OTHER))
+    kind = np.full(model.nbody, int(GeomOwner.OTHER))
     of_arm = np.full(model.nbody, -1)
-    for k, number in enumerate(rig.recorded):
+    for k, number in enumerate(rig.recording_order):
         prefix, robot = rig.arms[number].prefix, rig.arms[number].robot
         on_arm = model.body_rootid == model.body(prefix + robot.base).id
-        kind[on_arm], of_arm[on_arm] = Kind.ARM, k
+        kind[on_arm], of_arm[on_arm] = GeomOwner.ARM, k
         if robot.fingers is not None:
-            for name, finger in zip(robot.fingers.bodies, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER), strict=True):
+            for name, finger in zip(robot.fingers.bodies, (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER), strict=True):
                 kind[_subtree(model, model.body(prefix + name).id)] = finger
     kinds: Ids = kind[model.geom_bodyid]
     arms: Ids = of_arm[model.geom_bodyid]

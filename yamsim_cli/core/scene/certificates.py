@@ -10,8 +10,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from ..config.things.made import MADE, made_files
-from ..config.things.thing import ObjectConfig
+from ..config.objects.generated import MADE, generated_mesh_files
+from ..config.objects.object_config import ObjectConfig
 from ..errors import ResourceError
 from ..files.writing import sha256_bytes, write_file
 from .assets import AssetLock
@@ -21,7 +21,7 @@ _FOLDER = "certificates"
 _CONTENT = re.compile(r"-[0-9a-f]{12}$")  # the content hash at the end of the name of an imported set
 
 
-class Standing(StrEnum):
+class CertificateStatus(StrEnum):
     """The state of a thing's certificate."""
 
     NONE = "not certified"
@@ -34,7 +34,7 @@ class Standing(StrEnum):
 class Certificate:
     """A stored result: its state now, the codes of the failed checks, and its file if there is one."""
 
-    standing: Standing
+    status: CertificateStatus
     failed: tuple[str, ...] = ()
     path: Path | None = None
 
@@ -49,7 +49,7 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
             locked.files[mesh.file].sha256 if locked and mesh.file in locked.files else ""
         )
     if item.shape is not None:
-        made = made_files(item.name, item.shape)
+        made = generated_mesh_files(item.name, item.shape)
         files |= {f"{MADE}/{name}": sha256_bytes(data) for name, data in made.items()}
     inputs = {"checks": _CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
     return sha256_bytes(json.dumps(inputs, sort_keys=True).encode())
@@ -87,11 +87,11 @@ def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certi
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
     if (failed := _failed_checks(path, inputs)) is not None:
-        return Certificate(Standing.FAILED if failed else Standing.GOOD, failed, path)
+        return Certificate(CertificateStatus.FAILED if failed else CertificateStatus.GOOD, failed, path)
     for older in _older(path, item):
         if (failed := _failed_checks(older)) is not None:
-            return Certificate(Standing.STALE, failed, older)
-    return Certificate(Standing.NONE)
+            return Certificate(CertificateStatus.STALE, failed, older)
+    return Certificate(CertificateStatus.NONE)
 
 
 def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:

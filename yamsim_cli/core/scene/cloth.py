@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.objects.cloth import Cloth
+from ..config.objects.object_config import ObjectConfig
 from ..config.rig import RigConfig
-from ..config.things.cloth import Cloth
-from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array
 
 _PIXELS = 16  # px, along a check of the pattern
@@ -23,7 +23,7 @@ _TOLERANCE = 1e-6
 _GYRATION = 1e-6  # m2, inertia over mass of a point, which nothing turns: that of a ball of a millimetre
 
 
-def rest_points(cloth: Cloth) -> Array:
+def flat_points(cloth: Cloth) -> Array:
     """The points (n, 3) of a flat cloth in the cloth's frame, m: along x first."""
     (x, y), (columns, rows) = cloth.size, cloth.grid
     across, along = np.meshgrid(np.linspace(-x / 2, x / 2, columns), np.linspace(-y / 2, y / 2, rows))
@@ -32,7 +32,7 @@ def rest_points(cloth: Cloth) -> Array:
 
 
 @functools.cache
-def triangles(columns: int, rows: int) -> NDArray[np.int_]:
+def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
     """The numbers (m, 3) of the points of every triangle of a grid.
 
     The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both.
@@ -48,9 +48,9 @@ def triangles(columns: int, rows: int) -> NDArray[np.int_]:
     return corners
 
 
-def edges(columns: int, rows: int) -> NDArray[np.int_]:
+def grid_edges(columns: int, rows: int) -> NDArray[np.int_]:
     """The numbers (m, 2) of the end points of every edge of a grid's triangles."""
-    corners = triangles(columns, rows)
+    corners = grid_triangles(columns, rows)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
     return found
@@ -59,12 +59,12 @@ def edges(columns: int, rows: int) -> NDArray[np.int_]:
 def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     """Add a cloth: a fixed body of the cloth's name at the origin, with a freely sliding body for each point.
 
-    At joint positions of 0 the points are at `rest_points` in `world`.
+    At joint positions of 0 the points are at `flat_points` in `world`.
     """
     cloth = item.cloth
     assert cloth is not None  # only called for cloth
     base = spec.worldbody.add_body(name=item.name)
-    points, (columns, rows) = rest_points(cloth), cloth.grid
+    points, (columns, rows) = flat_points(cloth), cloth.grid
     for k, (place, mass) in enumerate(zip(points, _masses(cloth), strict=True)):
         body = base.add_body(name=f"{item.name}_{k}", pos=place)
         body.mass, body.inertia, body.explicitinertial = mass, [mass * _GYRATION] * 3, True
@@ -73,7 +73,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     sheet = spec.add_flex()
     sheet.name, sheet.dim, sheet.radius = item.name, 2, cloth.radius
     sheet.vertbody = [f"{item.name}_{k}" for k in range(len(points))]
-    sheet.elem = triangles(columns, rows).ravel().tolist()
+    sheet.elem = grid_triangles(columns, rows).ravel().tolist()
     sheet.young, sheet.poisson, sheet.thickness = cloth.elasticity
     sheet.damping = cloth.damping_s
     sheet.elastic2d = 3
@@ -112,7 +112,7 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
     return item.name
 
 
-def set_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
+def set_cloth_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
     """Set the integrator and solver of a scene with a cloth."""
     # Other integrators do not support the elasticity of flexes.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE

@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..attempt_data import ArmPosture, Layout
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
-from ..types import Layout, Stand
 
 Ids = NDArray[np.int_]
 
 
-class Kind(IntEnum):
+class GeomOwner(IntEnum):
     """The kind of a geom's owner."""
 
     OTHER = 0
@@ -29,13 +29,13 @@ class Kind(IntEnum):
 
 
 # Pairs of kinds that must not touch: arms, with their fingers, and the table.
-FORBIDDEN = np.zeros((len(Kind), len(Kind)), dtype=bool)
-for _part in (Kind.ARM, Kind.LEFT_FINGER, Kind.RIGHT_FINGER):
-    FORBIDDEN[_part, Kind.TABLE] = FORBIDDEN[Kind.TABLE, _part] = True
+FORBIDDEN = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
+for _part in (GeomOwner.ARM, GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER):
+    FORBIDDEN[_part, GeomOwner.TABLE] = FORBIDDEN[GeomOwner.TABLE, _part] = True
 
 
 @dataclass(frozen=True)
-class SceneFingers:
+class FingerAddresses:
     """The addresses and limits of an arm's two fingers.
 
     Attributes:
@@ -55,13 +55,13 @@ class SceneFingers:
     ctrl: int
     gain: float
     ctrl_range: Array
-    stops: tuple[float, float]
+    opening_limits: tuple[float, float]
     stroke: float
     pads: bool
 
 
 @dataclass(frozen=True)
-class SceneArm:
+class ArmAddresses:
     """The addresses and limits of one arm.
 
     Attributes:
@@ -96,8 +96,8 @@ class SceneArm:
     T_base_in_world: Array
     joint_range: Array
     motor_speed: Array
-    most_torque: Array
-    fingers: SceneFingers | None
+    max_torque: Array
+    fingers: FingerAddresses | None
     gravity: Array | None = None
     offset: Array | float = 0.0
     sensors: Ids | None = None
@@ -107,7 +107,7 @@ class SceneArm:
     encoder_step: float = 0.0
 
     @property
-    def reads_exactly(self) -> bool:
+    def has_ideal_encoders(self) -> bool:
         """Whether readings are exact, apart from their delay."""
         return not (self.sensor_noise or self.encoder_step or np.any(self.offset))
 
@@ -133,7 +133,7 @@ class SceneArm:
 
 
 @dataclass(frozen=True)
-class SceneCloth:
+class ClothAddresses:
     """The addresses of a cloth's points, which are in rows along its x axis.
 
     Attributes:
@@ -155,14 +155,14 @@ class SceneCloth:
     grips: Ids
     radius: float
     spacing: float
-    by_layers: bool
+    held_by_layers: bool
 
     @property
     def thickness(self) -> float:
         """The distance between two layers, m."""
         return 2 * self.radius
 
-    def placed(self, qpos: Array, T_in_world: Array) -> None:
+    def put_flat(self, qpos: Array, T_in_world: Array) -> None:
         """Put the cloth flat at a pose (4, 4), in `qpos` (nq,)."""
         qpos[self.qpos] = self.rest @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.rest
 
@@ -195,16 +195,16 @@ class CompiledScene:
     """
 
     model: mujoco.MjModel
-    arms: tuple[SceneArm, ...]
+    arms: tuple[ArmAddresses, ...]
     object_qpos: Mapping[str, int]
     object_dof: Mapping[str, int]
     cameras: tuple[str, ...]
     geom_kind: Ids
     geom_arm: Ids
-    cloths: Mapping[str, SceneCloth] = field(default_factory=dict)
+    cloths: Mapping[str, ClothAddresses] = field(default_factory=dict)
 
     @property
-    def arm(self) -> SceneArm:
+    def arm(self) -> ArmAddresses:
         """The first arm: the only one, or the left one of two."""
         return self.arms[0]
 
@@ -235,10 +235,10 @@ class CompiledScene:
         two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
         return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))
 
-    def start_qpos(self, layout: Layout, stands: Sequence[Stand]) -> Array:
+    def start_qpos(self, layout: Layout, postures: Sequence[ArmPosture]) -> Array:
         """The initial `qpos` (nq,) of the arms with their fingers, and of the objects."""
         qpos: Array = self.model.qpos0.copy()
-        for arm, stand in zip(self.arms, stands, strict=True):
+        for arm, stand in zip(self.arms, postures, strict=True):
             qpos[arm.joint_qpos] = stand.joints
             if arm.fingers is not None:
                 qpos[arm.fingers.qpos] = stand.opening * arm.fingers.sign
@@ -249,7 +249,7 @@ class CompiledScene:
     def put(self, qpos: Array, name: str, T_in_world: Array) -> None:
         """Put an object at a pose (4, 4), in `qpos` (nq,); a cloth is flat."""
         if name in self.cloths:
-            self.cloths[name].placed(qpos, T_in_world)
+            self.cloths[name].put_flat(qpos, T_in_world)
             return
         address = self.object_qpos[name]
         qpos[address : address + 3] = T_in_world[:3, 3]
@@ -296,17 +296,17 @@ class CompiledScene:
 
 def _fill_commands(model: mujoco.MjModel, data: mujoco.MjData, drive: int, command: float) -> None:
     """Fill the history of a delayed drive with a command: MuJoCo starts with zeros."""
-    times = _before(int(model.actuator_history[drive, 0]), model.opt.timestep)
+    times = _history_times(int(model.actuator_history[drive, 0]), model.opt.timestep)
     mujoco.mj_initCtrlHistory(model, data, drive, times, np.full(len(times), command))
 
 
 def _fill_readings(model: mujoco.MjModel, data: mujoco.MjData, sensor: int, place: float) -> None:
     """Fill the history of a delayed sensor with a joint position."""
-    times = _before(int(model.sensor_history[sensor, 0]), model.opt.timestep)
+    times = _history_times(int(model.sensor_history[sensor, 0]), model.opt.timestep)
     mujoco.mj_initSensorHistory(model, data, sensor, times, np.full((len(times), 1), place), 0.0)
 
 
-def _before(samples: int, timestep: float) -> Array:
+def _history_times(samples: int, timestep: float) -> Array:
     """The times of a number of steps before the start, s."""
     times: Array = np.arange(-samples, 0, dtype=np.float64) * timestep
     return times

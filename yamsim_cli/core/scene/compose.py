@@ -8,29 +8,29 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from ..config.pictures import SHADOW_REACH
 from ..config.randomization import ArmRanges
+from ..config.rendering import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..files.resources import Locations, Meshes
 from ..geometry.se3 import Array, quat_from_rotation
 from ..robots.dynamics import Dynamics
-from .assets import AssetStore, resolve_own
+from .arm_model import arm_spec, show_meshes_or_primitives
+from .assets import AssetStore, resolve_user_set
 from .blueprint import Blueprint, TaskPhysics
 from .cameras import add_camera
-from .cloth import add_cloth_grips, set_options
-from .compiling import compile_spec
+from .cloth import add_cloth_grips, set_cloth_options
+from .compilation import compile_spec
+from .environment import add_background, add_lights, add_table, apply_quality
 from .fiducials import add_base_board
-from .robot import arm_spec, with_looks
-from .surroundings import add_background, add_lights, add_table, apply_quality
-from .things.thing import add_object
-from .varied_model import add_variable_parts
+from .objects.scene_object import add_object
+from .randomized_model import add_randomized_parts
 
 _LINEAR = 1  # MuJoCo's interpolation of delayed commands and readings
 READING = "_reading"  # suffix of a joint's name: the joint's delayed sensor
 WELD = "grasp_weld"  # after an arm's prefix: the weld by which the hand can hold a thing
 
 
-def mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
+def visual_mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
     """Names of the asset sets of a scene's visual meshes."""
     things = (*blueprint.objects, *blueprint.randomization.extras)
     return tuple(sorted({*rig_mesh_sets(blueprint.rig), *(name for item in things for name in item.mesh_sets)}))
@@ -47,7 +47,7 @@ def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
     things = (*blueprint.objects, *blueprint.randomization.extras)
     needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
     store = AssetStore(locations.assets)
-    return {**locations.meshes, **{name: resolve_own(store, name) for name in sorted(needed)}}
+    return {**locations.meshes, **{name: resolve_user_set(store, name) for name in sorted(needed)}}
 
 
 def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
@@ -72,10 +72,10 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
     for item in blueprint.objects:
         add_object(spec, item, meshes)
         if item.cloth is not None:
-            set_options(spec, item.cloth)
+            set_cloth_options(spec, item.cloth)
             add_cloth_grips(spec, item, rig)
     _add_surroundings(spec, blueprint, bases)
-    add_variable_parts(spec, blueprint.randomization, meshes)
+    add_randomized_parts(spec, blueprint.randomization, meshes)
     if blueprint.pictures is not None:
         apply_quality(spec, blueprint.pictures.quality, blueprint.pictures.size)
     if blueprint.physics is not None:
@@ -107,7 +107,7 @@ def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence
     visual.quality.numquads = 1
 
 
-def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
+def set_friction_cones(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     """Set elliptic friction cones and `impratio`, so that two pads hold a thing by friction.
 
     Source: MuJoCo's documentation of `impratio`, which asks for elliptic cones.
@@ -116,8 +116,8 @@ def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     spec.option.impratio = impratio
 
 
-def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
-    """Add the delays of an arm's drives and encoders: the longest ones, if they are randomized; see `VariedArms`."""
+def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
+    """Add the delays of an arm's drives and encoders: the longest ones, if they are randomized; see `RandomizedArms`."""
     own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
     most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
@@ -142,16 +142,16 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
     """Set the time step and friction, and add delays and inactive welds."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
-        hold_by_friction(spec, physics.impratio)
+        set_friction_cones(spec, physics.impratio)
     for arm in rig.arms:
-        _delay(spec, arm, physics.timestep, ranges)
-    for arm in rig.arms if physics.carried is not None else ():
+        _add_delays(spec, arm, physics.timestep, ranges)
+    for arm in rig.arms if physics.weld_placeholder is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1=arm.prefix + arm.robot.flange,
-            name2=physics.carried,
+            name2=physics.weld_placeholder,
             active=False,
         )
 
@@ -178,7 +178,7 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
     file = locations.file(f"robot_models/cameras/{camera.housing}.xml")
-    child = with_looks(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
+    child = show_meshes_or_primitives(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
     T = rig.T_cam_in_world(camera)
     frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
     root.attach(child, frame=frame, prefix=f"{camera.name}_")
@@ -217,7 +217,7 @@ def add_home_key(
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
     for name, opened in (parts or {}).items():
         qpos[model.joint(name).qposadr[0]] = opened
-    load = _load(model, qpos)
+    load = _static_load(model, qpos)
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
@@ -229,7 +229,7 @@ def add_home_key(
     return compile_spec(spec)
 
 
-def _load(model: mujoco.MjModel, qpos: Array) -> Array:
+def _static_load(model: mujoco.MjModel, qpos: Array) -> Array:
     """The static load of the drives (nv,) at `qpos`, N m and N."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

@@ -12,12 +12,12 @@ import mujoco
 
 from ..config.rig import ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
-from ..geometry.mount import mount_mesh
+from ..geometry.board_mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
 from ..images.board_image import board_texture
 from ..images.png import encode_png
-from .things.geoms import SEEN_GROUP
+from .objects.object_geoms import SEEN_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"

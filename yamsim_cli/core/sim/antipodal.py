@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, pose
-from .shapes import geom_points
+from .geom_shapes import geom_points
 
 _POINTS = 24  # points inside a thing through which lines are tried, besides the centre of mass
 
@@ -28,7 +28,7 @@ _RAY_START = 1.0  # m from a point in a thing, outside of everything on a table
 
 
 @dataclass(frozen=True)
-class Span:
+class AntipodalPair:
     """A line through a thing, on whose ends two fingers can press.
 
     Attributes:
@@ -44,7 +44,7 @@ class Span:
     steepness: float
 
 
-def spans(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) -> list[Span]:
+def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) -> list[AntipodalPair]:
     """Lines through a body, at most `widest` (m) long, those near the centre of mass and square to faces first."""
     T = pose(data.xpos[body], data.xmat[body].reshape(3, 3))
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body and model.geom_contype[g]]
@@ -60,7 +60,7 @@ def spans(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) 
 
 def _span(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int], T: Array, point: Array, direction: Array
-) -> Span | None:
+) -> AntipodalPair | None:
     side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0))
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
@@ -76,7 +76,7 @@ def _span(
     ]
     high, low = float(reached[0][0]), -float(reached[1][0])
     middle: Array = point + direction * (high + low) / 2
-    return Span(middle, direction, high - low, max(slopes))
+    return AntipodalPair(middle, direction, high - low, max(slopes))
 
 
 def _surface_distance(

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.cloth_contacts import count_self_intersections, mask_between_pads, nearest_per_layer
 from ..geometry.se3 import Array, pose, rotation_z
-from ..geometry.sheets import between, crossings, nearest_of_layers
-from ..scene.cloth import edges, triangles
-from ..scene.compiled import CompiledScene, Kind, SceneCloth
-from .settle import settle
+from ..scene.cloth import grid_edges, grid_triangles
+from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwner
+from .settling import settle_objects
 
 _CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grips cloth
 _MIN_FORCE = 2.0  # N, least force of each finger at which a hand grips cloth
@@ -27,7 +27,7 @@ _BELOW_TIPS = 0.002  # m, distance from the tips, beyond the cloth's thickness, 
 # m; x and y in the pinch frame of the lines, in the middle and at the edges of a pad, along which layers are found.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
-_MOVED_MASS = 1.0  # kg, of points that `moved_points` moves, see there
+_MOVED_MASS = 1.0  # kg, of points that `moving_points` moves, see there
 
 _LIFT_SPEED = 0.3  # m/s, of the point at which cloth is lifted before it is dropped
 _MIN_LIFT, _MIN_LIFT_SHARE = (
@@ -53,11 +53,11 @@ class ClothState:
         data: MuJoCo's state.
     """
 
-    def __init__(self, cloth: SceneCloth, data: mujoco.MjData) -> None:
+    def __init__(self, cloth: ClothAddresses, data: mujoco.MjData) -> None:
         self._cloth, self._data = cloth, data
 
     @property
-    def addresses(self) -> SceneCloth:
+    def addresses(self) -> ClothAddresses:
         """The addresses of the points in MuJoCo's arrays."""
         return self._cloth
 
@@ -78,13 +78,13 @@ class ClothState:
         return self._cloth.pose(self._data.qpos)
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
+    def aabb(self) -> tuple[Array, Array]:
         """The lowest and highest corner (3,) of the cloth's bounding box along the axes of `world`, m."""
         points, radius = self.points, self._cloth.radius
         return points.min(axis=0) - radius, points.max(axis=0) + radius
 
     @property
-    def block(self) -> Array:
+    def local_box(self) -> Array:
         """The lowest and highest corner (2, 3) of the bounding box of the flat cloth in the cloth's frame, m."""
         rest, radius = self._cloth.rest, self._cloth.radius
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
@@ -114,7 +114,7 @@ class ClothGrips:
 
     def __init__(self, scene: CompiledScene) -> None:
         self._scene = scene
-        kinds = (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
+        kinds = (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)
         self._fingers = [
             tuple(np.flatnonzero((scene.geom_arm == k) & (scene.geom_kind == kind)) for kind in kinds)
             for k in range(len(scene.arms))
@@ -146,7 +146,7 @@ class ClothGrips:
             return False
         return any(self._grip(data, number, cloth) for cloth in self._scene.cloths.values())
 
-    def _grip(self, data: mujoco.MjData, number: int, cloth: SceneCloth) -> bool:
+    def _grip(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)
         geoms = data.contact.geom[touching]
         if not all(np.isin(geoms, finger).any() for finger in self._fingers[number]):
@@ -154,7 +154,7 @@ class ClothGrips:
         arm = self._scene.arms[number]
         points = cloth.points(data.qpos)
         site = data.site(f"{arm.prefix}pinch_site")
-        gripped = between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
+        gripped = points_between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
         hand = data.body(arm.flange)
         for k in gripped:
             # Anchors: the point's origin, and the same place in the hand's frame.
@@ -164,7 +164,7 @@ class ClothGrips:
         return len(gripped) > 0
 
 
-def between_pads(cloth: SceneCloth, points: Array, T_pinch_in_world: Array) -> NDArray[np.int_]:
+def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: Array) -> NDArray[np.int_]:
     """The numbers of the points (n, 3) of a cloth that pads grip when they close at a pose (4, 4) of the pinch frame.
 
     A point between the pads is gripped. If points are farther apart than the pads are wide, a point is gripped that is
@@ -173,15 +173,15 @@ def between_pads(cloth: SceneCloth, points: Array, T_pinch_in_world: Array) -> N
     """
     seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
     deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _BELOW_TIPS)
-    found = np.flatnonzero(between(seen, max(_PAD_WIDTH, cloth.spacing / 2), deep))
-    if cloth.by_layers:
-        found = np.union1d(found, nearest_of_layers(seen, triangles(*cloth.grid), _LINES, deep))
+    found = np.flatnonzero(mask_between_pads(seen, max(_PAD_WIDTH, cloth.spacing / 2), deep))
+    if cloth.held_by_layers:
+        found = np.union1d(found, nearest_per_layer(seen, grid_triangles(*cloth.grid), _LINES, deep))
     return found
 
 
 @contextmanager
-def moved_points(
-    model: mujoco.MjModel, data: mujoco.MjData, cloth: SceneCloth, points: NDArray[np.int_]
+def moving_points(
+    model: mujoco.MjModel, data: mujoco.MjData, cloth: ClothAddresses, points: NDArray[np.int_]
 ) -> Iterator[Callable[[Array], None]]:
     """Yield a function that makes a step of physics in which points of a cloth move to given positions (n, 3), m.
 
@@ -208,7 +208,7 @@ def moved_points(
         model.body_mass[bodies], model.dof_M0[dof] = masses, inertias
 
 
-def crumpled(
+def crumple(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
     """MuJoCo's positions (nq,) with a crumpled cloth at rest.
@@ -224,20 +224,20 @@ def crumpled(
         timestep: of physics, s.
     """
     lying = scene.cloths[cloth]
-    ends, corners = edges(*lying.grid), triangles(*lying.grid)
+    ends, corners = grid_edges(*lying.grid), grid_triangles(*lying.grid)
     lowest = float(lying.points(start)[:, 2].min()) - _SUNK * lying.thickness
     faults: list[int] = []
     tried: list[Array] = []
     while len(tried) < _MAX_DROPS and 0 not in faults:
-        tried.append(_dropped(scene, start, lying, rng, share, timestep))
+        tried.append(_drop_cloth(scene, start, lying, rng, share, timestep))
         points = lying.points(tried[-1])
         low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * lying.thickness
-        faults.append(crossings(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
+        faults.append(count_self_intersections(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
 
-def _dropped(
-    scene: CompiledScene, start: Array, lying: SceneCloth, rng: np.random.Generator, share: float, timestep: float
+def _drop_cloth(
+    scene: CompiledScene, start: Array, lying: ClothAddresses, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
     """MuJoCo's positions (nq,) after one drop; see `crumpled`."""
     points = lying.points(start)
@@ -251,7 +251,7 @@ def _dropped(
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     at = points[[k]]
-    with moved_points(scene.model, data, lying, np.array([k])) as step_to:
+    with moving_points(scene.model, data, lying, np.array([k])) as step_to:
         for path in paths:
             steps = max(1, int(np.linalg.norm(path) / _LIFT_SPEED / timestep))
             for _ in range(steps):
@@ -260,14 +260,14 @@ def _dropped(
     dropped = start.copy()
     dropped[lying.qpos] = data.qpos[lying.qpos]
     for _ in range(_SETTLINGS):
-        dropped = settle(scene, dropped, timestep).qpos
+        dropped = settle_objects(scene, dropped, timestep).qpos
     return dropped
 
 
 def simulated_pull(
     data: mujoco.MjData,
     model: mujoco.MjModel,
-    cloth: SceneCloth,
+    cloth: ClothAddresses,
     patches: Sequence[NDArray[np.int_]],
     paths: Sequence[Array],
     arch: float,
@@ -289,7 +289,7 @@ def simulated_pull(
     up = np.array([0.0, 0.0, arch * float(np.linalg.norm(path[:, :2], axis=1).max())])
     start, timestep = cloth.points(imagined.qpos)[points], model.opt.timestep
     steps = max(1, math.ceil(seconds / timestep))
-    with moved_points(model, imagined, cloth, points) as step_to:
+    with moving_points(model, imagined, cloth, points) as step_to:
         for step in range(1, steps + 1):
             share = (1 - math.cos(math.pi * step / steps)) / 2
             step_to(start + share * path + math.sin(math.pi * share) * up)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.columns import columns
+from ..geometry.height_map import compute_height_map
 from ..geometry.loft import Surface
 from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 
@@ -44,7 +44,7 @@ class Interior:
 
     def __init__(self, surface: Surface) -> None:
         self._low, self._high = surface[0].min(axis=0), surface[0].max(axis=0)
-        grids = [columns((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
+        grids = [compute_height_map((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
         self._first = np.array([(grid.x[0], grid.y[0]) for grid in grids])
         self._cell = np.array([grid.cell for grid in grids])
         # The last hit along each ray of each view; rays along the edges hit nothing.

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from ..attempt_data import AttemptJob
+from ..config.objects.object_config import ObjectConfig
 from ..config.recording import RecordConfig
 from ..config.scene import Table
-from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, UprightPose
 from ..scene.compiled import CompiledScene
-from ..scene.randomness import Stream, generator
-from ..scene.varied_model import VariedModel
-from ..types import EpisodeJob
+from ..scene.random_streams import Stream, random_generator
+from ..scene.randomized_model import RandomizedModel
 
 _MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out
 _OVERLAP = 5e-4  # m, of bodies, below which they only touch
@@ -33,9 +33,9 @@ class DistractorPlacer:
         self._distractors = config.randomization.distractors
         self._table = config.table
         self._model = copy.copy(scene.model)
-        self._varied = VariedModel(self._model, config.randomization, config.scene)
+        self._varied = RandomizedModel(self._model, config.randomization, config.scene)
 
-    def places(self, job: EpisodeJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
+    def places(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
         """Distractor -> its place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
         Distractors do not move and nothing comes near them, so that they do not change the motion, after which they are
@@ -48,8 +48,8 @@ class DistractorPlacer:
         if config is None:
             return {}
         for item in config.objects:
-            self._varied.place(item.name, None)
-        rng = generator(job, Stream.DISTRACTORS)
+            self._varied.place_distractor(item.name, None)
+        rng = random_generator(job, Stream.DISTRACTORS)
         wanted = int(rng.integers(config.count[0], config.count[1] + 1))
         order = rng.permutation(len(config.objects))[:wanted]
         data = mujoco.MjData(self._model)
@@ -59,15 +59,17 @@ class DistractorPlacer:
             for _ in range(_MAX_TRIES):
                 x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
                 disc = _discs(item, x, y, yaw)
-                if not _on_table(disc, self._table) or any(_gap(disc, other) < config.clearance for other in discs):
+                if not _on_table(disc, self._table) or any(
+                    _disc_distance(disc, other) < config.clearance for other in discs
+                ):
                     continue
                 place = (float(x), float(y), self._table.top + item.rest_height, float(yaw))
-                self._varied.place(item.name, place)
+                self._varied.place_distractor(item.name, place)
                 if self._is_clear(data, item.name, config.clearance, positions):
                     placed[item.name] = place
                     discs.append(disc)
                     break
-                self._varied.place(item.name, None)
+                self._varied.place_distractor(item.name, None)
         return placed
 
     def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:
@@ -105,12 +107,12 @@ def _on_table(discs: Array, table: Table) -> bool:
     return bool((np.abs(discs[:, :2] - middle) + discs[:, 2:] <= half).all())
 
 
-def _gap(one: Array, other: Array) -> float:
+def _disc_distance(one: Array, other: Array) -> float:
     apart = np.linalg.norm(one[:, None, :2] - other[None, :, :2], axis=-1)
     return float((apart - one[:, None, 2] - other[None, :, 2]).min())
 
 
-class Obstruction:
+class ArmCollisionCheck:
     """Finds collisions of an arm at other joints, except with the task's objects, which can be moved.
 
     Args:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from yamsim_cli.core.dataset.checks.context import Context, EpisodeDirectory
-from yamsim_cli.core.dataset.checks.lowdim import LowdimChecks, recorded_forms
+from yamsim_cli.core.dataset.checks.context import CheckContext, EpisodeDirectory
+from yamsim_cli.core.dataset.checks.lowdim import LowdimChecks, recorded_specs
 from yamsim_cli.core.dataset.checks.motion import (
     TIMESTAMPS,
-    angles_shown,
+    angles_by_camera,
     check_fingers,
     check_intrinsics,
     check_limits,
@@ -21,17 +21,26 @@ from yamsim_cli.core.dataset.checks.motion import (
     each_arm,
     read_timestamps,
 )
-from yamsim_cli.core.dataset.checks.problem import Problems
-from yamsim_cli.core.dataset.layout import EPISODE, lowdim_name
+from yamsim_cli.core.dataset.checks.problem import ProblemCollector
+from yamsim_cli.core.dataset.dataset_paths import EPISODE, lowdim_name
+from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord
 from yamsim_cli.core.dataset.lowdim import content_hash
-from yamsim_cli.core.dataset.real import RealRecord
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.writing import sha256_bytes
 
-from .facts import POSE, EpisodeFacts, Values, layout, numbered, places, rigid_poses, seen_outcome
-from .files import check_presence, list_files, read_file
-from .images import CameraChecks, ImageReader, TruthChecks, check_frozen
+from .episode_facts import (
+    POSE,
+    EpisodeFacts,
+    Values,
+    initial_layout,
+    object_positions,
+    outcome_from_frames,
+    rigid_poses,
+    values_by_frame,
+)
+from .episode_files import check_missing_files, list_files, read_file
+from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 
 # m, largest difference between the recorded outcome and the last frame: the outcome is taken shortly after that frame,
 # and a resting object moves by less than 0.1 mm until then.
@@ -39,20 +48,20 @@ _OUTCOME_TOLERANCE = 0.005
 _SHOWN_HASH = 12  # digits of a hash in messages
 
 
-def check_episode(episode: EpisodeDirectory, context: Context, reader: ImageReader) -> EpisodeFacts:
+def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
     """Check an episode. Every file is opened, and a fault in one file does not end the checks of others."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
 class _EpisodeCheck:
-    def __init__(self, episode: EpisodeDirectory, context: Context, reader: ImageReader) -> None:
+    def __init__(self, episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> None:
         self._episode = episode
         self._context = context
         self._reader = reader
-        self._problems = Problems(episode.path.name)
+        self._problems = ProblemCollector(episode.path.name)
         self._files = list_files(episode.path, context.recorded, self._problems)
         self._record: EpisodeRecord | None = None
-        self._imported: RealRecord | None = None
+        self._imported: RealEpisodeRecord | None = None
         self._record_sha256 = ""
         self._content = ""
 
@@ -61,7 +70,7 @@ class _EpisodeCheck:
             self._read_record()
         elif self._context.real:
             self._read_imported()
-        frames = check_presence(self._files, self._record, self._problems)
+        frames = check_missing_files(self._files, self._record, self._problems)
         if self._imported is not None:
             self._check_imported(self._imported, frames)
         lowdim = self._check_lowdim()
@@ -71,7 +80,7 @@ class _EpisodeCheck:
         period = self._check_times(lowdim.values)
         self._check_joints(lowdim.values, cameras, period)
         self._check_poses(lowdim.values, cameras)
-        outcome = seen_outcome(lowdim.values, self._context)
+        outcome = outcome_from_frames(lowdim.values, self._context)
         if self._record and outcome and self._record.frames - 1 in lowdim.values:
             self._compare_outcomes(outcome.dxy_m, self._record.outcome.dxy_m)
         return EpisodeFacts(
@@ -87,9 +96,9 @@ class _EpisodeCheck:
                 name: [self._files.images[name][k] for k in sorted(checks.fingerprints)]
                 for name, checks in cameras.items()
             },
-            starts=places(lowdim.values, self._context, last=False),
-            ends=places(lowdim.values, self._context, last=True),
-            layout=layout(lowdim.values, self._record),
+            starts=object_positions(lowdim.values, self._context, last=False),
+            ends=object_positions(lowdim.values, self._context, last=True),
+            layout=initial_layout(lowdim.values, self._record),
             outcome=self._record.outcome if self._record else outcome,
             content=self._content,
             problems=self._problems.list(),
@@ -108,7 +117,7 @@ class _EpisodeCheck:
             return
         self._record_sha256 = sha256_bytes(text)
         try:
-            self._record = _sane(from_json(EpisodeRecord, text, EPISODE))
+            self._record = _require_sane(from_json(EpisodeRecord, text, EPISODE))
         except DatasetError as error:
             self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
             return
@@ -124,11 +133,11 @@ class _EpisodeCheck:
             return
         self._record_sha256 = sha256_bytes(text)
         try:
-            self._imported = from_json(RealRecord, text, EPISODE)
+            self._imported = from_json(RealEpisodeRecord, text, EPISODE)
         except DatasetError as error:
             self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
 
-    def _check_imported(self, record: RealRecord, frames: int) -> None:
+    def _check_imported(self, record: RealEpisodeRecord, frames: int) -> None:
         """Check that all files of an imported recording are there."""
         for name in record.files:
             if name not in self._files.sizes:
@@ -152,7 +161,7 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         record = self._record
-        checks = LowdimChecks(recorded_forms(record) if record else None, self._problems)
+        checks = LowdimChecks(recorded_specs(record) if record else None, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
             data = self._read(name)
@@ -200,7 +209,7 @@ class _EpisodeCheck:
         return self._files.lowdim.get(number, lowdim_name(number))
 
     def _check_times(self, values: Values) -> float | None:
-        times = {k: float(time) for k, time in numbered(values, "timestamp").items() if np.ndim(time) == 0}
+        times = {k: float(time) for k, time in values_by_frame(values, "timestamp").items() if np.ndim(time) == 0}
         if not times and not self._context.recorded:
             times = self._capture_times()
         period = self._record.frame_period_s if self._record else None
@@ -219,7 +228,7 @@ class _EpisodeCheck:
         return {}
 
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
-        joints = numbered(values, "joints")
+        joints = values_by_frame(values, "joints")
         arms = each_arm(joints, self._context.arms, repeated=not self._context.recorded)
         for arm in arms:
             check_limits(arm.joints, arm.limits.joints, self._frame_name, self._problems)
@@ -227,8 +236,8 @@ class _EpisodeCheck:
             if self._record and arm.limits.fingers and arm.openings:
                 check_fingers(arm.openings, arm.limits.fingers, self._frame_name, self._problems)
         for camera, checks in cameras.items():
-            moving = angles_shown(camera, arms, self._context.wrist_cameras)
-            check_frozen(checks.fingerprints, self._files.images[camera], moving, self._problems)
+            moving = angles_by_camera(camera, arms, self._context.wrist_cameras)
+            check_frozen_images(checks.fingerprints, self._files.images[camera], moving, self._problems)
 
     def _check_poses(self, values: Values, cameras: Mapping[str, CameraChecks]) -> None:
         before = len(self._problems)
@@ -237,7 +246,7 @@ class _EpisodeCheck:
             check_pose(key, by_frame, self._frame_name, self._problems)
         for camera, checks in cameras.items():
             key = f"intrinsics[{camera}]"
-            matrices = {k: K for k, K in numbered(values, key).items() if np.shape(K) == (3, 3)}
+            matrices = {k: K for k, K in values_by_frame(values, key).items() if np.shape(K) == (3, 3)}
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
             points = {key: T for key, T in poses.items() if key.partition("[")[0].endswith(POSE)}
@@ -250,7 +259,7 @@ class _EpisodeCheck:
             self._problems.add("episode.outcome", EPISODE, value, f"{seen * 1000:.1f} mm")
 
 
-def _sane(record: EpisodeRecord) -> EpisodeRecord:
+def _require_sane(record: EpisodeRecord) -> EpisodeRecord:
     """The record itself; DatasetError if its numbers are impossible."""
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")

@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.dataset.checks.problem import Problems
-from yamsim_cli.core.dataset.layout import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.checks.problem import ProblemCollector
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
-from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.images.image import ImageHeader, ImageLook
+from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
 _MAX_PIXELS = 2**26  # of an image that is decoded: a header can announce gigabytes
 
@@ -40,7 +40,7 @@ class ImageReader(Protocol):
         """Size and channels; None if `data` is no whole image."""
         ...
 
-    def look(self, data: bytes) -> ImageLook | None:
+    def measure(self, data: bytes) -> ImageStats | None:
         """Measures of the decoded image; None if `data` cannot be decoded."""
         ...
 
@@ -56,7 +56,9 @@ class CameraChecks:
         size: width and height that images should have; None takes those of the first image.
     """
 
-    def __init__(self, camera: str, size: tuple[int, int] | None, reader: ImageReader, problems: Problems) -> None:
+    def __init__(
+        self, camera: str, size: tuple[int, int] | None, reader: ImageReader, problems: ProblemCollector
+    ) -> None:
         self._camera = camera
         self._stated = size
         self._reader = reader
@@ -72,17 +74,22 @@ class CameraChecks:
             return False
         size = (header.width, header.height)
         if header.width * header.height > _MAX_PIXELS:
-            self._add("image.size", name, _by(size), f"at most {_MAX_PIXELS} pixels")
+            self._add("image.size", name, _format_size(size), f"at most {_MAX_PIXELS} pixels")
             return True
         if self.size is None:
             self.size = size
         if size != self.size:
-            self._add("image.size", name, _by(size), _by(self.size) + ("" if self._stated else ", as the first one"))
+            self._add(
+                "image.size",
+                name,
+                _format_size(size),
+                _format_size(self.size) + ("" if self._stated else ", as the first one"),
+            )
         if header.channels != 3:
             self._add("image.colour", name, f"{header.channels} channel", "3 channels")
-        look = self._reader.look(data)
-        if look is None or look.complaint:
-            self._problems.add("image.decode", name, look.complaint if look else f"{len(data)} bytes")
+        look = self._reader.measure(data)
+        if look is None or look.decoder_warning:
+            self._problems.add("image.decode", name, look.decoder_warning if look else f"{len(data)} bytes")
             return False
         if look.contrast < _UNIFORM_CONTRAST:
             code = "image.black" if look.brightness < _BLACK_BRIGHTNESS else "image.uniform"
@@ -94,8 +101,8 @@ class CameraChecks:
         self._problems.add(code, name, value, valid, about=self._camera)
 
 
-def check_frozen(
-    fingerprints: Mapping[int, int], names: Mapping[int, str], joints: Mapping[int, Array], problems: Problems
+def check_frozen_images(
+    fingerprints: Mapping[int, int], names: Mapping[int, str], joints: Mapping[int, Array], problems: ProblemCollector
 ) -> None:
     """Note runs of equal images during which the arm moves.
 
@@ -124,7 +131,7 @@ def _equal_runs(fingerprints: Mapping[int, int]) -> list[Sequence[int]]:
     return list(runs)
 
 
-def _by(size: tuple[int, int]) -> str:
+def _format_size(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
@@ -136,7 +143,7 @@ class TruthChecks:
     """
 
     def __init__(
-        self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: Problems
+        self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: ProblemCollector
     ) -> None:
         self._record = record
         self._reader = reader

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from yamsim_cli.core.markup import Child, Markup, captioned_jpeg, document, key_figures, rows, section, tag, verdict
+from yamsim_cli.core.markup import (
+    Child,
+    Markup,
+    captioned_jpeg,
+    html_page,
+    html_tag,
+    key_figures,
+    section,
+    table_rows,
+    verdict,
+)
 
 # Captions and JPEG files.
 Pictures = Sequence[tuple[str, bytes]]
@@ -17,7 +27,7 @@ def certificate_page(
     """The page as HTML.
 
     Args:
-        found: `certify.run.Certified.plain`.
+        found: `certify.run.CertificationResult.plain`.
         titles: code of a check -> what is wrong where the check fails, and what to do.
         pictures: code of a check -> its pictures.
         made: see `markup.document`.
@@ -33,7 +43,7 @@ def certificate_page(
     sections = [_section(check, titles[check["code"]], pictures.get(check["code"], ())) for check in checks]
     thing = str(found["thing"])
     body = [_verdict(failed, skipped), key_figures(figures), sections]
-    return document(f"{thing}: certificate", "Certificate", thing, body, made)
+    return html_page(f"{thing}: certificate", "Certificate", thing, body, made)
 
 
 def _verdict(failed: int, skipped: int) -> Markup:
@@ -47,13 +57,13 @@ def _verdict(failed: int, skipped: int) -> Markup:
 def _section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:
     title, advice = texts
     word, kind = {True: ("passed", "fine"), False: ("failed", "error"), None: ("not checked", "warning")}[check["ok"]]
-    content: list[Child] = [tag("p", tag("code", check["code"], class_=kind), f" {word}", class_="note")]
+    content: list[Child] = [html_tag("p", html_tag("code", check["code"], class_=kind), f" {word}", class_="note")]
     if check["ok"] is False:
-        content.append(tag("p", f"{title}: {check['note']}. What to do: {advice}."))
+        content.append(html_tag("p", f"{title}: {check['note']}. What to do: {advice}."))
     elif check["note"]:
-        content.append(tag("p", f"{check['note']}."))
-    if figures := rows((name, str(value)) for name, value in check["figures"].items()):
-        content.append(tag("table", tag("tbody", figures)))
+        content.append(html_tag("p", f"{check['note']}."))
+    if figures := table_rows((name, str(value)) for name, value in check["figures"].items()):
+        content.append(html_tag("table", html_tag("tbody", figures)))
     if pictures:
-        content.append(tag("div", [captioned_jpeg(*picture, 320) for picture in pictures], class_="strips"))
+        content.append(html_tag("div", [captioned_jpeg(*picture, 320) for picture in pictures], class_="strips"))
     return section(check["code"], content)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from yamsim_cli.core.config.things.articulation import Link
-from yamsim_cli.core.geometry.attitudes import Attitude, attitudes
-from yamsim_cli.core.geometry.columns import columns, water_level
+from yamsim_cli.core.config.objects.articulation import Link
+from yamsim_cli.core.geometry.height_map import compute_height_map, water_level
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from yamsim_cli.core.scene.compiling import breakdown
+from yamsim_cli.core.geometry.stable_poses import StablePose, stable_poses
+from yamsim_cli.core.scene.compilation import physics_failure
 
-from .outcome import CheckOutcome, CheckView, short, unchecked
+from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
 from .static_checks import NO_MESHES
-from .subject import Subject, bare_spec, compiled, grounded_spec, step, with_camera
+from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
 
 # Rest and drops.
 _SETTLE, _LOOK = 6.0, 0.2  # s, most time to settle, and interval between tests for rest
@@ -48,19 +48,19 @@ _FREQUENCY = 6.0  # Hz, natural frequency of the push's controller
 
 
 @dataclass
-class _World:
+class _TestScene:
     """A thing over a slab."""
 
-    subject: Subject
+    subject: TestedObject
     model: mujoco.MjModel
     data: mujoco.MjData
 
     @classmethod
-    def of(cls, subject: Subject) -> _World:
-        spec = with_camera(grounded_spec(subject), (0, 0, subject.size * 0.15), subject.size)
+    def for_object(cls, tested_object: TestedObject) -> _TestScene:
+        spec = with_camera(object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.15), tested_object.size)
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-        model = compiled(spec)
-        return cls(subject, model, mujoco.MjData(model))
+        model = compile_or_raise(spec)
+        return cls(tested_object, model, mujoco.MjData(model))
 
     def put(self, turn: Array, gap: float) -> None:
         """Put the thing at rest, rotated by (3, 3), with its lowest point a gap (m) over the slab."""
@@ -80,7 +80,7 @@ class _World:
             if self.data.ncon:
                 deep = max(deep, -float(self.data.contact.dist.min()))
             energy = max(energy, float(self.data.energy.sum()))
-        if (fault := breakdown(self.data)) is not None or not np.isfinite(self.data.qpos).all():
+        if (fault := physics_failure(self.data)) is not None or not np.isfinite(self.data.qpos).all():
             raise ArithmeticError(fault or "a pose is no number")
         return deep, energy
 
@@ -100,19 +100,19 @@ class _World:
         return CheckView(self.model, self.data.qpos.copy(), caption)
 
 
-def rest(subject: Subject) -> CheckOutcome:
+def check_rest(tested_object: TestedObject) -> CheckOutcome:
     """Whether the thing rests still as it stands, and on each face on which it can rest."""
-    if subject.item.base == "fixed":
-        return unchecked(_FIXED)
-    world = _World.of(subject)
-    upright = Attitude(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
-    others = attitudes(subject.collision_points, np.array(subject.item.inertia.centre))
+    if tested_object.item.base == "fixed":
+        return skipped_check(_FIXED)
+    world = _TestScene.for_object(tested_object)
+    upright = StablePose(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
+    others = stable_poses(tested_object.collision_points, np.array(tested_object.item.inertia.centre))
     faces = [upright, *(face for face in others if face.down[2] > -0.999)]
     worst = {"tilt_deg": 0.0, "drift_mm": 0.0, "sinks_mm": 0.0}
     views, faults = list[CheckView](), list[str]()
     for number, face in enumerate(faces):
         try:
-            found = _lies(world, face, stands=number == 0)
+            found = _measure_rest(world, face, stands=number == 0)
         except ArithmeticError as error:
             return CheckOutcome(
                 False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views)
@@ -122,17 +122,17 @@ def rest(subject: Subject) -> CheckOutcome:
         if found["tilt_deg"] > np.degrees(_TILT) or found["drift_mm"] > _DRIFT * 1e3 or found["sinks_mm"] > _SINK * 1e3:
             shown = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
             faults.append(f"face {number}: {shown}")
-    figures = {"faces": len(faces)} | {key: short(value, 3) for key, value in worst.items()}
+    figures = {"faces": len(faces)} | {key: round_significant(value, 3) for key, value in worst.items()}
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
-def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
+def _measure_rest(world: _TestScene, face: StablePose, *, stands: bool) -> dict[str, float]:
     """The tilt, drift and penetration of the thing on a face.
 
     Args:
         stands: whether the thing has to stay as it is put; else it settles first.
     """
-    world.put(face.turn, 0.0)
+    world.put(face.rotation, 0.0)
     before = world.T
     if not stands:
         world.settle()
@@ -146,11 +146,11 @@ def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
     return {"tilt_deg": float(np.degrees(tilt)), "drift_mm": drift * 1000, "sinks_mm": deep * 1000}
 
 
-def drop(subject: Subject) -> CheckOutcome:
+def check_drop(tested_object: TestedObject) -> CheckOutcome:
     """Whether the thing stays over the ground and gains no energy when it falls from 10 cm in random orientations."""
-    if subject.item.base == "fixed":
-        return unchecked(_FIXED)
-    world = _World.of(subject)
+    if tested_object.item.base == "fixed":
+        return skipped_check(_FIXED)
+    world = _TestScene.for_object(tested_object)
     rng = np.random.default_rng(0)
     deepest, gained, speed = 0.0, 0.0, 0.0
     views = list[CheckView]()
@@ -159,7 +159,7 @@ def drop(subject: Subject) -> CheckOutcome:
         turn = _rotation(quat / np.linalg.norm(quat))
         world.put(turn, _HEIGHT)
         start = float(world.data.energy.sum())
-        fall = max(subject.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
+        fall = max(tested_object.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
         try:
             deep, energy = world.run(_FALL)
         except ArithmeticError as error:
@@ -168,15 +168,15 @@ def drop(subject: Subject) -> CheckOutcome:
         speed = max(speed, float(np.abs(world.data.qvel[:3]).max()))
         if number < 3:
             views.append(world.view(f"drop {number}"))
-        lowest = float((subject.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
+        lowest = float((tested_object.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
         if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
             note = f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground"
             return CheckOutcome(False, {"drops": _DROPS}, note, tuple(views))
     figures = {
         "drops": _DROPS,
-        "sinks_mm": short(deepest * 1000, 3),
-        "gains": short(max(gained, 0.0), 3),
-        "last_speed_m_s": short(speed, 3),
+        "sinks_mm": round_significant(deepest * 1000, 3),
+        "gains": round_significant(max(gained, 0.0), 3),
+        "last_speed_m_s": round_significant(speed, 3),
     }
     if deepest > _THROUGH:
         return CheckOutcome(False, figures, f"it sinks into the ground by {deepest * 1000:.3g} mm", tuple(views))
@@ -197,27 +197,27 @@ class Hollow:
 
     Attributes:
         place: where a ball is dropped (2,), m.
-        floor, level: heights of the surface at that place, and of the water, m.
-        room: distance of that place from the walls, m.
-        wet: places and floors of the columns under this water (n, 3), m.
+        floor_height, water_height: heights of the surface at that place, and of the water, m.
+        wall_distance: distance of that place from the walls, m.
+        water_columns: places and floors of the columns under this water (n, 3), m.
     """
 
     place: Array
-    floor: float
-    level: float
-    room: float
-    wet: Array
+    floor_height: float
+    water_height: float
+    wall_distance: float
+    water_columns: Array
 
 
-def hollow_of(subject: Subject) -> Hollow | None:
+def find_hollow(tested_object: TestedObject) -> Hollow | None:
     """The hollow of a thing as it stands, or None."""
-    grid = columns(subject.surface, _CELLS)
+    grid = compute_height_map(tested_object.surface, _CELLS)
     level = water_level(grid.top)
     there = np.isfinite(grid.top)
     depth = np.where(there, level - np.where(there, grid.top, 0.0), 0.0)
     if depth.max(initial=0.0) < _DEEP:
         return None
-    block = float(np.prod(np.ptp(subject.surface[0], axis=0)))
+    block = float(np.prod(np.ptp(tested_object.surface[0], axis=0)))
     if depth.sum() * grid.cell**2 < _DENT * block:
         return None
     i, j = np.unravel_index(int(depth.argmax()), depth.shape)
@@ -235,39 +235,44 @@ def hollow_of(subject: Subject) -> Hollow | None:
     return Hollow(wet[best], float(grid.top[deep][best]), float(water), float(room[best]), floors)
 
 
-def ball(subject: Subject) -> CheckOutcome:
+def check_ball(tested_object: TestedObject) -> CheckOutcome:
     """Whether a ball that is dropped into the hollow comes to rest inside."""
-    if not subject.looks:
-        return unchecked(NO_MESHES)
-    found = hollow_of(subject)
+    if not tested_object.visual_surfaces:
+        return skipped_check(NO_MESHES)
+    found = find_hollow(tested_object)
     if found is None:
-        return unchecked("nothing would stay in it: it has no hollow")
-    radius = min(0.7 * found.room, _MOST_RADIUS)
-    spec = with_camera(grounded_spec(subject), (0, 0, subject.size * 0.2), subject.size, steep=1.2)
-    high = max(found.level, float(subject.collision_points[:, 2].max())) + _FROM
-    body = spec.worldbody.add_body(name="certificate_ball", pos=[*found.place, high + subject.item.rest_height])
+        return skipped_check("nothing would stay in it: it has no hollow")
+    radius = min(0.7 * found.wall_distance, _MOST_RADIUS)
+    spec = with_camera(
+        object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.2), tested_object.size, steep=1.2
+    )
+    high = max(found.water_height, float(tested_object.collision_points[:, 2].max())) + _FROM
+    body = spec.worldbody.add_body(name="certificate_ball", pos=[*found.place, high + tested_object.item.rest_height])
     body.add_freejoint(name="certificate_ball")
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], density=_DENSITY, rgba=[0.9, 0.2, 0.1, 1],
         friction=[0.8, 0.005, 0.0005], condim=4, solref=_HARD, priority=1,
     )  # fmt: skip
-    model = compiled(spec)
+    model = compile_or_raise(spec)
     data = mujoco.MjData(model)
-    at = model.joint(subject.item.name).qposadr[0]
-    data.qpos[at + 2] = subject.item.rest_height
-    step(model, data, _SECONDS)
+    at = model.joint(tested_object.item.name).qposadr[0]
+    data.qpos[at + 2] = tested_object.item.rest_height
+    step_seconds(model, data, _SECONDS)
     views = (CheckView(model, data.qpos.copy(), "a ball dropped in"),)
-    figures = {"depth_mm": short((found.level - found.floor) * 1000, 3), "ball_mm": short(2000 * radius, 3)}
-    if (fault := breakdown(data)) is not None:
+    figures = {
+        "depth_mm": round_significant((found.water_height - found.floor_height) * 1000, 3),
+        "ball_mm": round_significant(2000 * radius, 3),
+    }
+    if (fault := physics_failure(data)) is not None:
         return CheckOutcome(False, figures, f"physics broke down: {fault}", views)
-    thing = data.body(subject.item.name)
+    thing = data.body(tested_object.item.name)
     inside = thing.xmat.reshape(3, 3).T @ (data.body("certificate_ball").xpos - thing.xpos)
-    nearest = found.wet[np.linalg.norm(found.wet[:, :2] - inside[:2], axis=1).argmin()]
+    nearest = found.water_columns[np.linalg.norm(found.water_columns[:, :2] - inside[:2], axis=1).argmin()]
     offset = float(np.linalg.norm(nearest[:2] - inside[:2]))
     # On a sloping floor the ball rests beside the lowest place.
-    over = float(inside[2] - radius - max(nearest[2], found.floor))
-    limit = _IN * (found.level - found.floor)
-    figures |= {"over_floor_mm": short(over * 1000, 3), "aside_mm": short(offset * 1000, 3)}
+    over = float(inside[2] - radius - max(nearest[2], found.floor_height))
+    limit = _IN * (found.water_height - found.floor_height)
+    figures |= {"over_floor_mm": round_significant(over * 1000, 3), "aside_mm": round_significant(offset * 1000, 3)}
     if offset > 2 * radius + 0.002:
         return CheckOutcome(False, figures, "the ball lies beside it", views)
     if over > limit:
@@ -278,44 +283,44 @@ def ball(subject: Subject) -> CheckOutcome:
     return CheckOutcome(True, figures, views=views)
 
 
-def articulation(subject: Subject) -> CheckOutcome:
+def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     """Whether every joint can be moved from stop to stop, and then stays or falls shut."""
-    links = subject.item.links
+    links = tested_object.item.links
     if not links:
-        return unchecked("nothing moves on it")
-    spec = bare_spec(subject.item, subject.meshes, fixed=True)
-    model = compiled(with_camera(spec, (0, 0, subject.size * 0.2), subject.size))
+        return skipped_check("nothing moves on it")
+    spec = object_spec(tested_object.item, tested_object.meshes, fixed=True)
+    model = compile_or_raise(with_camera(spec, (0, 0, tested_object.size * 0.2), tested_object.size))
     data = mujoco.MjData(model)
     reached: dict[str, float] = {}
     views, faults, fastest = list[CheckView](), list[str](), 0.0
     for link in links:
-        name = f"{subject.item.name}_{link.name}"
+        name = f"{tested_object.item.name}_{link.name}"
         for end in (1, 0):
-            missing = _push(model, data, link, name, end)
+            missing = _missing_range(model, data, link, name, end)
             which = "upper" if end else "lower"
-            reached[f"{link.name}_{which}_missing"] = short(missing, 3)
+            reached[f"{link.name}_{which}_missing"] = round_significant(missing, 3)
             if end:
                 views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper end"))
             if missing > _AT_END:
                 faults.append(f"{link.name} stops {missing * 100:.3g} % of its way before its {which} end")
         data.qfrc_applied[:] = 0
-        step(model, data, _REST_TIME)
+        step_seconds(model, data, _REST_TIME)
         speed = abs(float(data.joint(name).qvel[0])) / float(np.ptp(model.joint(name).range))
         fastest = max(fastest, speed)
         if speed > _JOINT_STILL:
             faults.append(f"{link.name} does not come to rest: {speed:.3g} of its way a second")
-    figures = {"joints": len(links), "last_speed_1_s": short(fastest, 3), **reached}
+    figures = {"joints": len(links), "last_speed_1_s": round_significant(fastest, 3), **reached}
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
-def _push(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
+def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
     """The share of the range that is missing to an end after a push towards that end."""
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     joint = model.joint(name)
     address, dof = joint.qposadr[0], joint.dofadr[0]
     goal, travel = float(joint.range[end]), float(np.ptp(joint.range))
-    effort = _effort(model, data, link, name)
+    effort = _push_effort(model, data, link, name)
     moved = 1.0 / max(float(model.dof_invweight0[dof]), 1e-6)
     stiff = max(moved * (2 * np.pi * _FREQUENCY) ** 2, effort / (0.02 * travel))
     damp = 2 * np.sqrt(stiff * moved)
@@ -326,7 +331,7 @@ def _push(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end
     return abs(goal - float(data.qpos[address])) / travel
 
 
-def _effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str) -> float:
+def _push_effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str) -> float:
     """The effort of a push, N or N m: a multiple of the friction, the ridges and the weight of the moving part."""
     joint = link.joint
     body = model.body(name).id

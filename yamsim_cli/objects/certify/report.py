@@ -11,14 +11,14 @@ from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 
 from .certificate_page import certificate_page
-from .outcome import CheckView
-from .run import CHECKS, Certified
+from .certify import CHECKS, CertificationResult
+from .check_outcome import CheckView
 
 _SIZE, _FINE = (320, 240), (640, 480)  # px, of a picture, and of its rendering before reduction
 _QUALITY = 85  # of JPEG
 
 
-def write_page(certified: Certified, path: Path) -> None:
+def write_page(certified: CertificationResult, path: Path) -> None:
     """Write the page, replacing an older one.
 
     Raises:
@@ -28,7 +28,7 @@ def write_page(certified: Certified, path: Path) -> None:
     pictures = {
         code: [(view.caption, _picture(view)) for view in outcome.views] for code, outcome in certified.outcomes.items()
     }
-    markup.write_page(certificate_page(certified.plain(), titles, pictures, markup.made_line()), path)
+    markup.write_page(certificate_page(certified.to_json_data(), titles, pictures, markup.page_footer()), path)
 
 
 def _picture(view: CheckView) -> bytes:

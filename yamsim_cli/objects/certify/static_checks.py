@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from yamsim_cli.core.config.things.primitives import CollisionPart, HullPart, SdfPart
-from yamsim_cli.core.geometry.deviation import sample_surface
+from yamsim_cli.core.config.objects.primitives import CollisionPart, HullPart, SdfPart
+from yamsim_cli.core.geometry.closed_surface import depth_in_hull, open_edges, spread_points, uniform_mass_properties
 from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
-from yamsim_cli.core.geometry.solid import depth_in_hull, filling, open_edges, spread_points
 from yamsim_cli.core.geometry.stl import read_stl
-from yamsim_cli.core.scene.things.geoms import set_file
+from yamsim_cli.core.geometry.surface_distance import sample_surface
+from yamsim_cli.core.scene.objects.object_geoms import set_file
 
 from ..primitives import signed_distance
-from .outcome import CheckOutcome, collision_view, portrait, short, unchecked, weighted
-from .subject import Subject
+from .check_outcome import CheckOutcome, collision_view, inertia_view, object_view, round_significant, skipped_check
+from .tested_object import TestedObject
 
 NO_MESHES = "its meshes are not here: run `yamsim assets fetch`"
 
@@ -37,79 +37,88 @@ _OUT, _OUT_SHARE = (
 _SKIN = 0.006  # m, depth under the hull up to which visual surfaces count
 
 
-def size(subject: Subject) -> CheckOutcome:
+def check_size(tested_object: TestedObject) -> CheckOutcome:
     """Whether the size is plausible: a thing of 60 m was modelled in millimetres."""
-    extent = np.ptp(subject.outline, axis=0)
+    extent = np.ptp(tested_object.outline, axis=0)
     longest = float(extent.max())
-    figures = {f"{axis}_m": short(value) for axis, value in zip("xyz", extent, strict=True)}
+    figures = {f"{axis}_m": round_significant(value) for axis, value in zip("xyz", extent, strict=True)}
     fits = _SIZES[0] <= longest <= _SIZES[1]
     note = "" if fits else f"{longest:.4g} m long; valid are {_SIZES[0]:g} to {_SIZES[1]:g} m"
-    return CheckOutcome(fits, figures, note, (portrait(subject, "as it stands"),) if fits else ())
+    return CheckOutcome(fits, figures, note, (object_view(tested_object, "as it stands"),) if fits else ())
 
 
-def closed(subject: Subject) -> CheckOutcome:
+def check_closed(tested_object: TestedObject) -> CheckOutcome:
     """Whether the visual surfaces are closed."""
-    if not subject.looks:
-        return unchecked(NO_MESHES)
-    edges = sum(3 * len(faces) // 2 for _, faces in subject.looks)
-    open_ = sum(open_edges(faces) for _, faces in subject.looks)
+    if not tested_object.visual_surfaces:
+        return skipped_check(NO_MESHES)
+    edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
+    open_ = sum(open_edges(faces) for _, faces in tested_object.visual_surfaces)
     allowed = _OPEN_SHARE * edges
     note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: there are holes in it"
-    views = (portrait(subject, "from below", steep=-0.9),)
+    views = (object_view(tested_object, "from below", steep=-0.9),)
     return CheckOutcome(open_ <= allowed, {"open_edges": open_, "edges": edges}, note, views)
 
 
-def normals(subject: Subject) -> CheckOutcome:
+def check_normals(tested_object: TestedObject) -> CheckOutcome:
     """Whether the faces of the visual surfaces look outwards."""
-    if not subject.looks:
-        return unchecked(NO_MESHES)
-    volumes = [filling(*surface).volume for surface in subject.looks]
+    if not tested_object.visual_surfaces:
+        return skipped_check(NO_MESHES)
+    volumes = [uniform_mass_properties(*surface).volume for surface in tested_object.visual_surfaces]
     inside_out = sum(volume <= 0 for volume in volumes)
     note = "" if not inside_out else f"{inside_out} of {len(volumes)} surfaces are inside out"
-    figures = {"volume_cm3": short(sum(volumes) * 1e6), "inside_out": inside_out}
-    return CheckOutcome(not inside_out, figures, note, (portrait(subject, "from above", steep=2.0),))
+    figures = {"volume_cm3": round_significant(sum(volumes) * 1e6), "inside_out": inside_out}
+    return CheckOutcome(not inside_out, figures, note, (object_view(tested_object, "from above", steep=2.0),))
 
 
-def density(subject: Subject) -> CheckOutcome:
+def check_density(tested_object: TestedObject) -> CheckOutcome:
     """Whether the density is plausible."""
-    mass = subject.item.inertia.mass
-    if not subject.looks:
-        return CheckOutcome(None, {"mass_kg": short(mass)}, NO_MESHES)
-    volume = sum(abs(filling(*surface).volume) for surface in subject.looks)
+    mass = tested_object.item.inertia.mass
+    if not tested_object.visual_surfaces:
+        return CheckOutcome(None, {"mass_kg": round_significant(mass)}, NO_MESHES)
+    volume = sum(abs(uniform_mass_properties(*surface).volume) for surface in tested_object.visual_surfaces)
     found = mass / volume
-    figures = {"mass_kg": short(mass), "volume_cm3": short(volume * 1e6), "density_kg_m3": short(found)}
+    figures = {
+        "mass_kg": round_significant(mass),
+        "volume_cm3": round_significant(volume * 1e6),
+        "density_kg_m3": round_significant(found),
+    }
     fits = _DENSITIES[0] <= found <= _DENSITIES[1]
     low, high = _DENSITIES
     note = "" if fits else f"{found:,.{0 if found > 1 else 4}f} kg/m3; valid are {low:,g} to {high:,g}"
-    return CheckOutcome(fits, figures, note, (portrait(subject, "from the side", steep=0.1),))
+    return CheckOutcome(fits, figures, note, (object_view(tested_object, "from the side", steep=0.1),))
 
 
-def centre(subject: Subject) -> CheckOutcome:
+def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
     """Whether the centre of mass lies within the convex hull."""
-    deep = float(depth_in_hull(np.array([subject.item.inertia.centre]), subject.outline)[0])
+    deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.outline)[0])
     note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside of it"
-    return CheckOutcome(deep >= -_ROUNDING, {"inside_mm": short(deep * 1000)}, note, (weighted(subject, block=False),))
+    return CheckOutcome(
+        deep >= -_ROUNDING,
+        {"inside_mm": round_significant(deep * 1000)},
+        note,
+        (inertia_view(tested_object, block=False),),
+    )
 
 
-def inertia(subject: Subject) -> CheckOutcome:
+def check_inertia(tested_object: TestedObject) -> CheckOutcome:
     """Whether a body of this mass and size can have these principal moments of inertia, each about its own axis."""
-    found = subject.item.inertia
+    found = tested_object.item.inertia
     moments = np.array(found.diagonal)
-    along = (subject.outline - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
+    along = (tested_object.outline - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
     squares, edges = along**2, np.ptp(along, axis=0) ** 2
     # No part of the mass is farther from an axis than the farthest point of the surface.
     most = found.mass * (squares.sum(axis=1, keepdims=True) - squares).max(axis=0)
     filled = found.mass / 12 * (edges.sum() - edges)
     a, b, c = sorted(found.diagonal)
     figures = {
-        "least_kg_m2": short(a),
-        "middle_kg_m2": short(b),
-        "largest_kg_m2": short(c),
-        "triangle": short((a + b) / c),
-        "of_possible": short((moments / most).max()),
-        "of_filled_box": short((moments / filled).min()),
+        "least_kg_m2": round_significant(a),
+        "middle_kg_m2": round_significant(b),
+        "largest_kg_m2": round_significant(c),
+        "triangle": round_significant((a + b) / c),
+        "of_possible": round_significant((moments / most).max()),
+        "of_filled_box": round_significant((moments / filled).min()),
     }
-    views = (weighted(subject, block=True),)
+    views = (inertia_view(tested_object, block=True),)
     if a + b < c * (1 - _SLACK):
         return CheckOutcome(
             False, figures, f"{a:.3g} and {b:.3g} together are less than {c:.3g} kg m2: no body has that"
@@ -128,36 +137,36 @@ def inertia(subject: Subject) -> CheckOutcome:
     return CheckOutcome(True, figures, views=views)
 
 
-def collision(subject: Subject) -> CheckOutcome:
+def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     """Whether the collision geoms have about the volume and the place of the visual surfaces."""
-    if not subject.looks:
-        return unchecked(NO_MESHES)
-    parts = subject.item.collision
+    if not tested_object.visual_surfaces:
+        return skipped_check(NO_MESHES)
+    parts = tested_object.item.collision
     if any(isinstance(part, SdfPart) for part in parts):
-        return unchecked("it collides by the distance to its own surface")
-    surface = subject.surface
-    points = np.concatenate([surface[0], subject.collision_points])
+        return skipped_check("it collides by the distance to its own surface")
+    surface = tested_object.surface
+    points = np.concatenate([surface[0], tested_object.collision_points])
     low, high = points.min(axis=0), points.max(axis=0)
     filled = spread_points(low, high, _POINTS)
     block = float(np.prod(high - low))
-    touches = _distance(subject, parts, filled) <= 0
+    touches = _distance(tested_object, parts, filled) <= 0
     volume = block * float(touches.mean())
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
-    mesh = sum(filling(*each).volume for each in subject.looks)
+    mesh = sum(uniform_mass_properties(*each).volume for each in tested_object.visual_surfaces)
     seen = sample_surface(surface, _SEEN, np.random.default_rng(0))[0]
     # Deep points are out of reach, or belong to a hollow, which has its own check; scans are poor there.
     seen = seen[depth_in_hull(seen, surface[0]) < _SKIN]
-    out = np.maximum(_distance(subject, parts, seen), 0)
+    out = np.maximum(_distance(tested_object, parts, seen), 0)
     reach = float(np.linalg.norm(np.ptp(surface[0], axis=0)))
     most, allowed = float(np.percentile(out, 95)), max(_OUT, _OUT_SHARE * reach)
     figures = {
-        "collision_cm3": short(volume * 1e6, 3),
-        "mesh_cm3": short(mesh * 1e6, 3),
-        "hull_cm3": short(hull * 1e6, 3),
-        "of_hull": short(volume / hull, 3),
-        "sticks_out_mm": short(most * 1000, 3),
+        "collision_cm3": round_significant(volume * 1e6, 3),
+        "mesh_cm3": round_significant(mesh * 1e6, 3),
+        "hull_cm3": round_significant(hull * 1e6, 3),
+        "of_hull": round_significant(volume / hull, 3),
+        "sticks_out_mm": round_significant(most * 1000, 3),
     }
-    views = (collision_view(subject),)
+    views = (collision_view(tested_object),)
     if volume > _OF_HULL * hull:
         return CheckOutcome(False, figures, f"what touches is {volume / hull:.2f} times its hull", views)
     if volume < _OF_MESH * mesh:
@@ -167,19 +176,19 @@ def collision(subject: Subject) -> CheckOutcome:
     return CheckOutcome(True, figures, views=views)
 
 
-def kinds(parts: Sequence[CollisionPart]) -> str:
+def collision_kinds(parts: Sequence[CollisionPart]) -> str:
     """The kinds of collision parts: "primitives", "hulls", "distance" or several of these."""
     names = {"hull": "hulls", "sdf": "distance"}
     return " and ".join(sorted({names.get(part.type, "primitives") for part in parts}))
 
 
-def _distance(subject: Subject, parts: Sequence[CollisionPart], points: Array) -> Array:
+def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
     """The signed distance (n,) of points (n, 3) from the collision parts, m; too small beside the edges of a hull."""
     nearest = np.full(len(points), np.inf)
     primitives = [part for part in parts if not isinstance(part, HullPart | SdfPart)]
     if primitives:
         nearest = signed_distance(primitives, points)
-    folder = subject.meshes.get(subject.item.mesh.set)
+    folder = tested_object.meshes.get(tested_object.item.mesh.set)
     for part in parts:
         if isinstance(part, HullPart) and folder is not None:
             vertices, _ = read_stl(set_file(folder, part.file))

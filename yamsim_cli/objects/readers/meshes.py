@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces, is_binary_stl, read_stl
 
-from .headers import check_header
-from .parts import GREY, Rgba, Surface, SurfaceMaterial
-from .textures import bake_colours, open_image, png_of
+from .mesh_headers import check_header
+from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
+from .textures import bake_colours, encode_png_texture, open_image
 
 MOST_FACES = 2_000_000  # more than any scan needs; users reduce larger ones themselves
 
@@ -51,7 +51,7 @@ class MeshFile:
 class _Resolver:
     """The resolver by which trimesh reads the files that a mesh names."""
 
-    def __init__(self, folder: Folder, base: Path) -> None:
+    def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
 
     def get(self, name: str) -> bytes:
@@ -77,7 +77,7 @@ class _Resolver:
         return False
 
 
-def read_mesh(data: bytes, suffix: str, folder: Folder, base: Path) -> MeshFile:
+def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> MeshFile:
     """The surfaces of a mesh file.
 
     Args:
@@ -98,7 +98,7 @@ def read_mesh(data: bytes, suffix: str, folder: Folder, base: Path) -> MeshFile:
     except ImportError:
         raise RefusedError("unknown-kind", "an STL of text needs the extra: pip install 'yamsim[import]'") from None
     if suffix == ".dae":
-        from .xml import collada_asset
+        from .untrusted_xml import collada_asset
 
         unit, up = collada_asset(data)
     try:
@@ -175,7 +175,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
             corners = np.asarray(visual.uv, np.float64)[triangles]
             if not np.isfinite(corners).all():
                 raise RefusedError("no-numbers", "it has texture coordinates that are no numbers")
-            uv, texture = corners, png_of(image, "of a material")
+            uv, texture = corners, encode_png_texture(image, "of a material")
         colour = visual.vertex_attributes.get("color") if uv is None and hasattr(visual, "vertex_attributes") else None
         if colour is not None and len(colour) == len(vertices):
             colours = _as_bytes(np.asarray(colour))
@@ -244,7 +244,7 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
 
 
 def mesh_surfaces(
-    folder: Folder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
+    folder: ConfinedFolder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
 ) -> list[Surface]:
     """The surfaces of a mesh that a description names, m, with another material if one is given.
 
@@ -260,20 +260,20 @@ def mesh_surfaces(
     surfaces = [surface.moved(T) for surface in mesh.surfaces]
     if material is None:
         return surfaces
-    return [_painted(surface, material) for surface in surfaces]
+    return [_with_material(surface, material) for surface in surfaces]
 
 
-def _painted(surface: Surface, material: SurfaceMaterial) -> Surface:
+def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
     """The surface with a description's material; a texture of the mesh stays if the description has none."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)
 
 
-def plain_material(folder: Folder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
+def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
     """A material with a colour and, if named, a texture."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:
         return SurfaceMaterial(colour)
-    return SurfaceMaterial(colour, png_of(open_image(folder.read(texture, base), texture), texture))
+    return SurfaceMaterial(colour, encode_png_texture(open_image(folder.read(texture, base), texture), texture))

@@ -15,18 +15,25 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from yamsim_cli.core.files.untrusted.includes import with_includes
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
+from yamsim_cli.core.files.untrusted.mjcf_includes import with_includes
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
 
-from .headers import check_header
+from .kinematic_tree import (
+    JointDescription,
+    LinkDescription,
+    build_parts,
+    handle_from_frame,
+    joint_range,
+    make_mass_properties,
+)
+from .mesh_headers import check_header
 from .meshes import MOST_FACES
-from .parts import ReadThing, Surface, SurfaceMaterial
-from .solids import seen, touching
-from .textures import open_image, png_of
-from .tree import ReadJoint, ReadLink, bounded, checked_weight, marked_handle, parts_of
-from .xml import Element, parse
+from .object_parts import ObjectDescription, Surface, SurfaceMaterial
+from .primitive_shapes import collision_shape, visual_surface
+from .textures import encode_png_texture, open_image
+from .untrusted_xml import Element, parse_untrusted_xml
 
 # Elements that run code of others, or multiply a file's content.
 _NOT_READ = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
@@ -45,9 +52,9 @@ _KINDS = {
 _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
-def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
+def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
     """The thing that an MJCF file describes. Raises `RefusedError`."""
-    root = with_includes(data, folder, base, parse)
+    root = with_includes(data, folder, base, parse_untrusted_xml)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
     name = root.get("model", "")
@@ -66,7 +73,7 @@ def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     return _read(model, name)
 
 
-def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:
+def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
     """Read all files that a document names, and rename them in the document: new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
@@ -90,7 +97,7 @@ def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:
                 check_header(data, suffix, MOST_FACES)
                 element.attrib.setdefault("name", PurePosixPath(named).stem)
             elif element.tag == "texture":
-                data, suffix = png_of(open_image(data, named), named), ".png"
+                data, suffix = encode_png_texture(open_image(data, named), named), ".png"
                 element.attrib.pop("content_type", None)
             element.attrib[key] = f"{len(assets)}{suffix}"
             assets[element.attrib[key]] = data
@@ -102,7 +109,7 @@ def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:
     return assets
 
 
-def _read(model: mujoco.MjModel, name: str) -> ReadThing:
+def _read(model: mujoco.MjModel, name: str) -> ObjectDescription:
     notes: list[str] = []
     world = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == 0]
     if model.nbody == 1 and world:
@@ -114,22 +121,22 @@ def _read(model: mujoco.MjModel, name: str) -> ReadThing:
         joints = [joint for body in range(1, model.nbody) if (joint := _joint(model, body, notes)) is not None]
     if model.neq:
         notes.append("left out: equalities")
-    parts, _ = parts_of(links, joints)
+    parts, _ = build_parts(links, joints)
     touching_geoms = [geom for geom in range(model.ngeom) if model.geom_contype[geom] or model.geom_conaffinity[geom]]
     friction = float(np.median(model.geom_friction[touching_geoms, 0])) if touching_geoms else None
-    return ReadThing(name, parts, False, friction=friction, notes=tuple(dict.fromkeys(notes)))
+    return ObjectDescription(name, parts, False, friction=friction, notes=tuple(dict.fromkeys(notes)))
 
 
 def _body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
 
 
-def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> ReadLink:
-    link = ReadLink(name, _T_in_model(model, body))
+def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> LinkDescription:
+    link = LinkDescription(name, _T_in_model(model, body))
     if model.body_mass[body] > 0:
         turn = pose_from_quat((0, 0, 0), model.body_iquat[body])[:3, :3]
         tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        link.weight = checked_weight(float(model.body_mass[body]), model.body_ipos[body].copy(), tensor)
+        link.weight = make_mass_properties(float(model.body_mass[body]), model.body_ipos[body].copy(), tensor)
     geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == body]
     touches = [bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in geoms]
     only_seen = [
@@ -143,15 +150,15 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Read
             continue
         size = model.geom_size[geom, : _SIZES[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
-            surface = seen(kind, size, _material(model, geom)) if kind else _mesh(model, geom)
+            surface = visual_surface(kind, size, _material(model, geom)) if kind else _mesh(model, geom)
             link.looks.append(surface.moved(T))
         if touch:
-            link.shapes.append(touching(kind, size, T) if kind else _mesh(model, geom, convex=True).moved(T))
+            link.shapes.append(collision_shape(kind, size, T) if kind else _mesh(model, geom, convex=True).moved(T))
     for site in range(model.nsite):
         label = model.site(site).name
         if model.site_bodyid[site] == body and label.lower().startswith("handle"):
             T = pose_from_quat(model.site_pos[site], model.site_quat[site])
-            link.handles.append(marked_handle(label, T))
+            link.handles.append(handle_from_frame(label, T))
     return link
 
 
@@ -163,7 +170,7 @@ def _T_in_model(model: mujoco.MjModel, body: int) -> Array:
     return T
 
 
-def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> ReadJoint | None:
+def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> JointDescription | None:
     name, parent = _body_name(model, body), int(model.body_parentid[body])
     count, first = int(model.body_jntnum[body]), int(model.body_jntadr[body])
     if parent == 0:
@@ -173,7 +180,7 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> ReadJoint | No
         return None
     above = _body_name(model, parent)
     if count == 0:
-        return ReadJoint(name, above, name, None)
+        return JointDescription(name, above, name, None)
     kinds = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
     kind = kinds.get(mujoco.mjtJoint(model.jnt_type[first]))
     if count > 1 or kind is None:
@@ -188,12 +195,12 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> ReadJoint | No
         "type": kind,
         "axis": model.jnt_axis[first].tolist(),
         "position": model.jnt_pos[first].tolist(),
-        "range": bounded(float(low), float(high), turns=kind == "hinge", name=name),
+        "range": joint_range(float(low), float(high), turns=kind == "hinge", name=name),
         "damping": float(model.dof_damping[dof]),
         "friction": float(model.dof_frictionloss[dof]),
         "armature": float(model.dof_armature[dof]),
     }
-    return ReadJoint(name, above, name, moves)
+    return JointDescription(name, above, name, moves)
 
 
 def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:

@@ -11,21 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, pose_from_quat
 
+from .kinematic_tree import (
+    JointDescription,
+    LinkDescription,
+    build_parts,
+    handle_from_frame,
+    joint_range,
+    make_mass_properties,
+)
 from .meshes import mesh_surfaces, plain_material
-from .parts import ReadThing, Surface, SurfaceMaterial, Weight
-from .solids import seen, touching
-from .tree import ReadJoint, ReadLink, bounded, checked_weight, marked_handle, parts_of
-from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
+from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMaterial
+from .primitive_shapes import collision_shape, visual_surface
+from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
 _DEEPEST_INCLUDE = 8
 _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
-def read_sdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
+def read_sdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
     """The thing that an SDFormat file describes.
 
     Raises:
@@ -34,14 +41,14 @@ def read_sdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     model, where = _model(data, folder, base, ())
     reader = _Reader(folder, where)
     links, joints = reader.model(model)
-    parts, fixed = parts_of(links, joints)
+    parts, fixed = build_parts(links, joints)
     static = (model.findtext("static") or "").strip() in ("true", "1")
     notes = tuple(dict.fromkeys(reader.notes))
-    return ReadThing(model.get("name", ""), parts, fixed or static, friction=reader.friction, notes=notes)
+    return ObjectDescription(model.get("name", ""), parts, fixed or static, friction=reader.friction, notes=notes)
 
 
-def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
-    root = parse(data)
+def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
+    root = parse_untrusted_xml(data)
     if root.tag != "sdf":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <sdf>")
     place = root.find("world") if root.find("model") is None and root.find("world") is not None else root
@@ -55,7 +62,9 @@ def _model(data: bytes, folder: Folder, base: Path, seen_files: tuple[Path, ...]
     return models[0], base
 
 
-def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Path, ...]) -> tuple[Element, Path]:
+def _included(
+    include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
+) -> tuple[Element, Path]:
     """The model that an include names: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
     try:
@@ -72,12 +81,12 @@ def _included(include: Element, folder: Folder, base: Path, seen_files: tuple[Pa
 class _Reader:
     """Reads a model whose files are relative to the folder `base`."""
 
-    def __init__(self, folder: Folder, base: Path) -> None:
+    def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
         self.notes: list[str] = []
         self.friction: float | None = None
 
-    def model(self, model: Element) -> tuple[list[ReadLink], list[ReadJoint]]:
+    def model(self, model: Element) -> tuple[list[LinkDescription], list[JointDescription]]:
         for tag in ("include", "model"):
             if model.find(tag) is not None:
                 name = model.get("name")
@@ -90,9 +99,9 @@ class _Reader:
             self._handle(element, frames, by_name, links)
         return links, joints
 
-    def _link(self, element: Element, frames: _Frames) -> ReadLink:
+    def _link(self, element: Element, frames: _Frames) -> LinkDescription:
         name = _name_of(element)
-        link = ReadLink(name, frames.T(name))
+        link = LinkDescription(name, frames.T(name))
         link.weight = _weight(element.find("inertial"))
         for visual in element.findall("visual"):
             surfaces = self._surfaces(visual, self._material(visual))
@@ -115,7 +124,7 @@ class _Reader:
         if found is None:
             self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
             return []
-        return [seen(*found, material or SurfaceMaterial())]
+        return [visual_surface(*found, material or SurfaceMaterial())]
 
     def _mesh(self, mesh: Element, material: SurfaceMaterial | None) -> list[Surface]:
         scale = numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
@@ -132,16 +141,16 @@ class _Reader:
         if mesh is not None:
             return [surface.moved(T) for surface in self._mesh(mesh, None)]
         found = _plain(geometry)
-        return [] if found is None else [touching(*found, T)]
+        return [] if found is None else [collision_shape(*found, T)]
 
-    def _joint(self, element: Element, frames: _Frames) -> ReadJoint:
+    def _joint(self, element: Element, frames: _Frames) -> JointDescription:
         name, kind = _name_of(element), element.get("type", "")
         parent, child = ((element.findtext(tag) or "").strip() for tag in ("parent", "child"))
         parent_link, child_link = frames.link_of(parent), frames.link_of(child)
         if child_link is None:
             raise RefusedError("damaged", f"joint {name!r} has no child")
         if kind == "fixed":
-            return ReadJoint(name, parent_link, child_link, None)
+            return JointDescription(name, parent_link, child_link, None)
         if kind not in _JOINTS:
             raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_JOINTS)}")
         T = inverse(frames.T(child_link)) @ frames.T(name)
@@ -152,9 +161,13 @@ class _Reader:
         xyz = np.array(numbers(None if along is None else along.text, 3, (0.0, 0.0, 1.0)))
         within = "" if along is None else along.get("expressed_in", "")
         R = T[:3, :3] if not within else (inverse(frames.T(child_link)) @ frames.T(within))[:3, :3]
-        return ReadJoint(name, parent_link, child_link, _moves(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3]))
+        return JointDescription(
+            name, parent_link, child_link, _joint_data(element, axis, _JOINTS[kind], R @ xyz, T[:3, 3])
+        )
 
-    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, ReadLink], links: list[ReadLink]) -> None:
+    def _handle(
+        self, element: Element, frames: _Frames, by_name: dict[str, LinkDescription], links: list[LinkDescription]
+    ) -> None:
         """Add the handle that a frame named `handle...` marks."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
@@ -162,7 +175,7 @@ class _Reader:
             return
         link = by_name[owner or links[0].name]
         T = inverse(link.T) @ frames.T(name)
-        link.handles.append(marked_handle(name.replace("-", "_"), T))
+        link.handles.append(handle_from_frame(name.replace("-", "_"), T))
 
     def _material(self, visual: Element) -> SurfaceMaterial | None:
         element = visual.find("material")
@@ -178,12 +191,12 @@ class _Reader:
         return plain_material(self._folder, colour, albedo, self._base)
 
 
-def _weight(inertial: Element | None) -> Weight | None:
+def _weight(inertial: Element | None) -> MassProperties | None:
     if inertial is None or inertial.find("mass") is None:
         return None
     T, elements = _pose_of(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     tensor = inertia_matrix(*(number(inertial.findtext(f"inertia/{key}"), 0.0) for key in elements))
-    return checked_weight(number(inertial.findtext("mass")), T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+    return make_mass_properties(number(inertial.findtext("mass")), T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
 
 
 def _plain(geometry: Element) -> tuple[str, Array] | None:
@@ -200,7 +213,7 @@ def _plain(geometry: Element) -> tuple[str, Array] | None:
     return None
 
 
-def _moves(element: Element, axis: Element, kind: str, direction: Array, position: Array) -> dict[str, Any]:
+def _joint_data(element: Element, axis: Element, kind: str, direction: Array, position: Array) -> dict[str, Any]:
     turns = kind != "slide"
     low, high = (
         number(axis.findtext(f"limit/{end}"), open_end) for end, open_end in (("lower", -math.inf), ("upper", math.inf))
@@ -209,7 +222,7 @@ def _moves(element: Element, axis: Element, kind: str, direction: Array, positio
         "type": kind,
         "axis": direction.tolist(),
         "position": position.tolist(),
-        "range": bounded(low, high, turns=turns, name=_name_of(element)),
+        "range": joint_range(low, high, turns=turns, name=_name_of(element)),
         "damping": number(axis.findtext("dynamics/damping"), 0.0),
         "friction": number(axis.findtext("dynamics/friction"), 0.0),
     }
@@ -304,4 +317,4 @@ def _pose_of(element: Element) -> Array:
         return pose_from_quat((x, y, z), (qw, qx, qy, qz))
     x, y, z, roll, pitch, yaw = numbers(found.text, 6, (0.0,) * 6)
     factor = math.pi / 180 if found.get("degrees") in ("true", "1") else 1.0
-    return pose((x, y, z), from_rpy(roll * factor, pitch * factor, yaw * factor))
+    return pose((x, y, z), rotation_from_rpy(roll * factor, pitch * factor, yaw * factor))

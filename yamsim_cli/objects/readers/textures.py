@@ -41,7 +41,7 @@ def _checked(image: Any, name: str) -> Any:
     return image
 
 
-def png_of(image: Any, name: str) -> bytes:
+def encode_png_texture(image: Any, name: str) -> bytes:
     """An RGB PNG of a Pillow image, at most 2048 pixels wide and high. Raises `RefusedError`."""
     _checked(image, name)
     try:

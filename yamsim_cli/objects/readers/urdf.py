@@ -11,23 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.core.files.untrusted.jail import Folder
+from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array, pose
 
+from .kinematic_tree import JointDescription, LinkDescription, build_parts, joint_range, make_mass_properties
 from .meshes import mesh_surfaces, plain_material
-from .parts import ReadThing, Surface, SurfaceMaterial, Weight
-from .solids import seen, touching
-from .tree import ReadJoint, ReadLink, bounded, checked_weight, parts_of
-from .xml import Element, from_rpy, inertia_matrix, number, numbers, parse
+from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMaterial
+from .primitive_shapes import collision_shape, visual_surface
+from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
 _TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 _WORLD = "world"
 
 
-def read_urdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
+def read_urdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
     """The thing that a URDF describes. Raises `RefusedError`."""
-    root = parse(data)
+    root = parse_untrusted_xml(data)
     if root.tag != "robot":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <robot>")
     palette = {m.get("name", ""): found for m in root.findall("material") if (found := _colour(m, folder, base))}
@@ -36,11 +36,11 @@ def read_urdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     joints = root.findall("joint")
     poses = _poses(links, joints)
     made = [_link(element, poses[name], folder, base, palette) for name, element in links.items() if name != _WORLD]
-    parts, fixed = parts_of(made, [_joint(element) for element in joints])
-    return ReadThing(root.get("name", ""), parts, fixed, notes=tuple(notes))
+    parts, fixed = build_parts(made, [_joint(element) for element in joints])
+    return ObjectDescription(root.get("name", ""), parts, fixed, notes=tuple(notes))
 
 
-def _ends(joint: Element) -> tuple[str, str]:
+def _parent_and_child(joint: Element) -> tuple[str, str]:
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
         raise RefusedError("damaged", f"joint {joint.get('name')!r} has no parent or no child")
@@ -49,7 +49,7 @@ def _ends(joint: Element) -> tuple[str, str]:
 
 def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
     """ReadLink -> pose (4, 4) in the root's frame."""
-    above = {child: (parent, joint) for joint in joints for parent, child in (_ends(joint),)}
+    above = {child: (parent, joint) for joint in joints for parent, child in (_parent_and_child(joint),)}
     known: dict[str, Array] = {}
     for name in links:
         chain, at = [], name
@@ -70,10 +70,12 @@ def _origin(element: Element) -> Array:
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
-    return pose(numbers(origin.get("xyz"), 3, (0.0,) * 3), from_rpy(*numbers(origin.get("rpy"), 3, (0.0,) * 3)))
+    return pose(
+        numbers(origin.get("xyz"), 3, (0.0,) * 3), rotation_from_rpy(*numbers(origin.get("rpy"), 3, (0.0,) * 3))
+    )
 
 
-def _colour(element: Element, folder: Folder, base: Path) -> SurfaceMaterial | None:
+def _colour(element: Element, folder: ConfinedFolder, base: Path) -> SurfaceMaterial | None:
     colour, texture = element.find("color"), element.find("texture")
     if colour is None and texture is None:
         return None
@@ -81,8 +83,10 @@ def _colour(element: Element, folder: Folder, base: Path) -> SurfaceMaterial | N
     return plain_material(folder, rgba, "" if texture is None else texture.get("filename", ""), base)
 
 
-def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[str, SurfaceMaterial]) -> ReadLink:
-    link = ReadLink(element.get("name", ""), T, _weight(element.find("inertial")))
+def _link(
+    element: Element, T: Array, folder: ConfinedFolder, base: Path, palette: dict[str, SurfaceMaterial]
+) -> LinkDescription:
+    link = LinkDescription(element.get("name", ""), T, _weight(element.find("inertial")))
     for visual in element.findall("visual"):
         named = visual.find("material")
         material = None
@@ -94,17 +98,17 @@ def _link(element: Element, T: Array, folder: Folder, base: Path, palette: dict[
         if found is None:
             link.shapes += [s.moved(_origin(collision)) for s in _surfaces(collision, folder, base, None)]
         else:
-            link.shapes.append(touching(*found, _origin(collision)))
+            link.shapes.append(collision_shape(*found, _origin(collision)))
     return link
 
 
-def _surfaces(element: Element, folder: Folder, base: Path, material: SurfaceMaterial | None) -> list[Surface]:
+def _surfaces(element: Element, folder: ConfinedFolder, base: Path, material: SurfaceMaterial | None) -> list[Surface]:
     mesh = element.find("geometry/mesh")
     if mesh is not None:
         scale = numbers(mesh.get("scale"), 3, (1.0, 1.0, 1.0))
         return mesh_surfaces(folder, mesh.get("filename", ""), base, scale, material)
     found = _plain(element)
-    return [] if found is None else [seen(*found, material or SurfaceMaterial())]
+    return [] if found is None else [visual_surface(*found, material or SurfaceMaterial())]
 
 
 def _plain(element: Element) -> tuple[str, Array] | None:
@@ -118,13 +122,13 @@ def _plain(element: Element) -> tuple[str, Array] | None:
     return None
 
 
-def _weight(inertial: Element | None) -> Weight | None:
+def _weight(inertial: Element | None) -> MassProperties | None:
     if inertial is None:
         return None
     T, elements = _origin(inertial), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     tensor = inertia_matrix(*(number(_attribute(inertial, "inertia", key), 0.0) for key in elements))
     mass = number(_attribute(inertial, "mass", "value"), 0.0)
-    return checked_weight(mass, T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
+    return make_mass_properties(mass, T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
 
 
 def _attribute(element: Element, tag: str, name: str) -> str | None:
@@ -132,12 +136,12 @@ def _attribute(element: Element, tag: str, name: str) -> str | None:
     return None if child is None else child.get(name)
 
 
-def _joint(element: Element) -> ReadJoint:
+def _joint(element: Element) -> JointDescription:
     name, kind = element.get("name", ""), element.get("type", "")
-    parent, child = _ends(element)
+    parent, child = _parent_and_child(element)
     above = None if parent == _WORLD else parent
     if kind == "fixed":
-        return ReadJoint(name, above, child, None)
+        return JointDescription(name, above, child, None)
     if kind not in _TYPES:
         raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_TYPES)}")
     low, high = -math.inf, math.inf
@@ -148,8 +152,8 @@ def _joint(element: Element) -> ReadJoint:
     moves: dict[str, Any] = {
         "type": _TYPES[kind],
         "axis": numbers(_attribute(element, "axis", "xyz"), 3, (1.0, 0.0, 0.0)),
-        "range": bounded(low, high, turns=kind != "prismatic", name=name),
+        "range": joint_range(low, high, turns=kind != "prismatic", name=name),
         "damping": number(_attribute(element, "dynamics", "damping"), 0.0),
         "friction": number(_attribute(element, "dynamics", "friction"), 0.0),
     }
-    return ReadJoint(name, above, child, moves)
+    return JointDescription(name, above, child, moves)

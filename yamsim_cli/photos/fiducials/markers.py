@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.images.board_image import dictionary_of
+from yamsim_cli.core.images.board_image import aruco_dictionary
 
-from ..lens import rays
+from ..lens_distortion import viewing_rays
 
 Grey = NDArray[np.uint8]
 
@@ -39,7 +39,7 @@ class DetectedMarker:
 
 
 @dataclass(frozen=True)
-class Group:
+class MarkerGroup:
     """Markers that lie as on one board: indices into `board.ids`, and corners (k, 4, 2) in pixels."""
 
     places: tuple[int, ...]
@@ -52,13 +52,13 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
     Raises:
         ConfigError: OpenCV has no such dictionary.
     """
-    sized, factor = _sized(grey)
+    sized, factor = _resize_for_detector(grey)
     parameters = cv2.aruco.DetectorParameters()
     # Poses only start from the corners. Refining corners takes six times as long as finding them.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
-        detector = cv2.aruco.ArucoDetector(dictionary_of(name), parameters)
+        detector = cv2.aruco.ArucoDetector(aruco_dictionary(name), parameters)
         corners, ids, _ = detector.detectMarkers(sized)
         # OpenCV 4 returns None for no markers.
         numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
@@ -69,21 +69,21 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
     return found
 
 
-def _sized(grey: Grey) -> tuple[Grey, Array]:
+def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
     """The photo in a size that suits the detector, and the factors (2,) of its width and height."""
     longer = max(grey.shape)
     if longer > _SHRINK_TO:
         size = tuple(round(side * _SHRINK_TO / longer) for side in grey.shape[::-1])
         shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return _stretched(shrunk), np.array(size) / grey.shape[::-1]
+        return _stretch_contrast(shrunk), np.array(size) / grey.shape[::-1]
     factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / longer)))
-    grey = _stretched(grey)
+    grey = _stretch_contrast(grey)
     if factor > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     return grey, np.array([factor, factor], dtype=np.float64)
 
 
-def _stretched(grey: Grey) -> Grey:
+def _stretch_contrast(grey: Grey) -> Grey:
     low, high = np.percentile(grey, _ENDS)
     if high - low >= _WIDEST or high - low < 1:
         return grey
@@ -91,7 +91,7 @@ def _stretched(grey: Grey) -> Grey:
     return stretched
 
 
-def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[Group]:
+def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[MarkerGroup]:
     """Markers of a board, grouped by the board centre that each predicts; the largest group first.
 
     A second print of the same board, or a marker that was misread, is in another group.
@@ -112,14 +112,14 @@ def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel)
             clusters.append([k])
     clusters.sort(key=len, reverse=True)
     return [
-        Group(tuple(place[ours[k].id] for k in cluster), np.array([ours[k].corners for k in cluster]))
+        MarkerGroup(tuple(place[ours[k].id] for k in cluster), np.array([ours[k].corners for k in cluster]))
         for cluster in clusters
     ]
 
 
 def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
     """The viewing ray of the board's centre that a marker predicts, and the marker's edge in the same unit."""
-    seen = rays(camera, marker.corners)
+    seen = viewing_rays(camera, marker.corners)
     # The perspective of one small marker is mostly noise: far from the marker, an affine map errs less.
     known = np.column_stack([corners[:, :2], np.ones(4)])
     affine, *_ = np.linalg.lstsq(known, seen, rcond=None)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import ConfigError, DatasetError
-from yamsim_cli.core.files.documents.document import load_yaml
+from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.stops import beyond_stops
-from yamsim_cli.core.types import Stand
+from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
 _SLACK = math.radians(3.0)  # rad, how far beyond its stop a joint may be: encoders and calibrations are slightly off
 _MOST_OPENING = 1.1  # of the full opening, which no finger exceeds: a file with larger numbers gives shares, not m
@@ -21,15 +21,15 @@ _MOST_OPENING = 1.1  # of the full opening, which no finger exceeds: a file with
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
 
 # How every arm of a rig stands, in the rig's order.
-Stands = tuple[Stand, ...]
+ArmPostures = tuple[ArmPosture, ...]
 
 
-def home_stands(rig: RigConfig) -> Stands:
+def home_postures(rig: RigConfig) -> ArmPostures:
     """Every arm at home, grippers closed."""
-    return tuple(Stand(np.array(arm.robot.home), 0.0) for arm in rig.arms)
+    return tuple(ArmPosture(np.array(arm.robot.home), 0.0) for arm in rig.arms)
 
 
-def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
+def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
     """How every arm stands, in one row, or in a row for each photo.
 
     An `.npy` holds an array of one row, or of a row for each photo. A `.pkl` is a recorded frame's lowdim. YAML holds
@@ -44,27 +44,30 @@ def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
     if kind not in _KINDS:
         raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_KINDS)}")
     try:
-        values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _by_arm(_numbers(path, kind), rig, path)
+        values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _split_by_arm(_numbers(path, kind), rig, path)
     except OSError as error:
         raise ConfigError(f"--joints {path}: cannot be read: {error.strerror or error}") from error
     if not all(np.isfinite(rows).all() for rows in values):
         raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
     for arm, rows in zip(rig.arms, values, strict=True):
-        if fault := beyond_stops(arm.name, arm.robot, rows, _SLACK):
+        if fault := describe_limit_violation(arm.name, arm.robot, rows, _SLACK):
             raise ConfigError(f"--joints {path}: {fault}")
     return _stands(_in_metres(values, rig, path), rig)
 
 
-def recorded_stands(joints: Array, rig: RigConfig, source: Path) -> Stands:
-    """How every arm stands in a recorded frame. Raises as `load_stands`."""
-    return _stands(_by_arm(joints, rig, source), rig)[0]
+def recorded_postures(joints: Array, rig: RigConfig, source: Path) -> ArmPostures:
+    """How every arm stands in a recorded frame. Raises as `load_postures`."""
+    return _stands(_split_by_arm(joints, rig, source), rig)[0]
 
 
-def _stands(values: list[Array], rig: RigConfig) -> list[Stands]:
+def _stands(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
     """How every arm stands, row by row, from each arm's rows of joints and, with fingers, opening."""
     dofs = [arm.robot.dof for arm in rig.arms]
     return [
-        tuple(Stand(row[:dof], float(row[dof]) if len(row) > dof else 0.0) for dof, row in zip(dofs, rows, strict=True))
+        tuple(
+            ArmPosture(row[:dof], float(row[dof]) if len(row) > dof else 0.0)
+            for dof, row in zip(dofs, rows, strict=True)
+        )
         for rows in zip(*values, strict=True)
     ]
 
@@ -107,7 +110,7 @@ def _yaml_rows(path: Path, rig: RigConfig) -> list[Array]:
     data = load_yaml(path).data
     names = [arm.name for arm in rig.arms]
     if set(data) == {"joints"}:
-        return _by_arm(_array(data["joints"], path), rig, path)
+        return _split_by_arm(_array(data["joints"], path), rig, path)
     if not data or not set(data) <= set(names):
         raise ConfigError(
             f"--joints {path}: has the keys {', '.join(data)}; valid: joints alone, or {', '.join(names)}"
@@ -132,7 +135,7 @@ def _array(value: object, path: Path) -> Array:
         raise ConfigError(f"--joints {path}: not a list of numbers: {error}") from error
 
 
-def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
+def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     """Each arm's columns of rows that hold all arms', in the rig's order."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
@@ -144,7 +147,7 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     if count == 2 * each:
         # A file for one arm may hold two such arms, as the recorder of a real station writes them.
         return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
-    valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _listed(rig)
+    valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _describe_columns(rig)
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
 
 
@@ -154,9 +157,9 @@ def _padded(rows: Array, width: int) -> Array:
     return padded
 
 
-def _listed(rig: RigConfig) -> str:
+def _describe_columns(rig: RigConfig) -> str:
     """Such as "14 (left 6, left gripper, right 6, right gripper)"."""
-    arms = [rig.arms[k] for k in rig.recorded]
+    arms = [rig.arms[k] for k in rig.recording_order]
     parts = []
     for arm in arms:
         parts += [f"{arm.side} {arm.robot.dof}"] + [f"{arm.side} gripper"] * bool(arm.robot.fingers)

@@ -12,29 +12,31 @@ from numpy.typing import NDArray
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
 
-from ..fiducials.locate import at_pose
-from ..silhouette import (
+from ..edge_alignment import (
     EdgeEquations,
     EdgeOffsets,
-    correction,
     edge_equations,
     edge_offsets,
     grain_px,
-    outline,
-    rounds,
+    mask_outline,
+    search_radii,
+    solve_correction,
 )
-from .arm_poses import ArmPose, PhotoResult
-from .joint_files import Stands
-from .rendered_arms import ArmRenderer, FlatArms
+from ..fiducials.board_localization import with_pose
+from .joint_files import ArmPostures
+from .photo_arm_poses import ArmPose, RigInPhoto
+from .rendered_arms import ArmRenderer, PinholeArms
 
 _LEAST_POINTS = 20  # fewest points of an outline that moves a pose
 
 
-def score_outlines(result: PhotoResult, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> PhotoResult:
+def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
     """The result with its edge residuals: outlines as posed in `renderer` against the photo (height, width)."""
     flat_grey = renderer.flattened(grey)
     labels = renderer.flat_labels()
-    offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
+    offsets = {
+        k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k))) for k in result.bases
+    }
     arms = tuple(
         replace(arm, edge_residual=offsets[k].residual) if k in offsets else arm for k, arm in enumerate(result.arms)
     )
@@ -43,14 +45,14 @@ def score_outlines(result: PhotoResult, renderer: ArmRenderer, grey: NDArray[np.
     return replace(result, arms=arms, edge_residual=every.residual)
 
 
-def _other(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
+def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
     other: NDArray[np.bool_] = (labels > 0) & (labels != k + 1)
     return other
 
 
-def refine(
-    result: PhotoResult, renderer: ArmRenderer, stands: Stands, grey: NDArray[np.uint8], together: bool
-) -> PhotoResult:
+def refine_poses(
+    result: RigInPhoto, renderer: ArmRenderer, postures: ArmPostures, grey: NDArray[np.uint8], together: bool
+) -> RigInPhoto:
     """The result with poses moved onto the edges of the photo (height, width), weighed against the boards' poses.
 
     Args:
@@ -62,14 +64,14 @@ def refine(
     priors = [_prior([result.arms[k] for k in group]) for group in groups]
     steps = [np.zeros(6) for _ in groups]
     poses = dict(start)
-    for reach in rounds():
-        renderer.pose(poses, stands)
-        flat = renderer.flat()
+    for reach in search_radii():
+        renderer.pose(poses, postures)
+        flat = renderer.pinhole_arms()
         for group, (centre, information), step in zip(groups, priors, steps, strict=True):
             equations = [part for k in group if (part := _equations(flat, flat_grey, k, centre, reach)) is not None]
             if not equations:
                 continue
-            move = correction(equations, centre, information, step)
+            move = solve_correction(equations, centre, information, step)
             step += move.step
             poses.update({k: move.applied(poses[k]) for k in group})
     camera = result.lens.camera
@@ -78,10 +80,10 @@ def refine(
 
 
 def _equations(
-    flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
+    flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> EdgeEquations | None:
     """The normal equations that move the k-th arm onto the photo's edges; None if too little of it is visible."""
-    line = outline(flat.labels == k + 1, _other(flat.labels, k))
+    line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
     if len(line.points) < _LEAST_POINTS:
         return None
     inside = np.round(line.points - line.normals).astype(int)
@@ -95,7 +97,7 @@ def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: 
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
         T_board_in_base = inverse(arm.T_base_in_cam) @ seen.T_board_in_cam
-        seen = at_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
+        seen = with_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
     return replace(arm, T_base_in_cam=T_base_in_cam, sighting=seen)
 
 
@@ -111,7 +113,7 @@ def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
     return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
 
-def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+def mask_iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
     """Intersection over union of two masks (height, width); 1 if both are empty."""
     union = int((one | other).sum())
     return int((one & other).sum()) / union if union else 1.0

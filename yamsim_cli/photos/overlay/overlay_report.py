@@ -13,8 +13,8 @@ from yamsim_cli.core.files.documents.json_text import json_text
 from yamsim_cli.core.files.writing import write_output
 from yamsim_cli.core.geometry.se3 import Array, inverse
 
-from .arm_poses import INFERRED, RECORDED, ArmPose, PhotoResult
-from .moves import Move, Stillness
+from .move_detection import DetectedMove, MoveReport
+from .photo_arm_poses import INFERRED, RECORDED, ArmPose, RigInPhoto
 
 REPORT_NAME = "overlay.json"
 
@@ -31,13 +31,13 @@ class OverlayReport:
     """
 
     rig: RigConfig
-    results: list[PhotoResult] = field(default_factory=list)
+    results: list[RigInPhoto] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    stillness: Stillness = field(default_factory=Stillness)
+    stillness: MoveReport = field(default_factory=MoveReport)
 
-    def plain(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """The report as plain data, for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
         return {
             "images": [_plain_result(result, self.rig) for result in self.results],
@@ -52,7 +52,7 @@ class OverlayReport:
     def write(self, out: Path) -> None:
         """Write the report into a folder as JSON."""
         self.files.append(out / REPORT_NAME)
-        write_output(out / REPORT_NAME, json_text(self.plain()).encode())
+        write_output(out / REPORT_NAME, json_text(self.to_json_data()).encode())
 
     def check(self) -> None:
         """Refuse photos without a pose and results that do not pass.
@@ -65,9 +65,9 @@ class OverlayReport:
         if len(without) == len(self.results):
             raise ResourceError(_nothing_found(without, self.rig))
         if self.failures:
-            raise ResourceError(_first_of(self.failures))
+            raise ResourceError(_first_message(self.failures))
         if self.unreadable:
-            raise PartialJobError(_first_of(self.unreadable))
+            raise PartialJobError(_first_message(self.unreadable))
         if without:
             raise PartialJobError(
                 f"{len(without)} of {len(self.results)} photos give no pose, first "
@@ -75,7 +75,7 @@ class OverlayReport:
             )
 
 
-def captions(result: PhotoResult) -> list[str]:
+def captions(result: RigInPhoto) -> list[str]:
     """The lines that are written into a photo's picture: one for each arm, and some for the photo."""
     lines = []
     for arm in result.arms:
@@ -100,12 +100,12 @@ def captions(result: PhotoResult) -> list[str]:
     return lines
 
 
-def _first_of(messages: Sequence[str]) -> str:
+def _first_message(messages: Sequence[str]) -> str:
     more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
     return f"{messages[0]}{more}"
 
 
-def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
+def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     """A message on photos without a pose: the marker ids that were searched and those that were read."""
     first = results[0]
     boards = [arm.board for arm in rig.arms if arm.board]
@@ -119,7 +119,7 @@ def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
 
 
-def _plain_move(move: Move) -> dict[str, Any]:
+def _plain_move(move: DetectedMove) -> dict[str, Any]:
     return {
         "frame": move.photo,
         "image": str(move.path),
@@ -134,7 +134,7 @@ def _plain_move(move: Move) -> dict[str, Any]:
     }
 
 
-def _plain_result(result: PhotoResult, rig: RigConfig) -> dict[str, Any]:
+def _plain_result(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
     camera, focal = result.lens.camera, result.lens.focal
     return {
         "image": str(result.path),
@@ -179,8 +179,8 @@ def _plain_arm(arm: ArmPose) -> dict[str, Any]:
         "position_sigma_m": seen.position_sigma if seen else None,
         "rotation_sigma_rad": seen.rotation_sigma if seen else None,
         "reprojection_rms_px": seen.reprojection_rms if seen else None,
-        "blur_px": seen.smear.blur if seen and seen.smear else None,
-        "motion_px": seen.smear.length if seen and seen.smear else None,
+        "blur_px": seen.blur.blur if seen and seen.blur else None,
+        "motion_px": seen.blur.length if seen and seen.blur else None,
         "edge_residual_px": arm.edge_residual,
     }
 

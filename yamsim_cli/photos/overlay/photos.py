@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.layout import episode_directories
+from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, ResourceError, UsageError, suggest
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
 from yamsim_cli.core.images.image_files import read_image
 
-from .joint_files import Stands, recorded_stands
+from .joint_files import ArmPostures, recorded_postures
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -32,7 +32,7 @@ class Photo:
 
     Attributes:
         camera: the camera that took the photo; None if not known.
-        stands: how every arm stands; None if not known, which counts as home.
+        postures: how every arm stands; None if not known, which counts as home.
         joints_source: where the joints come from: "home", "file" or "episode".
         T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame; None if not recorded.
         time: when the photo was taken, s; None if not known.
@@ -40,7 +40,7 @@ class Photo:
 
     path: Path
     camera: CameraModel | None = None
-    stands: Stands | None = None
+    postures: ArmPostures | None = None
     joints_source: str = "home"
     T_base_in_cam: Array | None = None
     time: float | None = None
@@ -75,7 +75,7 @@ def _may_be_photo(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
 
 
-def mask_of(masks: Path, photo: Path) -> Path:
+def find_mask(masks: Path, photo: Path) -> Path:
     """The mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
 
     Raises:
@@ -137,7 +137,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
         K = camera_matrix(frame, "intrinsics", camera)
         T_cam_in_base = camera_matrix(frame, "extrinsics", camera)
         time = float(frame["timestamp"]) if "timestamp" in frame else None
-        stands = recorded_stands(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
+        stands = recorded_postures(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
     except OSError as error:
         raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
     except KeyError as error:
@@ -149,7 +149,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
         raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
     if len(rig.arms) > 1:
         # Extrinsics are recorded in the left arm's base. Photos have those in the base of the rig's first arm.
-        T_left_in_world = rig.T_base_in_world(rig.recorded[0])
+        T_left_in_world = rig.T_base_in_world(rig.recording_order[0])
         T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
     height, width = read_image(path).shape[:2]
     return Photo(path, pinhole_camera(K, width, height), stands, "episode", inverse(T_cam_in_base), time)

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.closing import Closing
-from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.attempt_data import ArmPosture
+from yamsim_cli.core.closable import Closable
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError
@@ -19,14 +20,13 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel, Intrinsics, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
-from yamsim_cli.core.scene.blueprint import Blueprint, Pictures
+from yamsim_cli.core.scene.arm_model import finger_addresses
+from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
 from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
-from yamsim_cli.core.scene.compiling import compile_spec
+from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose
-from yamsim_cli.core.scene.robot import finger_places
-from yamsim_cli.core.types import Stand
 
-from ..lens import LensWarp
+from ..lens_distortion import LensWarp
 
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5  # geom group that is not rendered
@@ -48,7 +48,7 @@ class ArmPicture:
 
 
 @dataclass(frozen=True)
-class FlatArms:
+class PinholeArms:
     """Rendered arms in an ideal pinhole picture, for geometry.
 
     Attributes:
@@ -61,7 +61,7 @@ class FlatArms:
     intrinsics: Intrinsics
 
 
-class ArmRenderer(Closing):
+class ArmRenderer(Closable):
     """Renders arms for photos of one camera. Close the renderer, or use it as a context manager.
 
     The world of the rendered scene is the camera's frame, and the arms' bases are moved in that frame.
@@ -81,7 +81,7 @@ class ArmRenderer(Closing):
             raise ConfigError(f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_PX}")
         view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
         blueprint = Blueprint(
-            rig, scene, boards=False, background=False, cameras=(view,), pictures=Pictures(quality, size)
+            rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
         )
         spec = compose(blueprint, locations)
         for light in list(spec.lights):
@@ -99,12 +99,12 @@ class ArmRenderer(Closing):
         self._labels: NDArray[np.uint8] | None = None
         self._renderer = SceneRenderer(self._model, size)
 
-    def pose(self, T_base_in_cam: Mapping[int, Array], stands: Sequence[Stand]) -> None:
+    def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
         """Move the arms.
 
         Args:
             T_base_in_cam: arm's index -> pose (4, 4). Arms that are left out are hidden.
-            stands: how every arm stands.
+            postures: how every arm stands.
         """
         model, data = self._model, self._data
         for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
@@ -113,10 +113,10 @@ class ArmRenderer(Closing):
             if k in T_base_in_cam:
                 model.body_pos[root] = T_base_in_cam[k][:3, 3]
                 model.body_quat[root] = quat_from_rotation(T_base_in_cam[k][:3, :3])
-            for name, angle in zip(arm.robot.joint_names, stands[k].joints, strict=True):
+            for name, angle in zip(arm.robot.joint_names, postures[k].joints, strict=True):
                 data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-            addresses, signs = finger_places(model, arm.robot, arm.prefix)
-            data.qpos[addresses] = stands[k].opening * signs
+            addresses, signs = finger_addresses(model, arm.robot, arm.prefix)
+            data.qpos[addresses] = postures[k].opening * signs
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
@@ -132,11 +132,11 @@ class ArmRenderer(Closing):
         step = self._warp.supersample
         return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
 
-    def flat(self) -> FlatArms:
+    def pinhole_arms(self) -> PinholeArms:
         """The arms in an ideal pinhole picture."""
         step = self._warp.supersample
         depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
-        return FlatArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
+        return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
 
     def _ideal_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
@@ -152,14 +152,14 @@ class ArmRenderer(Closing):
         self._renderer.close()
 
 
-class ArmRenderers(Closing):
+class ArmRenderers(Closable):
     """Makes the `ArmRenderer` of each camera, and keeps the last one."""
 
     def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
         self._parts = rig, scene, quality, locations
         self._last: tuple[CameraModel, ArmRenderer] | None = None
 
-    def of(self, camera: CameraModel) -> ArmRenderer:
+    def renderer_for(self, camera: CameraModel) -> ArmRenderer:
         """The renderer of a camera."""
         if self._last is None or self._last[0] != camera:
             self.close()

@@ -51,11 +51,11 @@ def read_report(path: Path) -> dict[str, Any]:
     return found
 
 
-def require_same(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
+def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
     """Make sure that a report's trials can be paired with those of another job.
 
     Args:
-        expected: of the other job, the result of `what_ran` or a report.
+        expected: of the other job, the result of `describe_run` or a report.
 
     Raises:
         UsageError: the two differ in task, rig, grasp, arms or seed.
@@ -67,7 +67,7 @@ def require_same(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None
             )
 
 
-def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     """The comparison of two reports, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
     only_second, neither, p_value (McNemar's exact test).
 
@@ -75,7 +75,7 @@ def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, An
         UsageError: the reports are not of the same trials.
     """
     name = second["policy"]
-    require_same(first, second)
+    require_same_trials(first, second)
     one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
     if one.keys() != other.keys():
         raise UsageError(f"--compare {name}: it has {len(other)} trials, not the same {len(one)}: give the same --n")

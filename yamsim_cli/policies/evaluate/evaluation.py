@@ -9,23 +9,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.records import OutcomeRecord, plain
-from yamsim_cli.core.episode.engine import repeat
-from yamsim_cli.core.episode.rules import REPEATED_RULES
-from yamsim_cli.core.episode.simulator import cast_for
-from yamsim_cli.core.episode.trials import FilmedTrial, TrialFilmer, TrialFilms, film_jobs, run_trials, tally, what_ran
+from yamsim_cli.core.dataset.records import OutcomeRecord, record_data
+from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
+from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.simulator import sample_roles_for
+from yamsim_cli.core.episode.trials import (
+    FilmedTrial,
+    TrialFilmer,
+    TrialFilms,
+    count_outcomes,
+    describe_run,
+    film_jobs,
+    run_trials,
+)
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.progress import Progress
-from yamsim_cli.core.statistics import spread, wilson95
-from yamsim_cli.core.types import Actions, Attempt, EpisodeJob, Outcome
-from yamsim_cli.core.workers.executor import LostJobError
-from yamsim_cli.core.workers.pool import JOB_SECONDS
-from yamsim_cli.core.workers.processes import WorkerPool
+from yamsim_cli.core.statistics import summarize_values, wilson95
+from yamsim_cli.core.workers.executors import LostJobError
+from yamsim_cli.core.workers.process_pool import ProcessPool
+from yamsim_cli.core.workers.worker_pool import JOB_SECONDS
 
-from .choice import PolicyChoice
-from .policy_trial import MEASURED, Ended, TrialResult, TrialRunner
+from .policy_choice import PolicyChoice
+from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
 
 
 @dataclass(frozen=True)
@@ -59,20 +67,20 @@ def evaluate(
     config = session.config
     n = config.episodes
     factory = functools.partial(TrialRunner, session, choice)
-    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
-        results = run_trials(pool, config.seed, n, progress, _lost)
+    with ProcessPool[AttemptJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
+        results = run_trials(pool, config.seed, n, progress, _lost_trial)
     results.sort(key=lambda result: result.attempt.job.attempt)
-    instances = tuple(instance_of(session, result.attempt.job) for result in results)
+    instances = tuple(describe_objects(session, result.attempt.job) for result in results)
     return Evaluation(choice, tuple(results), time.monotonic() - began, instances)
 
 
-def instance_of(session: Session, job: EpisodeJob) -> str:
+def describe_objects(session: Session, job: AttemptJob) -> str:
     """The kinds of a trial's things, such as "object banana, plate"."""
-    kinds = cast_for(session, job).kinds
+    kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
 
-def by_instance(evaluation: Evaluation) -> list[dict[str, Any]]:
+def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
     """For each instance, JSON-ready: instance, n, n_success, success_rate, wilson95, policy_s."""
     rows = []
     for name in dict.fromkeys(sorted(evaluation.instances)):
@@ -85,7 +93,7 @@ def by_instance(evaluation: Evaluation) -> list[dict[str, Any]]:
                 "n_success": succeeded,
                 "success_rate": succeeded / n,
                 "wilson95": wilson95(succeeded, n),
-                "policy_s": spread([seconds for result in found for seconds in result.seconds]),
+                "policy_s": summarize_values([seconds for result in found for seconds in result.seconds]),
             }
         )
     return rows
@@ -102,14 +110,16 @@ def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
     }
 
 
-def _lost(lost: LostJobError) -> TrialResult:
-    assert isinstance(lost.job, EpisodeJob)
+def _lost_trial(lost: LostJobError) -> TrialResult:
+    assert isinstance(lost.job, AttemptJob)
     error = f"its worker {lost.reason}, in each of {lost.tries} tries"
-    outcome = OutcomeRecord.of(Outcome(False)).model_copy(update={"cause": Ended.LOST.value, "detail": error})
-    return TrialResult(Attempt(lost.job), outcome, Ended.LOST, error)
+    outcome = OutcomeRecord.from_outcome(Outcome(False)).model_copy(
+        update={"cause": TrialEnd.LOST.value, "detail": error}
+    )
+    return TrialResult(Attempt(lost.job), outcome, TrialEnd.LOST, error)
 
 
-def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
+def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
     """An evaluation as JSON-ready data: policy, stats, rig, task, grasp, arms, seed, seconds, trials.
 
     Args:
@@ -118,22 +128,22 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     results, tick = evaluation.results, config.task.timing.tick
     calls = [seconds for result in results for seconds in result.seconds]
     stats = {
-        **tally(
+        **count_outcomes(
             [result.outcome for result in results],
             config.task,
             thresholds,
             [not result.error for result in results],
         ),
         "ended": dict(Counter(result.ended.value for result in results)),
-        "policy_s": spread(calls),
+        "policy_s": summarize_values(calls),
         "chunks": _chunks(results, tick),
-        "by_instance": by_instance(evaluation),
+        "by_instance": rates_by_objects(evaluation),
         "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
     }
     return {
         "policy": evaluation.choice.name,
         "stats": stats,
-        **what_ran(config),
+        **describe_run(config),
         "end_rule": evaluation.choice.end.value,
         "tick_s": tick,
         "seconds": evaluation.seconds,
@@ -142,7 +152,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     }
 
 
-def require_run(report: Mapping[str, Any]) -> None:
+def require_measured(report: Mapping[str, Any]) -> None:
     """Make sure that an evaluation measured the policy's success.
 
     Args:
@@ -152,7 +162,7 @@ def require_run(report: Mapping[str, Any]) -> None:
         PartialJobError: no trial came to its end.
     """
     ended = report["stats"]["ended"]
-    if not any(Ended(how) in MEASURED for how in ended):
+    if not any(TrialEnd(how) in MEASURED for how in ended):
         first = report["trials"][0]
         counts = ", ".join(f"{how} {count}" for how, count in ended.items())
         raise PartialJobError(
@@ -169,8 +179,8 @@ def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
         "error": result.error or None,
         "traceback": result.traceback or None,
         "simulated_s": round(result.ticks * tick, 6),
-        "policy_s": spread(result.seconds),
-        "outcome": plain(result.outcome),
+        "policy_s": summarize_values(result.seconds),
+        "outcome": record_data(result.outcome),
         "layout": {name: list(pose) for name, pose in result.attempt.places.items()},
     }
 
@@ -178,7 +188,7 @@ def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
 @dataclass(frozen=True, eq=False)
 class _FilmJob:
     attempt: Attempt
-    actions: Actions
+    actions: ActionSequence
 
 
 class PolicyFilmer(TrialFilmer):
@@ -186,18 +196,18 @@ class PolicyFilmer(TrialFilmer):
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        simulator = self._simulators.of(film.attempt.job)
-        return self._film(simulator, repeat(simulator, film.attempt, film.actions, REPEATED_RULES))
+        simulator = self._simulators.get(film.attempt.job)
+        return self._film(simulator, run_actions(simulator, film.attempt, film.actions, REPLAY_RULES))
 
 
-def shown(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
+def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
     """The trials that are filmed, see `film`."""
     acted = [result for result in results if result.actions is not None]
     failed = [result for result in acted if not result.outcome.success]
     return (acted if successes else failed or acted)[:limit]
 
 
-def film(
+def film_evaluation(
     evaluation: Evaluation,
     limit: int,
     films: TrialFilms,
@@ -218,7 +228,7 @@ def film(
     """
     config = session.config
     tick = config.task.timing.tick
-    chosen = shown(evaluation.results, limit, successes=successes)
+    chosen = trials_to_film(evaluation.results, limit, successes=successes)
     jobs = [_FilmJob(result.attempt, result.actions) for result in chosen if result.actions is not None]
     if not jobs:
         return []

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
+from yamsim_cli.core.attempt_data import Attempt
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.dataset.environment_state import joints_key, object_pose_keys
 from yamsim_cli.core.episode.episode import Episode
@@ -13,15 +14,14 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import UsageError, suggest
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.types import Attempt
 
-from ..base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
+from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
 # Renders what a camera sees at MuJoCo's positions (nq,).
 Render = Callable[[Array, str], Image]
 
 
-def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
+def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
     """Name of an image that a policy can request -> key in an observation -> camera."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
@@ -42,7 +42,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
     Raises:
         UsageError: this rig and task have no such camera.
     """
-    there = offered_cameras(config)
+    there = available_cameras(config)
     cameras: dict[str, str] = {}
     for name in images:
         if name not in there:
@@ -84,7 +84,7 @@ class ObservationRenderer:
             self.failure = error
             raise
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """End the trial: pictures of its states can no longer be rendered."""
         self._is_over = True
 
@@ -128,11 +128,11 @@ class LazyObservation(Mapping[str, Any]):
         return dict, (dict(self),)
 
 
-class Observer:
+class ObservationBuilder:
     """Makes a policy's observations.
 
     Args:
-        images, wants: the policy's requests, see `policies.base.IMAGES` and `STATE`.
+        images, wants: the policy's requests, see `policies.policy_protocol.IMAGES` and `STATE`.
 
     Raises:
         UsageError: a requested camera does not exist.
@@ -160,7 +160,7 @@ class Observer:
         numbers: dict[str, Any] = {
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),
-            "ee_pose_world": of_arms(T_base @ replica.T_grasp_in_base()),
+            "ee_pose_world": squeeze_single_arm(T_base @ replica.T_grasp_in_base()),
             "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
             "time": episode.seconds,

@@ -11,11 +11,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
-from yamsim_cli.core.workers.serving import forks_end_here
+from yamsim_cli.core.workers.job_server import kill_forks_at_exit
 
-from ..base import InvalidActionError
 from ..policy_client import RemoteError
-from ..policy_faults import Fault, fault_of
+from ..policy_faults import PolicyFault, describe_fault
+from ..policy_protocol import InvalidActionError
 
 T = TypeVar("T")
 
@@ -23,12 +23,12 @@ T = TypeVar("T")
 class PolicyFailedError(Exception):
     """The policy raised an exception, which `fault` describes."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: PolicyFault) -> None:
         super().__init__(fault.text)
         self.fault = fault
 
 
-class TooSlowError(Exception):
+class PolicyTimeoutError(Exception):
     """The policy did not answer in time."""
 
 
@@ -58,22 +58,22 @@ class PolicyCaller:
         """
         began, self._waited = time.monotonic(), 0.0
         try:
-            with output_on_stderr(), self._limited(), forks_end_here():
+            with output_on_stderr(), self._limited(), kill_forks_at_exit():
                 return function()
-        except (TooSlowError, TimeoutError) as error:
-            raise TooSlowError from error
+        except (PolicyTimeoutError, TimeoutError) as error:
+            raise PolicyTimeoutError from error
         except InvalidActionError:
             raise
         except RemoteError as error:
             raise PolicyFailedError(error.fault) from error
         # A policy may raise any exception, which fails its trial alone.
         except Exception as error:
-            raise PolicyFailedError(fault_of(error, self._folder)) from error
+            raise PolicyFailedError(describe_fault(error, self._folder)) from error
         finally:
             self.seconds = time.monotonic() - began - self._waited
 
     @contextlib.contextmanager
-    def waits(self) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         """Pause the time limit: in the block the policy waits for yamsim."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
@@ -90,7 +90,7 @@ class PolicyCaller:
         """
 
         def ring(number: int, frame: FrameType | None) -> None:
-            raise TooSlowError
+            raise PolicyTimeoutError
 
         before = signal.signal(signal.SIGALRM, ring)
         # Workers start with the signal blocked.

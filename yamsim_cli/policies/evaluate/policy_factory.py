@@ -9,34 +9,34 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, WeldStates
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.environment_state import object_pose_keys
-from yamsim_cli.core.dataset.layout import episode_directories
 from yamsim_cli.core.dataset.lowdim import recorded_actions
 from yamsim_cli.core.dataset.reader import open_episode
-from yamsim_cli.core.episode.engine import Simulated, demonstrate
+from yamsim_cli.core.episode.execution import SimulatedAttempt, demonstrate
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.types import Attempt, EpisodeJob, Holds
 
 from .. import act, lerobot, openpi
-from ..base import Observation, Policy
-from ..loading import EXTERNAL_FORMS, FORMS, check_policy, is_external, load_policy, takes_keywords
-from ..mapped import MappedPolicy, PolicyClient, PolicyStation
-from ..remote import RemotePolicy
-from .choice import PolicyChoice
-from .observation import offered_cameras
+from ..external_policy import MappedPolicy, PolicyClient, PolicyStation
+from ..policy_loading import EXTERNAL_FORMS, FORMS, check_policy, is_external, load_policy, takes_keywords
+from ..policy_protocol import Observation, Policy
+from ..remote_policy import RemotePolicy
+from .observation import available_cameras
+from .policy_choice import PolicyChoice
 
 # Scheme of a policy's name -> config of its messages unless another config is named.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
-class Trial:
+class PrivilegedTrial:
     """What a privileged policy knows of its trial.
 
     Attributes:
@@ -50,16 +50,16 @@ class Trial:
         self.scene = simulator.scene
 
     @functools.cached_property
-    def demonstrated(self) -> Simulated:
+    def expert_attempt(self) -> SimulatedAttempt:
         """The attempt of the task's expert, made when it is first read."""
         return demonstrate(self._simulator, self.attempt)
 
 
 @runtime_checkable
-class Privileged(Protocol):
+class PrivilegedPolicy(Protocol):
     """A policy that knows what a robot cannot see."""
 
-    def begin(self, trial: Trial) -> Array | None:
+    def begin(self, trial: PrivilegedTrial) -> Array | None:
         """Prepare for a trial, before `reset`.
 
         Returns:
@@ -68,17 +68,17 @@ class Privileged(Protocol):
         ...
 
 
-class _Playback:
+class _ActionSequencePolicy:
     """Answers with given actions, tick by tick."""
 
     images = ()
 
     def __init__(self) -> None:
         self._ctrl: Array = np.zeros((0, 0))
-        self._magnet: Holds = np.zeros((0, 0), bool)
+        self._magnet: WeldStates = np.zeros((0, 0), bool)
         self._tick = 0
 
-    def _play(self, ctrl: Array, magnet: Holds, scene: CompiledScene) -> None:
+    def _play(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
         """Set the actions: of MuJoCo's drives (ticks, nu) and of each arm's weld (ticks, arms)."""
         self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
 
@@ -90,18 +90,18 @@ class _Playback:
         return {"ctrl": self._ctrl[tick], "magnet": self._magnet[tick], "done": tick + 1 == len(self._ctrl)}
 
 
-class Scripted(_Playback):
+class ExpertPolicy(_ActionSequencePolicy):
     """The task's expert, as in `trials` and `record`."""
 
-    def begin(self, trial: Trial) -> Array | None:
+    def begin(self, trial: PrivilegedTrial) -> Array | None:
         """Take the expert's actions and start."""
-        states = trial.demonstrated.states
+        states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
-        return trial.demonstrated.attempt.start
+        return trial.expert_attempt.attempt.start
 
 
-class HoldStill:
+class HoldStillPolicy:
     """Holds the joints of the first observation."""
 
     images = ()
@@ -119,7 +119,7 @@ class HoldStill:
         return {"ctrl": self._ctrl}
 
 
-class Replay(_Playback):
+class ReplayPolicy(_ActionSequencePolicy):
     """Repeats a dataset's actions: those of the trial's own seed and number, or else those of another episode.
 
     Raises:
@@ -133,9 +133,9 @@ class Replay(_Playback):
         if not directories:
             raise UsageError(f"--policy replay:{dataset}: there are no episodes; give a dataset of yamsim record")
         self._episodes = [open_episode(directory) for _, directory in directories]
-        self._by_job = {EpisodeJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
+        self._by_job = {AttemptJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
-    def begin(self, trial: Trial) -> Array | None:
+    def begin(self, trial: PrivilegedTrial) -> Array | None:
         """Read the trial's episode, and take its recorded start."""
         job = trial.attempt.job
         other = self._episodes[job.attempt % len(self._episodes)]
@@ -169,11 +169,11 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     if external:
         return _make_external(choice, session)
     if name == "scripted":
-        return Scripted()
+        return ExpertPolicy()
     if name == "hold_still":
-        return HoldStill()
+        return HoldStillPolicy()
     if kind == "replay" and colon:
-        return Replay(folder / rest)
+        return ReplayPolicy(folder / rest)
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
@@ -188,7 +188,7 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
     if kind == lerobot.SCHEME:
         local = choice.folder / rest
         checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
-        return MappedPolicy(checkpoint, mapping, station, checkpoint.asks)
+        return MappedPolicy(checkpoint, mapping, station, checkpoint.input_keys)
     client: PolicyClient
     if kind == act.SCHEME:
         client = act.ActClient(choice.name, choice.call_seconds)
@@ -199,8 +199,8 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
 
 def policy_station(config: RecordConfig) -> PolicyStation:
     """The arms, cameras and things that a policy acts on."""
-    arms = [config.rig.arms[k] for k in config.rig.recorded]
-    cameras = {name: next(iter(keys)) for name, keys in offered_cameras(config).items() if len(keys) == 1}
+    arms = [config.rig.arms[k] for k in config.rig.recording_order]
+    cameras = {name: next(iter(keys)) for name, keys in available_cameras(config).items() if len(keys) == 1}
     return PolicyStation(
         config.rig.name,
         tuple(arm.side for arm in arms),
@@ -208,5 +208,5 @@ def policy_station(config: RecordConfig) -> PolicyStation:
         tuple(arm.robot.fingers.full_opening if arm.robot.fingers else 0.0 for arm in arms),
         cameras,
         object_pose_keys(config),
-        config.rig.T_base_in_world(config.rig.recorded[0]),
+        config.rig.T_base_in_world(config.rig.recording_order[0]),
     )

@@ -6,32 +6,32 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob
+from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import OutcomeRecord
-from yamsim_cli.core.episode.engine import outcome_of
+from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.episode import Episode
-from yamsim_cli.core.episode.payload import render
-from yamsim_cli.core.episode.rules import EpisodeRules
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.episode_rules import EpisodeRules
+from yamsim_cli.core.episode.execution import build_outcome
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.types import Actions, Attempt, EpisodeJob
-from yamsim_cli.core.workers.serving import forks_end_here
+from yamsim_cli.core.workers.job_server import kill_forks_at_exit
 
-from ..base import InvalidActionError, Observation, read_chunk
-from ..chunks import ChunkCount, ChunkPlayer
-from ..loading import reset_policy, wanted_images, wanted_state
-from ..policy_faults import Fault
-from .choice import PolicyChoice
-from .observation import ObservationRenderer, Observer, policy_cameras
-from .policy_calls import PolicyCaller, PolicyFailedError, TooSlowError, output_on_stderr
-from .policy_factory import Privileged, Scripted, Trial, make_policy
+from ..action_chunks import ChunkScheduler, ChunkStats
+from ..policy_faults import PolicyFault
+from ..policy_loading import reset_policy, wanted_images, wanted_state
+from ..policy_protocol import InvalidActionError, Observation, read_chunk
+from .observation import ObservationBuilder, ObservationRenderer, policy_cameras
+from .policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
+from .policy_choice import PolicyChoice
+from .policy_factory import ExpertPolicy, PrivilegedPolicy, PrivilegedTrial, make_policy
 
 
-class Ended(StrEnum):
+class TrialEnd(StrEnum):
     """What ended a trial. From `RAISED` on the policy is at fault, and the trial is no success.
 
     `SUCCESS`: the goal had held for its hold time, under the rule that ends a trial then. `DONE`: the policy's answer.
@@ -48,11 +48,11 @@ class Ended(StrEnum):
     LOST = "policy_lost"
 
 
-FAULTS = (Ended.RAISED, Ended.INVALID, Ended.SLOW, Ended.LOST)
+FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
 # Ends of trials that measure the policy.
-MEASURED = (Ended.SUCCESS, Ended.DONE, Ended.TIME_LIMIT, Ended.UNSTABLE)
+MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
-_NO_FAULT = Fault("")
+_NO_FAULT = PolicyFault("")
 
 
 @dataclass(frozen=True)
@@ -72,23 +72,23 @@ class TrialResult:
 
     attempt: Attempt
     outcome: OutcomeRecord
-    ended: Ended
+    ended: TrialEnd
     error: str = ""
     traceback: str = ""
     ticks: int = 0
     seconds: tuple[float, ...] = ()
-    actions: Actions | None = field(default=None, repr=False)
-    count: ChunkCount = field(default_factory=ChunkCount)
+    actions: ActionSequence | None = field(default=None, repr=False)
+    count: ChunkStats = field(default_factory=ChunkStats)
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
     """The rules of a policy's trials: who ends them, and their time limit."""
     task = config.task
-    ticks = task.most_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
+    ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
 
 
-class TrialRunner(Closing):
+class TrialRunner(Closable):
     """Runs trials of one policy; a context manager, since it may own a renderer.
 
     Raises:
@@ -97,7 +97,7 @@ class TrialRunner(Closing):
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
-        with output_on_stderr(), forks_end_here():
+        with output_on_stderr(), kill_forks_at_exit():
             self._policy = make_policy(choice, session)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         self._simulators = Simulators(session)
@@ -106,25 +106,25 @@ class TrialRunner(Closing):
         self._chunking = replace(choice.chunking, execute=execute)
         policy_cameras(session.config, self._wanted[0])
 
-    def run(self, job: EpisodeJob) -> TrialResult:
+    def run(self, job: AttemptJob) -> TrialResult:
         """Run one trial. The expert runs first only if the policy is the expert, or distractors have to leave room."""
-        simulator, policy = self._simulators.of(job), self._policy
-        trial = Trial(simulator, sample(simulator, job))
-        scripted = isinstance(policy, Scripted)
-        if trial.attempt.layout is None or (scripted and not trial.demonstrated.states):
-            failed = OutcomeRecord.of(trial.demonstrated.outcome)
-            return TrialResult(trial.attempt, failed, Ended.NOT_STARTED)
-        attempt = trial.demonstrated.attempt if simulator.placer else trial.attempt
-        start = policy.begin(trial) if isinstance(policy, Privileged) else None
+        simulator, policy = self._simulators.get(job), self._policy
+        trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
+        scripted = isinstance(policy, ExpertPolicy)
+        if trial.attempt.layout is None or (scripted and not trial.expert_attempt.states):
+            failed = OutcomeRecord.from_outcome(trial.expert_attempt.outcome)
+            return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED)
+        attempt = trial.expert_attempt.attempt if simulator.placer else trial.attempt
+        start = policy.begin(trial) if isinstance(policy, PrivilegedPolicy) else None
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
         episode, ended, fault, count = self._drive(simulator, attempt, seconds)
         played = episode.finish()
-        outcome = outcome_of(simulator, played)
+        outcome = build_outcome(simulator, played)
         if scripted:
-            outcome = replace(outcome, recoveries=trial.demonstrated.outcome.recoveries)
-        record = OutcomeRecord.of(outcome)
+            outcome = replace(outcome, recoveries=trial.expert_attempt.outcome.recoveries)
+        record = OutcomeRecord.from_outcome(outcome)
         if ended in FAULTS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         actions = episode.actions if episode.ticks else None
@@ -134,50 +134,52 @@ class TrialRunner(Closing):
 
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
-    ) -> tuple[Episode, Ended, Fault, ChunkCount]:
+    ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
         """Let the policy act until the trial ends, or the policy is done or fails."""
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
-        observer = Observer(simulator, *self._wanted)
+        observer = ObservationBuilder(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
+        player = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
         try:
             ended, fault = self._play(player, episode, observer, attempt, renderer, seconds)
         finally:
-            renderer.end()
+            renderer.finish()
         return episode, ended, fault, player.count
 
     def _play(
         self,
-        player: ChunkPlayer,
+        player: ChunkScheduler,
         episode: Episode,
-        observer: Observer,
+        observer: ObservationBuilder,
         attempt: Attempt,
         renderer: ObservationRenderer,
         seconds: list[float],
-    ) -> tuple[Ended, Fault]:
+    ) -> tuple[TrialEnd, PolicyFault]:
         try:
             self._caller.call(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
-            while episode.end is None and not player.is_over(episode.ticks):
+            while episode.end is None and not player.last_chunk_is_over(episode.ticks):
                 if player.is_due(episode.ticks):
                     answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
-                    player.take(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
-                ctrl, magnet = player.act(episode.ticks)
+                    player.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
+                ctrl, magnet = player.next_command(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
-            return Ended.INVALID, Fault(str(error))
-        except TooSlowError:
-            return Ended.SLOW, Fault(f"no answer within {self._choice.call_seconds:g} s, after {episode.ticks} ticks")
+            return TrialEnd.INVALID, PolicyFault(str(error))
+        except PolicyTimeoutError:
+            return TrialEnd.SLOW, PolicyFault(
+                f"no answer within {self._choice.call_seconds:g} s, after {episode.ticks} ticks"
+            )
         except PolicyFailedError as error:
-            return Ended.RAISED, Fault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
+            return TrialEnd.RAISED, PolicyFault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
         if episode.end is None:
             # The policy is done: the last command holds while things settle and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.succeeds:
                     episode.step(ctrl, magnet)
-        return Ended.DONE if episode.end is None else Ended(episode.end.reason.value), _NO_FAULT
+        return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), _NO_FAULT
 
     def _answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
         """The policy's answer to an observation."""
@@ -188,18 +190,18 @@ class TrialRunner(Closing):
                 raise renderer.failure
 
     def _render(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
-        with self._caller.waits():
-            return render(simulator, attempt, qpos, (camera,))[camera]
+        with self._caller.paused():
+            return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
         """Close the policy, and free the renderers."""
         close = getattr(self._policy, "close", None)
         if callable(close):
-            with contextlib.suppress(PolicyFailedError, TooSlowError):
+            with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):
                 self._caller.call(close)
         self._simulators.close()
 
 
-def _policy_seed(job: EpisodeJob) -> int:
+def _policy_seed(job: AttemptJob) -> int:
     """A seed for each trial, of 32 bits, which every library accepts."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

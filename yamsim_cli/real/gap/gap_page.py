@@ -12,15 +12,15 @@ from yamsim_cli.core.markup import (
     Markup,
     captioned,
     captioned_jpeg,
-    document,
+    html_page,
+    html_table,
+    html_tag,
     key_figures,
     legend,
     percent,
     section,
-    table,
-    tag,
 )
-from yamsim_cli.core.plots import Values, curves
+from yamsim_cli.core.plots import Values, plot_curves
 
 _UNKNOWN = "\N{EM DASH}"
 _MIN_ERROR_SPAN = 0.2  # mrad, of an error's plot
@@ -59,7 +59,7 @@ def gap_page(
     """The page as HTML.
 
     Args:
-        report: of `gap.report.report_of`.
+        report: of `gap.report.build_report`.
         joints: of the recording with the worst error.
         pictures: the simulated arms over photos of the recordings, the worst first.
         made: see `markup.document`.
@@ -68,7 +68,7 @@ def gap_page(
     several = len(recordings) > 1
     title = f"{len(recordings)} recordings" if several else recordings[0]["name"]
     body = [
-        tag("p", f"on rig {report['rig']}; errors are what was measured less what was simulated", class_="where"),
+        html_tag("p", f"on rig {report['rig']}; errors are what was measured less what was simulated", class_="where"),
         _figures(report),
         _joints(report["joints"]),
         _hands(report["hands"]),
@@ -78,7 +78,7 @@ def gap_page(
         _pictures(report.get("pictures"), pictures),
         _problems(report.get("problems", ())),
     ]
-    return document(f"{title}: gap", "Gap to the simulation", title, body, made)
+    return html_page(f"{title}: gap", "Gap to the simulation", title, body, made)
 
 
 def _figures(report: Mapping[str, Any]) -> Markup:
@@ -88,12 +88,12 @@ def _figures(report: Mapping[str, Any]) -> Markup:
     interval = f" ({bounds[0] * 1000:.3g} to {bounds[1] * 1000:.3g})" if bounds else ""
     figures = [
         (f"{report['rms_rad'] * 1000:.3g} mrad", f"RMS of all joints{interval}"),
-        (f"{hand['rms_mm']:.3g} mm", f"RMS of the {_called(hand, 'hand')}"),
+        (f"{hand['rms_mm']:.3g} mm", f"RMS of the {_row_name(hand, 'hand')}"),
     ]
     if delays := [joint["delay_s"] for joint in report["joints"] if joint["delay_s"] is not None]:
         figures.append((f"{np.median(delays) * 1000:.1f} ms", "later than simulated, the joints' median"))
     figures += [
-        (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"worst: {_called(worst, worst['joint'])}"),
+        (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"worst: {_row_name(worst, worst['joint'])}"),
         (f"{report['seconds']:.0f} s", "compared"),
     ]
     return key_figures(figures)
@@ -103,7 +103,7 @@ def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("joint", "RMS", "95 %", "largest", "delay", "sag", "overshoot", "delay after command", "simulated")
     cells = [
         [
-            _called(row, row["name"]),
+            _row_name(row, row["name"]),
             *_errors(row),
             _ms(row),
             _mrad(row, "sag_rad"),
@@ -118,28 +118,28 @@ def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
         "recording has and the simulation lacks. Sag is the mean error at rest. In brackets: 95 % intervals of means "
         "over the recordings."
     )
-    return section("By joint", tag("p", note, class_="note"), _scrolled(heads, cells))
+    return section("By joint", html_tag("p", note, class_="note"), _scrollable_table(heads, cells))
 
 
 def _hands(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("hand", "RMS", "95 %", "largest", "turned, RMS", "turned, largest", "delay", "fingers, RMS")
     cells = [
         [
-            _called(row, "hand"),
-            *(f"{_number(row[key])}{_bracket(row, key, 1)} mm" for key in ("rms_mm", "p95_mm", "max_mm")),
+            _row_name(row, "hand"),
+            *(f"{_number(row[key])}{_format_interval(row, key, 1)} mm" for key in ("rms_mm", "p95_mm", "max_mm")),
             *(f"{_number(row[key])}\N{DEGREE SIGN}" for key in ("rms_deg", "max_deg")),
             _ms(row),
             _UNKNOWN if row["opening_rms_mm"] is None else f"{_number(row['opening_rms_mm'])} mm",
         ]
         for row in rows
     ]
-    return section("By hand", _scrolled(heads, cells))
+    return section("By hand", _scrollable_table(heads, cells))
 
 
 def _phases(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("the joint is", "share of samples", "RMS, mrad", "95 %", "largest")
     cells = [[row["name"], percent(row["share"], 0), *_errors(row)] for row in rows]
-    return section("By phase of motion", _scrolled(heads, cells))
+    return section("By phase of motion", _scrollable_table(heads, cells))
 
 
 def _plots(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
@@ -148,17 +148,17 @@ def _plots(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
         lines = {"commanded": joint.commanded, "measured": joint.measured, "simulated": joint.simulated}
         error = (joint.measured - joint.simulated) * 1000
         title = f"{joint.name}: error"
-        error_plot = curves(title, joint.times, {"error-curve": error}, "mrad", joint.mark, _MIN_ERROR_SPAN)
+        error_plot = plot_curves(title, joint.times, {"error-curve": error}, "mrad", joint.mark, _MIN_ERROR_SPAN)
         panels += [
-            captioned(joint.name, curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
+            captioned(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
             captioned(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
         ]
     where = (
         f"The worst error is at {worst['time_s']:.3f} s, frame {worst['frame']} of {worst['recording']}: "
-        f"{_called(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from its simulation."
+        f"{_row_name(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from its simulation."
     )
     entries = [("commanded", "commanded"), (None, "measured"), ("simulated", "simulated")]
-    return section("Over time", tag("p", where), legend(entries), tag("div", panels, class_="columns"))
+    return section("Over time", html_tag("p", where), legend(entries), html_tag("div", panels, class_="columns"))
 
 
 def _recordings(rows: Sequence[Mapping[str, Any]]) -> Markup:
@@ -167,14 +167,14 @@ def _recordings(rows: Sequence[Mapping[str, Any]]) -> Markup:
         [
             row["name"],
             *_errors(row),
-            _called(row["worst"], row["worst"]["joint"]),
+            _row_name(row["worst"], row["worst"]["joint"]),
             f"{row['worst']['time_s']:.2f} s",
             str(row["worst"]["frame"]),
             f"{row['seconds']:.1f} s",
         ]
         for row in sorted(rows, key=lambda row: -row["rms_rad"])
     ]
-    return section("By recording", _scrolled(heads, cells))
+    return section("By recording", _scrollable_table(heads, cells))
 
 
 def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpeg]) -> Markup | None:
@@ -188,21 +188,21 @@ def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpe
         if (found := figures[key]) is not None:
             sentences.append(f"{what}: {found['mean']:.3g} {unit} on average, {found['worst']:.3g} at worst.")
     shown = [captioned_jpeg(picture.caption, picture.jpeg, 460) for picture in pictures]
-    return section("In pictures", tag("p", " ".join(sentences)), tag("div", shown, class_="strips"))
+    return section("In pictures", html_tag("p", " ".join(sentences)), html_tag("div", shown, class_="strips"))
 
 
 def _problems(rows: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not rows:
         return None
-    items = [tag("li", f"{row['recording']}: {row['text']}") for row in rows]
-    return section("What is wrong with the recordings", tag("ul", items))
+    items = [html_tag("li", f"{row['recording']}: {row['text']}") for row in rows]
+    return section("What is wrong with the recordings", html_tag("ul", items))
 
 
-def _scrolled(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> Markup:
-    return tag("div", table(headings, cells), class_="scroll")
+def _scrollable_table(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> Markup:
+    return html_tag("div", html_table(headings, cells), class_="scroll")
 
 
-def _called(row: Mapping[str, Any], name: str) -> str:
+def _row_name(row: Mapping[str, Any], name: str) -> str:
     return f"{row['arm']} {name}" if row["arm"] else name
 
 
@@ -212,16 +212,16 @@ def _errors(row: Mapping[str, Any]) -> list[str]:
 
 
 def _mrad(row: Mapping[str, Any], key: str) -> str:
-    return _UNKNOWN if row[key] is None else f"{_number(row[key] * 1000)}{_bracket(row, key, 1000)}"
+    return _UNKNOWN if row[key] is None else f"{_number(row[key] * 1000)}{_format_interval(row, key, 1000)}"
 
 
 def _ms(row: Mapping[str, Any]) -> str:
     if row["delay_s"] is None:
         return _UNKNOWN
-    return f"{_number(round(row['delay_s'] * 1000, 1))} ms{_bracket(row, 'delay_s', 1000)}"
+    return f"{_number(round(row['delay_s'] * 1000, 1))} ms{_format_interval(row, 'delay_s', 1000)}"
 
 
-def _bracket(row: Mapping[str, Any], key: str, scale: float) -> str:
+def _format_interval(row: Mapping[str, Any], key: str, scale: float) -> str:
     bounds = row.get("intervals", {}).get(key)
     return f" ({_number(bounds[0] * scale)} to {_number(bounds[1] * scale)})" if bounds else ""
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.errors import SimulationError
-from yamsim_cli.core.markup import made_line, write_page
-from yamsim_cli.real.gap.follow import held
+from yamsim_cli.core.markup import page_footer, write_page
+from yamsim_cli.real.gap.command_simulation import forward_filled
 
-from .curves import PHASES
-from .figures import ErrorSize, Following, Gap, HandGap, JointGap, WorstError
+from .gap_figures import ErrorStats, HandGap, JointGap, MotionGap, TrackingFigures, WorstError
 from .gap_page import CaptionedJpeg, JointCurves, gap_page
+from .joint_curves import PHASES
 
 # Two-sided 95 % of Student's t distribution, by degrees of freedom from 1 on.
 # Source: NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.2.
@@ -38,7 +38,7 @@ def student95(values: Sequence[float]) -> tuple[float, float] | None:
     return mean - half, mean + half
 
 
-def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
+def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     """The gap of recordings for JSON: means over the recordings, the worst error, and each recording.
 
     A figure is the mean over the recordings that have it, null if none has it; for the largest errors it is the
@@ -52,7 +52,7 @@ def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
     return {
         "rig": rig,
         "seconds": sum(gap.seconds for gap in gaps),
-        **_means(gaps, lambda gap: _size(gap.error)),
+        **_mean_figures(gaps, lambda gap: _size(gap.error)),
         "joints": [_joints([gap.joints[k] for gap in gaps]) for k in range(len(gaps[0].joints))],
         "hands": [_hands([gap.hands[k] for gap in gaps]) for k in range(len(gaps[0].hands))],
         "phases": _phases([gap.phases for gap in gaps]),
@@ -61,7 +61,7 @@ def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
             {
                 "name": gap.name,
                 "seconds": gap.seconds,
-                "samples": int(gap.counted.sum()),
+                "samples": int(gap.compared.sum()),
                 **_size(gap.error),
                 "joints": [_joints([joint]) for joint in gap.joints],
                 "hands": [_hands([hand]) for hand in gap.hands],
@@ -73,11 +73,11 @@ def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
     }
 
 
-def require_small(report: Mapping[str, Any], most_mrad: float | None) -> None:
+def require_gap_below(report: Mapping[str, Any], most_mrad: float | None) -> None:
     """Make sure that no joint's gap is above a limit.
 
     Args:
-        report: of `report_of`.
+        report: of `build_report`.
         most_mrad: the largest RMS error of any joint, mrad; None for no limit.
 
     Raises:
@@ -90,17 +90,17 @@ def require_small(report: Mapping[str, Any], most_mrad: float | None) -> None:
         worst = max(above, key=lambda joint: joint["rms_rad"])
         more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
         raise SimulationError(
-            f"{spoken(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at most "
+            f"{display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at most "
             f"{most_mrad:g}"
         )
 
 
-def spoken(row: Mapping[str, Any]) -> str:
+def display_name(row: Mapping[str, Any]) -> str:
     """The name of a joint or a hand for people: `left joint2`, `joint2`."""
     return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
 
 
-def _means(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
+def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
     """Figure -> its mean, or of largest errors the maximum; and `intervals` with the means' 95 % intervals."""
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
@@ -122,18 +122,18 @@ def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:
     return {
         "arm": rows[0].arm,
         "name": rows[0].name,
-        **_means(rows, lambda row: {**_size(row.error), **_following(row.beyond)}),
-        "command_to_measured": _means(rows, lambda row: _following(row.measured)),
-        "command_to_simulated": _means(rows, lambda row: _following(row.simulated)),
+        **_mean_figures(rows, lambda row: {**_size(row.error), **_following(row.measured_vs_simulated)}),
+        "command_to_measured": _mean_figures(rows, lambda row: _following(row.measured)),
+        "command_to_simulated": _mean_figures(rows, lambda row: _following(row.simulated)),
         "phases": _phases([row.phases for row in rows]),
     }
 
 
-def _size(size: ErrorSize) -> dict[str, float | None]:
+def _size(size: ErrorStats) -> dict[str, float | None]:
     return {"rms_rad": size.rms, "p95_rad": size.p95, "max_rad": size.max}
 
 
-def _following(found: Following) -> dict[str, float | None]:
+def _following(found: TrackingFigures) -> dict[str, float | None]:
     return {"delay_s": found.delay, "sag_rad": found.sag, "overshoot_rad": found.overshoot}
 
 
@@ -146,10 +146,10 @@ def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
             found[f"opening_{key}_mm"] = getattr(row.opening, key) * 1000 if row.opening else None
         return {**found, "delay_s": row.delay}
 
-    return {"arm": rows[0].arm, **_means(rows, figures)}
+    return {"arm": rows[0].arm, **_mean_figures(rows, figures)}
 
 
-def _phases(rows: Sequence[Mapping[str, ErrorSize]]) -> list[dict[str, Any]]:
+def _phases(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
     """For each phase that occurs: mean errors over the recordings that have it, and its share of samples."""
     samples = sum(size.samples for row in rows for size in row.values())
     found = []
@@ -157,7 +157,7 @@ def _phases(rows: Sequence[Mapping[str, ErrorSize]]) -> list[dict[str, Any]]:
         sizes = [row[phase] for row in rows if phase in row]
         if sizes:
             share = sum(size.samples for size in sizes) / samples
-            found.append({"name": phase, "share": share, **_means(sizes, _size)})
+            found.append({"name": phase, "share": share, **_mean_figures(sizes, _size)})
     return found
 
 
@@ -172,12 +172,12 @@ def _worst(worst: WorstError) -> dict[str, Any]:
 
 
 def write_gap_page(
-    report: Mapping[str, Any], gaps: Sequence[Gap], pictures: Sequence[CaptionedJpeg], path: Path
+    report: Mapping[str, Any], gaps: Sequence[MotionGap], pictures: Sequence[CaptionedJpeg], path: Path
 ) -> None:
     """Write the page on a gap, with all joints of the recording with the worst error, and replace an existing file.
 
     Args:
-        report: of `report_of`.
+        report: of `build_report`.
         gaps: of the report.
         pictures: the worst first.
 
@@ -185,18 +185,18 @@ def write_gap_page(
         ResourceError: the file cannot be written.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
-    write_page(gap_page(report, _joint_curves(worst), pictures, made_line()), path)
+    write_page(gap_page(report, _joint_curves(worst), pictures, page_footer()), path)
 
 
-def _joint_curves(gap: Gap) -> list[JointCurves]:
+def _joint_curves(gap: MotionGap) -> list[JointCurves]:
     """Each joint of a recording over the time that was compared."""
     found = []
-    compared = np.flatnonzero(gap.counted)
+    compared = np.flatnonzero(gap.compared)
     shown = slice(int(compared[0]), int(compared[-1]) + 1)
     names = iter(gap.joints)
     for real, simulated in zip(gap.motion.arms, gap.simulated.arms, strict=True):
         assert real.commands is not None, "the simulation followed them"
-        commands = held(real.commands, real.joints)
+        commands = forward_filled(real.commands, real.joints)
         for k in range(real.joints.shape[1]):
             joint = next(names)
             marked = (joint.arm, joint.name) == (gap.worst.arm, gap.worst.joint)
@@ -205,8 +205,8 @@ def _joint_curves(gap: Gap) -> list[JointCurves]:
                     f"{joint.arm} {joint.name}".strip(),
                     gap.motion.times[shown],
                     commands[shown, k],
-                    np.where(gap.counted, real.joints[:, k], np.nan)[shown],
-                    np.where(gap.counted, simulated.joints[:, k], np.nan)[shown],
+                    np.where(gap.compared, real.joints[:, k], np.nan)[shown],
+                    np.where(gap.compared, simulated.joints[:, k], np.nan)[shown],
                     gap.worst.time if marked else None,
                 )
             )

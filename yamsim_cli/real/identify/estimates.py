@@ -10,8 +10,8 @@ import numpy as np
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 
-from .fit import Fitted, Parameter, value
-from .plant import TIMESTEP, ArmPlant
+from .parameter_fit import FitParameter, FitResult, parameter_value
+from .plant_model import TIMESTEP, ParametricArm
 
 # Field of `Values` -> its name in results, which has the unit.
 NAMES = {
@@ -43,8 +43,8 @@ class Estimate:
     Attributes:
         joint: name of the joint; empty for parameters of the whole arm.
         name: one of `NAMES`' values.
-        before: value in the model.
-        told: whether the log determines it.
+        model_value: value in the model.
+        is_determined: whether the log determines it.
     """
 
     joint: str
@@ -52,31 +52,37 @@ class Estimate:
     value: float
     low: float
     high: float
-    before: float
-    told: bool
+    model_value: float
+    is_determined: bool
 
-    def plain(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """The estimate for JSON."""
-        return {"value": self.value, "low": self.low, "high": self.high, "model": self.before, "told": self.told}
+        return {
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "model": self.model_value,
+            "told": self.is_determined,
+        }
 
 
-def estimates(plant: ArmPlant, fitted: Fitted) -> list[Estimate]:
+def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
     """Estimates of all fitted parameters, the delay first, then joint by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
         if parameter.name not in NAMES:
             continue
-        number = value(fitted.values, parameter)
-        whole = float(half) + _least_half(plant, fitted, parameter)
+        number = parameter_value(fitted.values, parameter)
+        whole = float(half) + _min_half_width(plant, fitted, parameter)
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
-        before = value(plant.values, parameter)
-        told = bool(half < _TOLD * 1.96 * parameter.spread)
+        before = parameter_value(plant.values, parameter)
+        told = bool(half < _TOLD * 1.96 * parameter.prior_sigma)
         found.append(Estimate(joint, NAMES[parameter.name], number, low, number + whole, before, told))
     return found
 
 
-def half_widths(fitted: Fitted) -> Array:
+def half_widths(fitted: FitResult) -> Array:
     """Half the width of each parameter's interval at 95 %, (k,), in the parameter's unit.
 
     Errors are dependent within a block of the log and independent between blocks (Huber's and White's estimate for
@@ -86,7 +92,7 @@ def half_widths(fitted: Fitted) -> Array:
     weighted = fitted.slopes * fitted.weights[None, :, None]
     errors = fitted.errors * fitted.weights
     scale = np.array([each.scale for each in fitted.parameters])
-    precision = np.diag((scale / np.array([each.spread for each in fitted.parameters])) ** 2)
+    precision = np.diag((scale / np.array([each.prior_sigma for each in fitted.parameters])) ** 2)
     flat = weighted.reshape(-1, weighted.shape[-1])
     inverse = np.linalg.inv(flat.T @ flat + precision)
     span = fitted.times[-1] - fitted.times[0]
@@ -110,8 +116,8 @@ def _student(freedom: int) -> float:
     return z + float(sum(term / freedom ** (k + 1) for k, term in enumerate(terms)))
 
 
-def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
-    size, k = value(fitted.values, parameter), 0 if parameter.joint is None else parameter.joint
+def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParameter) -> float:
+    size, k = parameter_value(fitted.values, parameter), 0 if parameter.joint is None else parameter.joint
     damped = float(plant.kv[k] + fitted.values.damping[k])
     match parameter.name:
         case "delay":
@@ -129,7 +135,7 @@ def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
     return _GRAVITY
 
 
-def require_determined(plant: ArmPlant, found: list[Estimate], name: str) -> None:
+def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -> None:
     """Refuse logs that do not determine a joint's friction or damping.
 
     Raises:
@@ -138,7 +144,7 @@ def require_determined(plant: ArmPlant, found: list[Estimate], name: str) -> Non
     for number, joint in enumerate(plant.robot.joint_names):
         of_joint = {each.name: each for each in found if each.joint == joint}
         sizes = {
-            "friction": max(of_joint[NAMES["friction"]].value, 0.01 * plant.most_torque[number]),
+            "friction": max(of_joint[NAMES["friction"]].value, 0.01 * plant.max_torque[number]),
             "damping": plant.kv[number] + of_joint[NAMES["damping"]].value,
         }
         for key, share in _REFUSED.items():
@@ -151,17 +157,17 @@ def require_determined(plant: ArmPlant, found: list[Estimate], name: str) -> Non
                 )
 
 
-def cannot_tell(found: list[Estimate], gripper: bool) -> list[str]:
+def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
     """What the logs, or any such log, cannot determine, a sentence each.
 
     Args:
         gripper: whether the logs hold the gripper's opening, or the arm has no gripper.
     """
     lines = [
-        f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.before:.3g}: the log holds it to "
+        f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.model_value:.3g}: the log holds it to "
         f"{each.low:.3g}..{each.high:.3g} only"
         for each in found
-        if not each.told
+        if not each.is_determined
     ]
     if not gripper:
         lines.append(

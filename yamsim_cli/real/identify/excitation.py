@@ -16,14 +16,14 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compose import add_home_key, compose
-from yamsim_cli.real.gap.follow import follow
+from yamsim_cli.real.gap.command_simulation import simulate_commands
 
-from ..recordings.csv_file import TIME, csv_bytes, header
-from .plant import ArmPlant
+from ..recordings.csv_file import TIME, csv_bytes, csv_columns
+from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
 _SPEED, _TORQUE = 0.5, 0.5  # largest shares of the motors' speed and torque
@@ -50,11 +50,11 @@ _NARROWER = 0.85  # factor by which a box with a contact shrinks
 
 
 @dataclass(frozen=True)
-class JointBox:
+class JointRange:
     """A range of joint positions: its middle (dof,) and how far it extends to either side (dof,), rad."""
 
     middle: Array
-    half: Array
+    half_range: Array
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Excitation:
 
     times: Array
     commands: Array
-    box: JointBox
+    box: JointRange
     speed: float
     torque: float
 
@@ -84,18 +84,21 @@ def excite(
         SimulationError: there is no room for the motion, or it would need more than the motors give.
     """
     rng = np.random.default_rng([seed, number])
-    room, plant = Room(rig, number, scene, locations), ArmPlant(rig.arms[number])
-    box = room.widest(rng)
+    room, plant = CollisionSpace(rig, number, scene, locations), ParametricArm(rig.arms[number])
+    box = room.widest_range(rng)
     motors = np.array([joint.motor_rad_s for joint in rig.arms[number].robot.joints])
     times = np.arange(round(seconds * _RATE) + 1) / _RATE
     for _ in range(_TRIES):
-        shares = [_share(times, float(half), float(motor), rng) for half, motor in zip(box.half, motors, strict=True)]
-        commands = box.middle + box.half * np.column_stack(shares)
+        shares = [
+            _normalized_trajectory(times, float(half), float(motor), rng)
+            for half, motor in zip(box.half_range, motors, strict=True)
+        ]
+        commands = box.middle + box.half_range * np.column_stack(shares)
         speed = float((np.abs(np.gradient(commands, times, axis=0)) / motors).max())
-        torque = float((np.abs(_torques(plant, times, commands)) / plant.most_torque).max())
-        if speed <= _SPEED and torque <= _TORQUE and not any(room.touches(row) for row in commands[::5]):
+        torque = float((np.abs(_torques(plant, times, commands)) / plant.max_torque).max())
+        if speed <= _SPEED and torque <= _TORQUE and not any(room.is_colliding(row) for row in commands[::5]):
             return Excitation(times, commands, box, speed, torque)
-        box = JointBox(box.middle, box.half * 0.9)
+        box = JointRange(box.middle, box.half_range * 0.9)
     raise SimulationError(
         f"{rig.arms[number].name}: no motion of {seconds:g} s was found that keeps to what its motors can do; try "
         "another --seed"
@@ -106,7 +109,7 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
     """A CSV of the commands of all arms of a rig; arms other than `number` rest."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([name for name in header(rig) if name == TIME or name.startswith("command_")])
+    writer.writerow([name for name in csv_columns(rig) if name == TIME or name.startswith("command_")])
     for time, row in zip(found.times, np.hstack(_commands(rig, number, found)), strict=True):
         writer.writerow([f"{time:.4f}", *(f"{value:.6f}" for value in row)])
     return stream.getvalue().encode()
@@ -115,12 +118,14 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
 def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
     """A CSV of the commands and of what the simulated arms' encoders read, without noise and steps."""
     commands, arms = _commands(rig, number, found), []
-    for rows, k in zip(commands, rig.recorded, strict=True):
+    for rows, k in zip(commands, rig.recording_order, strict=True):
         arm, dof = rig.arms[k], rig.arms[k].robot.dof
         openings = rows[:, dof] if arm.robot.fingers is not None else None
         side = arm.side if len(rig.arms) > 1 else ""
         arms.append(ArmMotion(side, rows[:, :dof], rows[:, :dof], openings, openings))
-    followed = follow(build_rig_scene(rig, surroundings, locations), Motion("excite", found.times, tuple(arms)))
+    followed = simulate_commands(
+        build_rig_scene(rig, surroundings, locations), RecordedMotion("excite", found.times, tuple(arms))
+    )
     read = [
         part
         for arm in followed.arms
@@ -132,16 +137,16 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
     """Commands of each arm's drives (n, drives), in the order of recordings."""
     count, arms = len(found.times), []
-    for k in rig.recorded:
+    for k in rig.recording_order:
         robot = rig.arms[k].robot
         rows = found.commands if k == number else np.tile(robot.home, (count, 1))
         if robot.fingers is not None:
-            rows = np.column_stack([rows, np.full(count, robot.fingers.opened)])
+            rows = np.column_stack([rows, np.full(count, robot.fingers.initial_opening)])
         arms.append(rows)
     return arms
 
 
-def _share(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
+def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
     """A joint's position in its box over time (n,), -1..1; 0 at both ends.
 
     Args:
@@ -158,7 +163,9 @@ def _share(times: Array, half: float, motor: float, rng: np.random.Generator) ->
         here = number == cycle
         now = times[here] - cycle * length
         ramp = np.minimum(_smooth(now / _RAMP), _smooth((quick - now) / _RAMP))
-        found[here] = np.where(now < quick, ramp * _sines(now, fastest, rng), _turns(quick, length, half, rng)(now))
+        found[here] = np.where(
+            now < quick, ramp * _sines(now, fastest, rng), _slow_sweeps(quick, length, half, rng)(now)
+        )
     return found
 
 
@@ -172,7 +179,7 @@ def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
     return found
 
 
-def _turns(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
+def _slow_sweeps(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
     """Slow turns to and fro with a rest after each, from 0 back to 0."""
     knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
     while True:
@@ -204,7 +211,7 @@ def _smooth(share: Array) -> Array:
     return found
 
 
-def _torques(plant: ArmPlant, times: Array, joints: Array) -> Array:
+def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
     """The drives' torques for a motion (n, dof), N m."""
     data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
     speeds = np.gradient(joints, times, axis=0)
@@ -216,7 +223,7 @@ def _torques(plant: ArmPlant, times: Array, joints: Array) -> Array:
     return found
 
 
-class Room:
+class CollisionSpace:
     """Collision checks of one arm of a rig on its table.
 
     Args:
@@ -233,7 +240,7 @@ class Room:
         self._qpos = np.array([model.joint(arm.prefix + name).qposadr[0] for name in arm.robot.joint_names])
         if arm.robot.fingers is not None:
             for name, sign in zip(arm.robot.fingers.joints, arm.robot.finger_signs, strict=True):
-                self._data.qpos[model.joint(arm.prefix + name).qposadr[0]] = sign * arm.robot.fingers.opened
+                self._data.qpos[model.joint(arm.prefix + name).qposadr[0]] = sign * arm.robot.fingers.initial_opening
         base = model.body(arm.prefix + arm.robot.base).id
         self._own_geoms = model.body_rootid[model.geom_bodyid] == base
         self._moving_geoms = self._own_geoms & (model.geom_bodyid != base)
@@ -245,7 +252,7 @@ class Room:
         self._model.geom_margin[:] = np.where(self._own_geoms, _DISTANCE, 0.0)
         self._range, self._name = arm.robot.joint_range, arm.name
 
-    def touches(self, joints: Array) -> bool:
+    def is_colliding(self, joints: Array) -> bool:
         """Whether the arm, with its joints (dof,), rad, is too near to anything."""
         self._data.qpos[self._qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
@@ -255,14 +262,14 @@ class Room:
         # A hand's parts are near each other in every pose of the arm.
         return bool((near & self._moving_geoms[geoms].any(axis=1) & ~self._hand_geoms[geoms].all(axis=1)).any())
 
-    def widest(self, rng: np.random.Generator) -> JointBox:
+    def widest_range(self, rng: np.random.Generator) -> JointRange:
         """The widest box, of those tried, in which the arm touches nothing.
 
         Raises:
             SimulationError: no box is wide enough.
         """
         low, high = self._range[:, 0] + _FROM_STOPS, self._range[:, 1] - _FROM_STOPS
-        best: JointBox | None = None
+        best: JointRange | None = None
         for _ in range(_MIDDLES):
             middle = rng.uniform(low + _NARROWEST, high - _NARROWEST)
             half = np.minimum(np.minimum(middle - low, high - middle), _WIDEST)
@@ -276,16 +283,16 @@ class Room:
             )
         return best
 
-    def _clear_box(self, middle: Array, half: Array, rng: np.random.Generator) -> JointBox | None:
+    def _clear_box(self, middle: Array, half: Array, rng: np.random.Generator) -> JointRange | None:
         sides = rng.uniform(-1, 1, (_AROUND, len(middle)))
         # Every second pose is a corner of the box.
         sides[::2] = np.sign(sides[::2])
         while half.min() >= _NARROWEST:
-            if not any(self.touches(middle + half * side) for side in sides):
-                return JointBox(middle, half)
+            if not any(self.is_colliding(middle + half * side) for side in sides):
+                return JointRange(middle, half)
             half = half * _NARROWER
         return None
 
 
-def _width(box: JointBox) -> float:
-    return float(np.log(box.half).mean() + np.log(box.half.min()))
+def _width(box: JointRange) -> float:
+    return float(np.log(box.half_range).mean() + np.log(box.half_range.min()))

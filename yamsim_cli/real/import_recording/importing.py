@@ -10,10 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.config.real import GripperUnit, RealConfig
+from yamsim_cli.core.config.real_recordings import GripperUnit, RealConfig
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.disk_faults import reason
-from yamsim_cli.core.dataset.layout import (
+from yamsim_cli.core.dataset.dataset_paths import (
     CONFIG,
     EPISODE,
     STAGING,
@@ -22,22 +21,23 @@ from yamsim_cli.core.dataset.layout import (
     image_name,
     lowdim_name,
 )
+from yamsim_cli.core.dataset.disk_errors import describe_disk_error
+from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, real_config
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame
-from yamsim_cli.core.dataset.real import ImportedFrom, RealRecord, real_config
 from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.dataset.writing.opening import OpenMode, claim
-from yamsim_cli.core.episode.payload import versions
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode, claim_directory
+from yamsim_cli.core.episode.attempt_payload import library_versions
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
-from yamsim_cli.core.files.documents.document import dump_yaml
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import publish_directory, sha256_bytes, write_file
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.jpeg import jpeg_header
-from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.progress import Progress
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-from ..recordings.faults import MotionFault, MotionProblem, find_faults, find_gaps
-from ..recordings.reading import format_of, reader_of
+from ..recordings.motion_faults import MotionFault, MotionProblem, find_faults, find_gaps
+from ..recordings.motion_reading import detect_format, format_reader
 from ..recordings.recording import Recording, Samples
 
 # Faults for which a recording is refused, and the flag that corrects each; other faults are noted in its record.
@@ -104,7 +104,7 @@ class ImportReport:
     problems: dict[str, list[str]] = field(default_factory=dict)
     moved_aside: Path | None = None
 
-    def plain(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """The report for JSON."""
         return {
             "path": str(self.path),
@@ -131,7 +131,7 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
     read = [(name, recording) for path in request.sources for name, recording in _recordings(path, request, locations)]
     config = _config(request, read)
     try:
-        held = claim(request.out, request.mode, locks_reach_others=True)
+        held = claim_directory(request.out, request.mode, locks_reach_others=True)
     except OSError as error:
         raise _unwritable(request.out, error) from error
     report = ImportReport(request.out, moved_aside=held.moved_aside)
@@ -157,8 +157,8 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
 
 def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
     """The format and each corrected recording of a file or a folder."""
-    name = request.format or format_of(path)
-    for recording in reader_of(name)(path, request.rig, request.mapping, locations):
+    name = request.format or detect_format(path)
+    for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _corrected(recording, request.corrections, request.rig)
         for problem in find_faults(made.in_metres(request.rig), request.rig):
             if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
@@ -187,7 +187,7 @@ def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -
         )
     unit = corrections.gripper or recording.gripper
     if corrections.mirrored is not None:
-        numbered = zip(arms, rig.recorded, strict=True)
+        numbered = zip(arms, rig.recording_order, strict=True)
         arms = tuple(_mirrored(arm, _full_opening(rig, k, unit), corrections.mirrored) for arm, k in numbered)
     return replace(recording, motion=replace(recording.motion, arms=arms), gripper=unit)
 
@@ -242,7 +242,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
                 raise DatasetError(f"{motion.name}: picture {k} of {camera} is no JPEG of {sizes.get(camera)} px")
             files[image_name(camera, k)] = data
     times = motion.times[samples]
-    record = RealRecord(
+    record = RealEpisodeRecord(
         episode=number,
         imported=ImportedFrom(format=name, name=motion.name),
         rig=request.rig.name,
@@ -253,7 +253,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
         drives=len(frames[0]["joints"]) // len(motion.arms),
         prompt=recording.prompt,
         problems=tuple(problems),
-        versions=versions(),
+        versions=library_versions(),
         content_sha256=content_hash(frames),
         files={name: sha256_bytes(data) for name, data in sorted(files.items())},
     )
@@ -264,7 +264,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
         report.problems[episode_name(number)] = problems
 
 
-def _problems(motion: Motion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
+def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
     """Faults of the motion; if the motion has no gaps, also gaps of each camera."""
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
@@ -272,7 +272,7 @@ def _problems(motion: Motion, recording: Recording, rig: RigConfig) -> Iterator[
             yield from find_gaps(motion.times[pictures.samples], f"{camera} saw nothing")
 
 
-def _frame_samples(motion: Motion, recording: Recording) -> Samples:
+def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
     """The samples that become frames: those of the camera with the most images; without cameras all."""
     seen = [pictures.samples for pictures in recording.pictures.values()]
     return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
@@ -290,7 +290,7 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
         yield data
 
 
-def _frame(motion: Motion, recording: Recording, sample: int) -> dict[str, Any]:
+def _frame(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
     """The frame of a sample, without the keys that were not recorded."""
     arms = motion.arms
     frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
@@ -324,4 +324,4 @@ def _f32(values: Array) -> NDArray[np.float32]:
 
 
 def _unwritable(out: Path, error: OSError) -> ResourceError:
-    return ResourceError(f"{out} cannot be written: {reason(error, out)}; choose another --out")
+    return ResourceError(f"{out} cannot be written: {describe_disk_error(error, out)}; choose another --out")

@@ -7,8 +7,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from . import frames
-from .frames import Frame, Mit, Scale
+from . import can_frames as frames
+from .can_frames import CanFrame, MitCommand, MotorRange
 
 AMBIENT = 25.0  # degrees Celsius, of the air around a motor
 # K above the air, at which a rotor settles at its rated torque. With the default limit of 100 degrees, a motor may give
@@ -19,7 +19,7 @@ _DRIVER_SHARE = 0.5  # of the rotor's rise, by which the driver warms up. An ass
 # Degrees Celsius, of the driver; the rotor's limit is a register. Source: DAMIAO's manual of the DM-J43 series,
 # "protections".
 _DRIVER_LIMIT = 120.0
-_REST = Mit(0.0, 0.0, 0.0, 0.0, 0.0)
+_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Registers that the emulated motor uses, by DAMIAO's numbers.
 OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
@@ -55,7 +55,7 @@ class MotorKind:
     """
 
     name: str
-    scale: Scale
+    scale: MotorRange
     gear: float
     rated: float
 
@@ -68,10 +68,10 @@ class MotorKind:
 KINDS = {
     kind.name: kind
     for kind in (
-        MotorKind("DM3507", Scale(12.5, 50.0, 5.0), 7.0, 1.2),
-        MotorKind("DM4310", Scale(12.5, 30.0, 10.0), 10.0, 3.0),
-        MotorKind("DM4340", Scale(12.5, 10.0, 28.0), 40.0, 9.0),
-        MotorKind("DM6248", Scale(12.5, 20.0, 120.0), 48.0, 35.0),
+        MotorKind("DM3507", MotorRange(12.5, 50.0, 5.0), 7.0, 1.2),
+        MotorKind("DM4310", MotorRange(12.5, 30.0, 10.0), 10.0, 3.0),
+        MotorKind("DM4340", MotorRange(12.5, 10.0, 28.0), 40.0, 9.0),
+        MotorKind("DM6248", MotorRange(12.5, 20.0, 120.0), 48.0, 35.0),
     )
 }
 
@@ -92,7 +92,7 @@ class Registers:
     def __getitem__(self, register: int) -> float:
         return self._values[register]
 
-    def show(self, register: int, value: float) -> None:
+    def set_reported(self, register: int, value: float) -> None:
         """Set a register that only reports."""
         self._values[register] = value
 
@@ -150,7 +150,7 @@ class Motor:
         position, velocity, torque: of the shaft, set by the simulation, rad, rad/s and N m.
         celsius: temperature of its rotor.
         lost: its plug is out: the motor neither receives nor answers frames and gives no torque.
-        law_changed: whether `law` may have changed since this was last set to False.
+        control_law_changed: whether `control_law` may have changed since this was last set to False.
     """
 
     def __init__(self, number: int, kind: MotorKind) -> None:
@@ -161,7 +161,7 @@ class Motor:
         self.position = self.velocity = self.torque = 0.0
         self.celsius = AMBIENT
         self.lost = False
-        self.law_changed = True
+        self.control_law_changed = True
         self._command = _REST
         self._zero = 0.0
         self._heard = 0.0
@@ -173,7 +173,7 @@ class Motor:
         return int(self.registers[ESC_ID])
 
     @property
-    def most_torque(self) -> float:
+    def max_torque(self) -> float:
         """The largest torque, N m."""
         return min(self._scale.torque, self.kind.scale.torque)
 
@@ -182,15 +182,15 @@ class Motor:
         """Temperature of the driver's transistors."""
         return AMBIENT + _DRIVER_SHARE * (self.celsius - AMBIENT)
 
-    def law(self) -> tuple[float, float, float]:
-        """(kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `most_torque`."""
+    def control_law(self) -> tuple[float, float, float]:
+        """(kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
         if self.status is not Status.ENABLED or self.lost:
             return 0.0, 0.0, 0.0
         command = self._command
         constant = command.kp * (command.position + self._zero) + command.kd * command.velocity + command.torque
         return command.kp, command.kd, constant
 
-    def hear(self, frame: Frame, now: float) -> Frame | None:
+    def receive(self, frame: CanFrame, now: float) -> CanFrame | None:
         """Receive a frame at a time (s).
 
         Returns:
@@ -199,22 +199,22 @@ class Motor:
         if self.lost:
             return None
         if frame.id == frames.TO_ALL:
-            return self._administer(frame.data)
+            return self._handle_register_frame(frame.data)
         if frame.id != self.answers_to or len(frame.data) != 8:
             return None
-        order = frames.special(frame.data)
+        order = frames.special_command(frame.data)
         if order is None:
             if self.registers[CTRL_MODE] != MIT_MODE:
                 return None
             # A command to a motor that is not enabled is answered and never acts.
             self._command = frames.read_mit(frame.data, self._scale) if self.status is Status.ENABLED else _REST
         else:
-            self._obey(order)
+            self._handle_special(order)
         self._heard = now
-        self.law_changed = True
+        self.control_law_changed = True
         return self._answer()
 
-    def drive(self, command: Mit, now: float) -> None:
+    def drive(self, command: MitCommand, now: float) -> None:
         """Act as if a MIT frame came now, after enabling the motor; an error stays."""
         if self.lost:
             return
@@ -223,9 +223,9 @@ class Motor:
         if self.status is Status.ENABLED:
             self._command = command._replace(position=command.position - self._zero)
         self._heard = now
-        self.law_changed = True
+        self.control_law_changed = True
 
-    def passes(self, now: float, seconds: float) -> None:
+    def advance(self, now: float, seconds: float) -> None:
         """Let time pass: the motor warms up by its torque, and fails when too hot or without frames for too long."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
@@ -239,24 +239,24 @@ class Motor:
         elif timeout and now - self._heard > timeout:
             self._fail(Status.LOST_COMMUNICATION)
 
-    def unplug(self) -> None:
+    def power_off(self) -> None:
         """Take the plug out."""
         self.lost = True
-        self.law_changed = True
+        self.control_law_changed = True
 
-    def plug_in(self) -> None:
+    def power_on(self) -> None:
         """Restore the power: the motor is disabled and has its saved registers."""
         self.lost = False
         self.registers.restart()
-        self._rescale()
+        self._update_range()
         self.status, self._command = Status.DISABLED, _REST
-        self.law_changed = True
+        self.control_law_changed = True
 
     def _fail(self, status: Status) -> None:
         self.status, self._command = status, _REST
-        self.law_changed = True
+        self.control_law_changed = True
 
-    def _obey(self, order: int) -> None:
+    def _handle_special(self, order: int) -> None:
         if order == frames.ENABLE:
             if self.status is Status.DISABLED:
                 self.status, self._command = Status.ENABLED, _REST
@@ -270,26 +270,26 @@ class Motor:
         elif self.status is not Status.ENABLED:
             self.status = Status.DISABLED
 
-    def _answer(self) -> Frame:
+    def _answer(self) -> CanFrame:
         celsius = self.driver_celsius, self.celsius
         state = self.position - self._zero, self.velocity, self.torque
-        data = frames.feedback(self.answers_to, self.status, *state, celsius, self._scale)
-        return Frame(int(self.registers[MST_ID]), data)
+        data = frames.feedback_bytes(self.answers_to, self.status, *state, celsius, self._scale)
+        return CanFrame(int(self.registers[MST_ID]), data)
 
-    def _administer(self, data: bytes) -> Frame | None:
+    def _handle_register_frame(self, data: bytes) -> CanFrame | None:
         """Answer a frame to all motors: access to a register, or a request for the status."""
         if len(data) < 4 or int.from_bytes(data[:2], "little") != self.answers_to:
             return None
         access, register = data[2], data[3]
         if access == frames.REFRESH:
             return self._answer()
-        self.registers.show(XOUT, self.position - self._zero)
-        self.registers.show(ROTOR_POSITION, (self.position - self._zero) * self.kind.gear)
+        self.registers.set_reported(XOUT, self.position - self._zero)
+        self.registers.set_reported(ROTOR_POSITION, (self.position - self._zero) * self.kind.gear)
         if access == frames.READ:
             value = self.registers.read(register)
         elif access == frames.WRITE and len(data) == 8:
             value = self.registers.write(register, data[4:8])
-            self._rescale()
+            self._update_range()
         elif access == frames.SAVE:
             # A motor saves registers only while it is not enabled, and answers with a short frame.
             saved = self.status is not Status.ENABLED and self.registers.save(register)
@@ -298,10 +298,10 @@ class Motor:
             return None
         return None if value is None else self._register_answer(bytes([access, register]) + value)
 
-    def _register_answer(self, content: bytes) -> Frame:
+    def _register_answer(self, content: bytes) -> CanFrame:
         # A new identifier counts at once.
-        return Frame(int(self.registers[MST_ID]), self.answers_to.to_bytes(2, "little") + content)
+        return CanFrame(int(self.registers[MST_ID]), self.answers_to.to_bytes(2, "little") + content)
 
-    def _rescale(self) -> None:
+    def _update_range(self) -> None:
         known = self.registers
-        self._scale = Scale(known[PMAX], known[VMAX], known[TMAX])
+        self._scale = MotorRange(known[PMAX], known[VMAX], known[TMAX])

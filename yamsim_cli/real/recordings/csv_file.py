@@ -16,9 +16,9 @@ import numpy as np
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-from .recording import sides
+from .recording import motion_sides
 
 TIME = "t"
 _COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
@@ -27,21 +27,21 @@ _GRIPPER = "gripper"
 _MOST_BYTES = 1 << 30  # of a file; three hours at 250 Hz are 0.6 GB
 
 
-def header(rig: RigConfig) -> list[str]:
+def csv_columns(rig: RigConfig) -> list[str]:
     """The columns of a motion's table, in the order in which yamsim writes them."""
-    robots = [rig.arms[k].robot for k in rig.recorded]
+    robots = [rig.arms[k].robot for k in rig.recording_order]
     return [
         TIME,
         *(
             _column(kind, side, joint)
             for kind in (_COMMAND, _POSITION)
-            for side, robot in zip(sides(rig), robots, strict=True)
+            for side, robot in zip(motion_sides(rig), robots, strict=True)
             for joint in (*robot.joint_names, *([_GRIPPER] if robot.fingers else []))
         ),
     ]
 
 
-def read_csv(path: Path, rig: RigConfig) -> Motion:
+def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
     """The motion in a CSV.
 
     Raises:
@@ -49,7 +49,7 @@ def read_csv(path: Path, rig: RigConfig) -> Motion:
     """
     names, rows = _table(path)
     if TIME not in names:
-        raise DatasetError(f"{path}: line 1: has no column {TIME!r}; the header is {','.join(header(rig))}")
+        raise DatasetError(f"{path}: line 1: has no column {TIME!r}; the header is {','.join(csv_columns(rig))}")
     values = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
     if len(values) < 2:
         raise DatasetError(f"{path}: has {len(values)} samples; a motion needs two at least")
@@ -62,7 +62,7 @@ def read_csv(path: Path, rig: RigConfig) -> Motion:
             f"{path}: line {line}: t is {times[back[0] + 1]:g}, and {times[back[0]]:g} in the line before: times "
             "increase; sort the rows, or remove duplicate rows"
         )
-    return Motion(str(path), times - times[0], _arm_motions(columns, rig, path))
+    return RecordedMotion(str(path), times - times[0], _arm_motions(columns, rig, path))
 
 
 def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
@@ -74,7 +74,7 @@ def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) ->
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(header(rig))
+    writer.writerow(csv_columns(rig))
     for time, row in zip(times, columns, strict=True):
         writer.writerow([repr(float(time)), *(repr(float(value)) for value in row)])
     return stream.getvalue().encode()
@@ -125,15 +125,15 @@ def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tu
     Raises:
         DatasetError: a joint has no position, or only some joints have a command.
     """
-    columns = {_usual_name(name, sides(rig)): values for name, values in columns.items()}
+    columns = {_usual_name(name, motion_sides(rig)): values for name, values in columns.items()}
     motions = []
-    for side, k in zip(sides(rig), rig.recorded, strict=True):
+    for side, k in zip(motion_sides(rig), rig.recording_order, strict=True):
         joints = rig.arms[k].robot.joint_names
         measured = _joint_columns(columns, _POSITION, side, joints, path)
         if measured is None:
             raise DatasetError(
                 f"{path}: has no column {_column(_POSITION, side, joints[0])!r}; its columns are "
-                f"{', '.join(columns)}; rig {rig.name!r} needs {', '.join(header(rig))}"
+                f"{', '.join(columns)}; rig {rig.name!r} needs {', '.join(csv_columns(rig))}"
             )
         motions.append(
             ArmMotion(

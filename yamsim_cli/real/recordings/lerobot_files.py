@@ -19,7 +19,7 @@ from typing import Any, TypeGuard, get_args
 
 import numpy as np
 
-from yamsim_cli.core.config.real import GripperUnit
+from yamsim_cli.core.config.real_recordings import GripperUnit
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.extras import require_library
@@ -28,9 +28,9 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image_files import decode_image
 from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.images.video import film_frames
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 
-from .naming import columns_of, named_arms, naming_of
+from .column_names import arm_columns, find_naming, named_arms
 from .recording import JPEG_QUALITY, CameraImages, Recording, times_from_seconds
 
 INFO = "meta/info.json"
@@ -241,13 +241,13 @@ def _recording(
         raise DatasetError(f"{name}: has no {_STATE}; its columns are {', '.join(table)}")
     measured = _rows(table, _STATE, name)
     columns = dataset.feature_names(_STATE, measured.shape[1])
-    names = naming_of(columns, dataset.rig, dataset.mapping, name, dataset.locations)
+    names = find_naming(columns, dataset.rig, dataset.mapping, name, dataset.locations)
     commanded = None
     if _ACTION in table:
         actions = _rows(table, _ACTION, name)
         by_name = dict(zip(dataset.feature_names(_ACTION, actions.shape[1]), actions.T, strict=True))
         # An action of other columns, such as poses of hands, holds no commands of drives.
-        if all(column in by_name for arm in names.arms.values() for column in columns_of(arm)):
+        if all(column in by_name for arm in names.arms.values() for column in arm_columns(arm)):
             commanded = by_name
     times = times_from_seconds(np.ravel(np.asarray(table.get(_OWN_TIME, table["timestamp"]), dtype=np.float64)), name)
     arms = named_arms(names, dataset.rig, dict(zip(columns, measured.T, strict=True)), commanded)
@@ -265,7 +265,7 @@ def _recording(
         key.removeprefix(_PICTURE).replace(".", "_"): CameraImages(samples, read) for key, read in readers.items()
     }
     task = int(np.asarray(table["task_index"]).ravel()[0]) if "task_index" in table else -1
-    return Recording(Motion(name, times, arms), dataset.gripper or names.gripper, pictures, tasks.get(task, ""))
+    return Recording(RecordedMotion(name, times, arms), dataset.gripper or names.gripper, pictures, tasks.get(task, ""))
 
 
 def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:

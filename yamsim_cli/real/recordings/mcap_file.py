@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.core.config.real import RecordingNames
+from yamsim_cli.core.config.real_recordings import RecordingNames
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.images.video import packet_frames
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-from .naming import KIND, arm_keys, candidate_names
-from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, sides, times_from_nanoseconds
+from .column_names import KIND, arm_keys, candidate_namings
+from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
 
 _MOST_MESSAGES = 5_000_000  # of a file
 # A topic that starts later than this after the first arm's state is refused; one that ends earlier is reported, s.
@@ -60,7 +60,9 @@ def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locati
             rows[topic].append((time, _numbers(message, names.field, topic, path)))
     first = names.topics[arm_keys(rig)[0]].state
     stamps = np.array([time for time, _ in rows[first]], dtype=np.int64)
-    motion = Motion(str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arms(path, rig, names, rows, stamps))
+    motion = RecordedMotion(
+        str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arms(path, rig, names, rows, stamps)
+    )
     pictures = {camera: _images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
     return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))]
 
@@ -72,7 +74,7 @@ def _arms(
         return _last_values(rows[topic], stamps, width, f"{path} {topic}") if topic and topic in rows else None
 
     motions = []
-    for side, key, k in zip(sides(rig), arm_keys(rig), rig.recorded, strict=True):
+    for side, key, k in zip(motion_sides(rig), arm_keys(rig), rig.recording_order, strict=True):
         arm, dof = names.topics[key], rig.arms[k].robot.dof
         joints = values_of(arm.state, dof)
         assert joints is not None, "the naming fits"
@@ -100,7 +102,7 @@ def _naming(
     topics: Collection[str], rig: RigConfig, mapping: str | None, path: Path, locations: Locations
 ) -> RecordingNames:
     keys = arm_keys(rig)
-    for names in candidate_names(mapping, locations):
+    for names in candidate_namings(mapping, locations):
         if set(keys) <= set(names.topics) and all(names.topics[key].state in topics for key in keys):
             return names
     error = ConfigError if mapping else DatasetError

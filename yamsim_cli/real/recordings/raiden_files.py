@@ -24,20 +24,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.config.real import GripperUnit
+from yamsim_cli.core.config.real_recordings import GripperUnit
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, ResourceError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image_files import read_image
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 
 from .recording import (
     JPEG_QUALITY,
     CameraImages,
     Recording,
-    sides,
+    motion_sides,
     split_arms,
     times_from_nanoseconds,
     times_from_seconds,
@@ -76,7 +76,7 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
             f"{file}: has no timestamps, but {', '.join(sorted(arrays)) or 'nothing'}: raiden writes them"
         )
     times = times_from_nanoseconds(np.asarray(arrays["timestamps"]), str(file))
-    followers = [_follower(side, arrays, file) for side in sides(rig)]
+    followers = [_follower(side, arrays, file) for side in motion_sides(rig)]
     joints, commands = (
         np.stack([_raw_rows(arrays, f"{name}_{key}", (len(times), rig.drives), file) for name in followers], axis=1)
         for key in ("joint_pos_7d", "joint_cmd")
@@ -84,7 +84,7 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
     speeds = [arrays.get(f"{name}_joint_vel") for name in followers]
     velocities = [np.asarray(rows, dtype=np.float64) for rows in speeds if rows is not None]
     known = np.stack(velocities, axis=1) if len(velocities) == len(followers) else None
-    motion = Motion(str(file), times, split_arms(joints, commands, rig, known))
+    motion = RecordedMotion(str(file), times, split_arms(joints, commands, rig, known))
     return [Recording(motion, "share", prompt=_prompt(file.parent), problems=_problems(file.parent))]
 
 
@@ -137,7 +137,7 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
     texts = [_text(frames[0].get(key)) for key in ("language_prompt", "language_task")]
     samples = np.arange(len(times), dtype=np.int64)
     return Recording(
-        Motion(str(folder), times, split_arms(joints, commands, rig)),
+        RecordedMotion(str(folder), times, split_arms(joints, commands, rig)),
         _gripper_unit(folder, joints, rig),
         {name: CameraImages(samples, functools.partial(_jpegs, found)) for name, found in cameras.items()},
         next(filter(None, texts), "") or _prompt(folder),
@@ -203,7 +203,7 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
 
 def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
     """`share` if raiden's converter wrote the folder, or if openings exceed the fingers' range; else `metres`."""
-    fingers = [rig.arms[k].robot.fingers for k in rig.recorded]
+    fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
     return "share" if (folder / _METADATA).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yamsim_cli.core.config.real import GripperUnit
+from yamsim_cli.core.config.real_recordings import GripperUnit
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.files.documents.base import NAME_PATTERN
+from yamsim_cli.core.files.documents.config_base import NAME_PATTERN
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 Samples = NDArray[np.int64]  # sample numbers, or ns
 
@@ -51,7 +51,7 @@ class Recording:
         DatasetError: a camera's name is not valid as a folder's name.
     """
 
-    motion: Motion
+    motion: RecordedMotion
     gripper: GripperUnit
     pictures: Mapping[str, CameraImages] = field(default_factory=dict)
     prompt: str = ""
@@ -67,12 +67,12 @@ class Recording:
                     "and _; rename it in the recording"
                 )
 
-    def in_metres(self, rig: RigConfig) -> Motion:
+    def in_metres(self, rig: RigConfig) -> RecordedMotion:
         """The motion with openings of one finger, m."""
         if self.gripper == "metres":
             return self.motion
         arms = []
-        for arm, k in zip(self.motion.arms, rig.recorded, strict=True):
+        for arm, k in zip(self.motion.arms, rig.recording_order, strict=True):
             fingers = rig.arms[k].robot.fingers
             full = fingers.full_opening if fingers else 0.0
             measured, commanded = (self._metres(values, full) for values in (arm.openings, arm.commanded_openings))
@@ -85,9 +85,9 @@ class Recording:
         return full * (1 - values if self.gripper == "closed_share" else values)
 
 
-def sides(rig: RigConfig) -> tuple[str, ...]:
+def motion_sides(rig: RigConfig) -> tuple[str, ...]:
     """`side` of each arm's motion, in the order of recordings: left first; empty for a lone arm."""
-    return tuple(rig.arms[k].side for k in rig.recorded) if len(rig.arms) > 1 else ("",)
+    return tuple(rig.arms[k].side for k in rig.recording_order) if len(rig.arms) > 1 else ("",)
 
 
 def split_arms(
@@ -95,7 +95,7 @@ def split_arms(
 ) -> tuple[ArmMotion, ...]:
     """Each arm's motion, from rows (n, arms, drives) with the gripper last; openings keep their unit."""
     motions = []
-    for k, (side, number) in enumerate(zip(sides(rig), rig.recorded, strict=True)):
+    for k, (side, number) in enumerate(zip(motion_sides(rig), rig.recording_order, strict=True)):
         robot = rig.arms[number].robot
         dof, has_gripper = robot.dof, robot.fingers is not None and joints.shape[2] > robot.dof
         motions.append(

@@ -10,8 +10,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .pictures import PictureProcess, Shot
-from .sockets import CAMERA_SOCKET, Client, UnixServer
+from .render_process import CameraFrames, RenderProcess
+from .socket_servers import CAMERA_SOCKET, ClientConnection, UnixServer
 
 _MAX_REQUEST_BYTES = 4096
 _READ_BYTES = 4096
@@ -28,11 +28,11 @@ class CameraServer(UnixServer):
         ResourceError: another program serves cameras in that folder, or the socket cannot be made.
     """
 
-    def __init__(self, folder: Path, source: PictureProcess) -> None:
+    def __init__(self, folder: Path, source: RenderProcess) -> None:
         self._source = source
         super().__init__(folder / CAMERA_SOCKET, _READ_BYTES)
         # Client -> the requested camera, and the number after which a picture is requested.
-        self._requests: dict[Client, tuple[str, int]] = {}
+        self._requests: dict[ClientConnection, tuple[str, int]] = {}
 
     def handle(self, ready: set[Any]) -> None:
         """Receive requests and answer them."""
@@ -53,7 +53,7 @@ class CameraServer(UnixServer):
             if client.received and not client.outgoing:
                 self._serve(client)
 
-    def _serve(self, client: Client) -> None:
+    def _serve(self, client: ClientConnection) -> None:
         try:
             # One request at a time: no answers pile up for a client that sends faster than it reads.
             while not client.outgoing and client not in self._requests:
@@ -67,7 +67,7 @@ class CameraServer(UnixServer):
         if len(client.received) > _MAX_REQUEST_BYTES + 4:
             self.drop(client)
 
-    def _answer(self, client: Client, request: dict[str, Any]) -> None:
+    def _answer(self, client: ClientConnection, request: dict[str, Any]) -> None:
         source = self._source
         kind, camera, after = request.get("ask"), request.get("camera"), request.get("after", -1)
         if kind == "cameras":
@@ -84,7 +84,7 @@ class CameraServer(UnixServer):
             self._requests[client] = str(camera), after
 
 
-def _send_picture(client: Client, camera: str, shot: Shot) -> None:
+def _send_picture(client: ClientConnection, camera: str, shot: CameraFrames) -> None:
     picture = shot.pictures[camera]
     height, width, _ = picture.shape
     header = {"camera": camera, "number": shot.number, "time_ns": shot.time_ns, "sim_time": shot.sim_time}
@@ -92,12 +92,12 @@ def _send_picture(client: Client, camera: str, shot: Shot) -> None:
     _send(client, {**header, "width": width, "height": height, "T_cam_in_base": pose}, picture.tobytes())
 
 
-def _send(client: Client, answer: dict[str, Any], data: bytes = b"") -> None:
+def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -> None:
     head = json.dumps({**answer, "bytes": len(data)}).encode()
     client.outgoing += len(head).to_bytes(4, "little") + head + data
 
 
-def _next_request(client: Client) -> dict[str, Any] | None:
+def _next_request(client: ClientConnection) -> dict[str, Any] | None:
     """The next whole request, removed from the received bytes; None until it is whole.
 
     Raises:

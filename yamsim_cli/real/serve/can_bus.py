@@ -13,9 +13,9 @@ from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError
 
-from ..motors import frames
-from ..motors.frames import Frame
-from .sockets import Client, UnixServer
+from ..motors import can_frames as frames
+from ..motors.can_frames import CanFrame
+from .socket_servers import ClientConnection, UnixServer
 
 _READ_FRAMES = 256  # the most that one read takes, so that a flood of frames does not stop physics
 _READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
@@ -35,7 +35,7 @@ class UnixBus(UnixServer):
     def __init__(self, folder: Path, channel: str) -> None:
         super().__init__(folder / channel, _READ_BYTES)
 
-    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+    def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
         """The frames that arrived; each is also sent to the other clients.
 
         Args:
@@ -46,13 +46,13 @@ class UnixBus(UnixServer):
             wires = bytes(client.received[:whole])
             del client.received[:whole]
             for start in range(0, whole, frames.FRAME_BYTES):
-                frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
+                frame = frames.parse_frame(wires[start : start + frames.FRAME_BYTES])
                 if frame is not None:
                     if len(self.clients) > 1:
                         self.send(frame, sender=client)
                     yield frame
 
-    def send(self, frame: Frame, sender: Client | None = None) -> None:
+    def send(self, frame: CanFrame, sender: ClientConnection | None = None) -> None:
         """Send a frame to all clients but its sender."""
         wire = frames.to_wire(frame)
         for client in self.clients:
@@ -90,17 +90,17 @@ class KernelBus:
         """The sockets to select for reading."""
         return [self._socket]
 
-    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+    def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
         """The frames that arrived."""
         for _ in range(_READ_FRAMES if self._socket in ready else 0):
             try:
-                frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
+                frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
             except OSError:
                 return
             if frame is not None:
                 yield frame
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame; it is lost if the interface is down or its buffer is full."""
         try:
             self._socket.send(frames.to_wire(frame))

@@ -17,10 +17,10 @@ import numpy as np
 
 from yamsim_cli.core.extras import require_library
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.page_origin import refusal
+from yamsim_cli.core.http_origin import refusal_reason
 
 from .policy_robot import PolicyRobot, RobotObservation
-from .sockets import Client, TcpServer
+from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536
 _HANDSHAKE_S = 5.0  # s, until a client has to speak WebSocket
@@ -39,7 +39,7 @@ class ChiralError(ValueError):
 
 
 @dataclass
-class _Connection:
+class _ChiralConnection:
     """The protocol's state for one client.
 
     Attributes:
@@ -74,7 +74,7 @@ class ChiralServer(TcpServer):
             require_library("--chiral", library, "remote")
         self._robot, self._host = robot, host
         super().__init__(host, port, "--chiral", _READ_BYTES)
-        self._connections: dict[Client, _Connection] = {}
+        self._connections: dict[ClientConnection, _ChiralConnection] = {}
 
     def handle(self, ready: set[Any]) -> None:
         """Receive messages, and answer them."""
@@ -97,15 +97,15 @@ class ChiralServer(TcpServer):
             else:
                 self._work(client, connection)
 
-    def _connection(self, client: Client) -> _Connection:
+    def _connection(self, client: ClientConnection) -> _ChiralConnection:
         from websockets.server import ServerProtocol
 
         if client not in self._connections:
             protocol = ServerProtocol(max_size=MAX_MESSAGE_BYTES)
-            self._connections[client] = _Connection(protocol, time.monotonic())
+            self._connections[client] = _ChiralConnection(protocol, time.monotonic())
         return self._connections[client]
 
-    def _receive_messages(self, client: Client, connection: _Connection) -> None:
+    def _receive_messages(self, client: ClientConnection, connection: _ChiralConnection) -> None:
         from websockets.frames import Frame, Opcode
         from websockets.http11 import Request
 
@@ -115,7 +115,7 @@ class ChiralServer(TcpServer):
         for event in protocol.events_received():
             if isinstance(event, Request):
                 headers = event.headers
-                refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
+                refused = refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), self._host)
                 protocol.send_response(protocol.accept(event) if refused is None else protocol.reject(403, refused))
             elif isinstance(event, Frame) and event.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
                 connection.parts += event.data
@@ -127,7 +127,7 @@ class ChiralServer(TcpServer):
             connection.messages.clear()
         self._work(client, connection)
 
-    def _work(self, client: Client, connection: _Connection) -> None:
+    def _work(self, client: ClientConnection, connection: _ChiralConnection) -> None:
         """Answer some messages in order, and send; no further message is answered while bytes wait to be sent."""
         try:
             for _ in range(_PER_STEP):
@@ -139,7 +139,7 @@ class ChiralServer(TcpServer):
             connection.protocol.fail(1008, str(error)[:100])
         self._send(client, connection)
 
-    def _answer_next(self, connection: _Connection) -> bool:
+    def _answer_next(self, connection: _ChiralConnection) -> bool:
         """Answer the pending request, or handle the next message; whether there was something to do."""
         if connection.pending:
             return self._answer_pending(connection)
@@ -148,7 +148,7 @@ class ChiralServer(TcpServer):
             return True
         return False
 
-    def _handle_message(self, connection: _Connection, message: bytes) -> None:
+    def _handle_message(self, connection: _ChiralConnection, message: bytes) -> None:
         kind, numbers = read_message(message)
         if kind == _METADATA:
             connection.protocol.send_binary(_packed({"type": "metadata_response", "data": dict(self._robot.metadata)}))
@@ -160,9 +160,9 @@ class ChiralServer(TcpServer):
             if kind == _RESET:
                 self._robot.reset()
 
-    def _answer_pending(self, connection: _Connection) -> bool:
+    def _answer_pending(self, connection: _ChiralConnection) -> bool:
         """Answer the pending request; whether there were pictures for that."""
-        robot, shot = self._robot, self._robot.shot
+        robot, shot = self._robot, self._robot.camera_frames
         is_reset = connection.pending == _RESET
         if is_reset and robot.is_going_home:
             connection.since = robot.now
@@ -172,7 +172,7 @@ class ChiralServer(TcpServer):
             return True
         return False
 
-    def _send(self, client: Client, connection: _Connection) -> bool:
+    def _send(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
         """Send what the protocol has to send; whether the connection stays open."""
         over = False
         for data in connection.protocol.data_to_send():
@@ -184,7 +184,7 @@ class ChiralServer(TcpServer):
             self.drop(client)
         return not over
 
-    def _end(self, client: Client) -> None:
+    def _end(self, client: ClientConnection) -> None:
         if self._connections.pop(client).drives and not self._robot.stopped:
             self._robot.stop("the program that drove the arms has gone; reset to go on")
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.scene.compiled import SceneArm
+from yamsim_cli.core.scene.compiled import ArmAddresses
 
-from ..motors.frames import KD_MAX, KP_MAX, Mit
-from ..motors.wiring import Wiring
-from .plant import Plant
+from ..motors.can_config import CanConfig
+from ..motors.can_frames import KD_MAX, KP_MAX, MitCommand
+from .motor_simulation import MotorSimulation
 
 # N, with which fingers press at most. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
 _GRIP_FORCE = 50.0
@@ -27,7 +27,7 @@ class Follower:
         number: of the arm, in the plant.
     """
 
-    def __init__(self, plant: Plant, number: int, arm: SceneArm, wiring: Wiring) -> None:
+    def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, wiring: CanConfig) -> None:
         self._plant, self._number, self._wiring = plant, number, wiring
         self._motors = plant.buses[number].motors
         hand = wiring.gripper
@@ -38,7 +38,7 @@ class Follower:
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
             # Fully open is at the fingers' stop, where the maker's SDK finds it.
-            self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.stops))
+            self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
@@ -112,8 +112,10 @@ class Follower:
             reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
             angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)
         speeds = velocity * self._ratio
-        for motor, *law in zip(self._motors, angles, speeds, kp, kd, self._plant.held(self._number), strict=True):
-            motor.drive(Mit(*map(float, law)), self._plant.now)
+        for motor, *law in zip(
+            self._motors, angles, speeds, kp, kd, self._plant.gravity_torques(self._number), strict=True
+        ):
+            motor.drive(MitCommand(*map(float, law)), self._plant.now)
 
     def _numbers(self, what: str, given: Any) -> Array:
         try:

@@ -16,13 +16,13 @@ from yamsim_cli.core.config.rig import ArmConfig
 from yamsim_cli.core.expert.planning.arm_kinematics import ArmKinematics
 from yamsim_cli.core.expert.planning.ik import IkSolver
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.images.fit import fitted
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.scene.robot import bare_arm
+from yamsim_cli.core.images.resize import resize_image
+from yamsim_cli.core.scene.arm_model import kinematic_model
 
 from .follower import Follower
-from .pictures import PictureProcess, Shot
-from .plant import Plant
+from .motor_simulation import MotorSimulation
+from .render_process import CameraFrames, RenderProcess
 
 _ACTION_S = 0.1  # s, from one action to the next
 _HOME_S = 2.0  # s, of the motion home after a reset
@@ -67,13 +67,13 @@ class HandKinematics:
     """Forward and inverse kinematics of an arm's `grasp_site`, in the arm's own base."""
 
     def __init__(self, arm: ArmConfig) -> None:
-        model = bare_arm(arm)
+        model = kinematic_model(arm)
         self._forward = ArmKinematics(model)
         self._range: Array = model.jnt_range.copy()
         self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
         home = np.array(arm.robot.home)
         T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
-        self._solver.hold(inverse(T_pinch) @ T_grasp)
+        self._solver.set_held_frame(inverse(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
         """The hand's pose (4, 4) at joints (dof,)."""
@@ -82,10 +82,10 @@ class HandKinematics:
     def joints(self, T_hand_in_base: Array, near: Array) -> Array:
         """Joints (dof,) that bring the hand to a pose (4, 4), or the nearest that a search from `near` (dof,) finds."""
         start = np.clip(near, *self._range.T)
-        return self._solver.follow(T_hand_in_base, self._solver.at(start), _IK_ITERATIONS).joints
+        return self._solver.solve_next(T_hand_in_base, self._solver.solution_at(start), _IK_ITERATIONS).joints
 
 
-def pose_of_rows(position: Array, rows: Array) -> Array:
+def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
     """The pose (4, 4) at a position (3,) whose rotation has these first two rows (6,), made orthonormal.
 
     Raises:
@@ -102,7 +102,7 @@ def pose_of_rows(position: Array, rows: Array) -> Array:
 
 
 @dataclass
-class _Motion:
+class _Interpolation:
     """Commands that go evenly from one row of all arms' joints to another, from a time on, for a duration, s."""
 
     start: Array
@@ -127,11 +127,11 @@ class PolicyRobot:
 
     def __init__(
         self,
-        plant: Plant,
+        plant: MotorSimulation,
         sides: Sequence[str],
         followers: Sequence[Follower],
         hands: Sequence[HandKinematics],
-        source: PictureProcess,
+        source: RenderProcess,
         names: Mapping[str, str],
     ) -> None:
         self._plant, self._sides, self._followers = plant, tuple(sides), tuple(followers)
@@ -140,7 +140,7 @@ class PolicyRobot:
         self._joint_numbers, self._pose_numbers = sum(self._widths), 10 * len(self._widths)
         self._commanded: Array | None = None
         self._actions: deque[Array] = deque()
-        self._motion: _Motion | None = None
+        self._motion: _Interpolation | None = None
         self._next_command = 0.0
         self._views: tuple[int, dict[str, CameraView]] = -1, {}
         self.stopped = ""
@@ -178,7 +178,7 @@ class PolicyRobot:
         self._actions.clear()
         self.stopped = ""
         self._commanded = None
-        self._motion = _Motion(self._row(), goal, self._plant.now, _HOME_S)
+        self._motion = _Interpolation(self._row(), goal, self._plant.now, _HOME_S)
 
     def stop(self, why: str) -> None:
         """Hold the arms where they are, and ignore actions until the next reset."""
@@ -199,8 +199,8 @@ class PolicyRobot:
             raise ValueError(f"an action has {self._pose_numbers} or {self._joint_numbers} numbers")
         if self.stopped or self.is_going_home:
             return
-        row = numbers if len(numbers) == self._joint_numbers else self._by_hands(numbers)
-        if fault := self._too_far(row):
+        row = numbers if len(numbers) == self._joint_numbers else self._joints_from_hand_poses(numbers)
+        if fault := self._is_too_far(row):
             self.stop(fault)
             return
         self._commanded = row
@@ -215,7 +215,7 @@ class PolicyRobot:
         if self._motion is None and self._actions:
             command = self._command()
             start = self._row() if command is None else command
-            self._motion = _Motion(start, self._actions.popleft(), now, _ACTION_S)
+            self._motion = _Interpolation(start, self._actions.popleft(), now, _ACTION_S)
         motion = self._motion
         if motion is None or now < self._next_command:
             return
@@ -225,7 +225,7 @@ class PolicyRobot:
         if share == 1.0:
             self._motion = None
 
-    def observed(self, shot: Shot) -> RobotObservation:
+    def observed(self, shot: CameraFrames) -> RobotObservation:
         """What a policy observes at the time of a shot."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
@@ -238,17 +238,17 @@ class PolicyRobot:
         return RobotObservation(self._views[1], proprios, shot.time_ns * 1e-9, extra)
 
     @property
-    def shot(self) -> Shot | None:
+    def camera_frames(self) -> CameraFrames | None:
         """The newest pictures."""
         return self._source.shot
 
-    def _view(self, shot: Shot, camera: str) -> CameraView:
+    def _view(self, shot: CameraFrames, camera: str) -> CameraView:
         width, height = self._source.size
         K = np.diag([_SIDE / width, _SIDE / height, 1.0]) @ self._source.K[camera]
-        picture = fitted(shot.pictures[camera], (_SIDE, _SIDE), pad=False)
+        picture = resize_image(shot.pictures[camera], (_SIDE, _SIDE), pad=False)
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
-    def _by_hands(self, numbers: Array) -> Array:
+    def _joints_from_hand_poses(self, numbers: Array) -> Array:
         """The row that brings hands to poses: all positions (3), then rows of all rotations (6), then grippers."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
@@ -257,10 +257,10 @@ class PolicyRobot:
         for hand, start, position, row, grip in zip(
             self._hands, near, positions.reshape(arms, 3), rows.reshape(arms, 6), grips, strict=True
         ):
-            found.append(np.append(hand.joints(pose_of_rows(position, row), start[:-1]), grip))
+            found.append(np.append(hand.joints(pose_from_rotation_rows(position, row), start[:-1]), grip))
         return np.concatenate(found)
 
-    def _too_far(self, row: Array) -> str:
+    def _is_too_far(self, row: Array) -> str:
         """Which joint a row moves too far, as a sentence; "" for none."""
         off = np.abs(row - self._row())
         ends = np.cumsum(self._widths)

@@ -18,7 +18,7 @@ import numpy as np
 from yamsim_cli.core.extras import require_library
 
 from .follower import Follower
-from .sockets import Client, TcpServer
+from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536
 _BACKLOG_BYTES = 1_000_000  # answers that wait for a client that reads nothing, before the client is dropped
@@ -74,26 +74,26 @@ class PortalServer(TcpServer):
         if method is None:
             return _refusal(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
         try:
-            return _framed(number + bytes(8) + pack(method(*arguments)))
+            return _add_frame_header(number + bytes(8) + pack_tree(method(*arguments)))
         # The number or the types of the arguments are wrong.
         except (TypeError, ValueError) as error:
             return _refusal(number, f"Error in server method: {error}")
 
 
-def _next_message(client: Client) -> bytes | None:
+def _next_message(client: ClientConnection) -> bytes | None:
     """The next whole message, removed from the received bytes; None until it is whole.
 
     Raises:
         PortalError: the bytes are not portal's, or announce a message that is too long.
     """
     received = client.received
-    if not client.greeted:
+    if not client.handshake_done:
         head = bytes(received[: len(HANDSHAKE)])
         if not HANDSHAKE.startswith(head):
             raise PortalError("this is not portal")
         if len(head) < len(HANDSHAKE):
             return None
-        client.greeted = True
+        client.handshake_done = True
         del received[: len(head)]
     if len(received) < 8:
         return None
@@ -122,7 +122,7 @@ def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
         name = message[16 : 16 + length].decode()
     except UnicodeDecodeError as error:
         raise PortalError("the method's name is no text") from error
-    arguments = unpack(message[16 + length :])
+    arguments = unpack_tree(message[16 + length :])
     if not isinstance(arguments, list):
         raise PortalError("the arguments are no list")
     return message[:8], name, arguments
@@ -130,14 +130,14 @@ def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
 
 def _refusal(number: bytes, text: str) -> bytes:
     """The answer that a request failed."""
-    return _framed(number + _STATUS_ERROR.to_bytes(8, "little") + text.encode())
+    return _add_frame_header(number + _STATUS_ERROR.to_bytes(8, "little") + text.encode())
 
 
-def _framed(message: bytes) -> bytes:
+def _add_frame_header(message: bytes) -> bytes:
     return len(message).to_bytes(8, "little") + message
 
 
-def pack(tree: Any) -> bytes:
+def pack_tree(tree: Any) -> bytes:
     """The bytes of a tree of dictionaries with text keys, lists, arrays, numbers and None."""
     import msgpack
 
@@ -156,7 +156,7 @@ def pack(tree: Any) -> bytes:
     return b"".join([len(buffers).to_bytes(8, "little"), sizes, *buffers])
 
 
-def unpack(data: bytes) -> Any:
+def unpack_tree(data: bytes) -> Any:
     """The tree of packed bytes.
 
     Raises:

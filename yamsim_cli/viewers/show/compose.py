@@ -9,17 +9,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.sampling import no_start, sample
+from yamsim_cli.core.episode.sampling import describe_missing_start, sample_attempt
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.errors import ResourceError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.files.writing import move_aside, publish_file, refusal, staged_directory, write_file
+from yamsim_cli.core.files.writing import describe_refusal, move_to_backup, publish_file, staged_directory, write_file
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.compose import add_home_key, compose
-from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
 
@@ -36,7 +36,7 @@ class ComposeReport:
 
 
 @dataclass(frozen=True)
-class Home:
+class HomeState:
     """The state of a composed scene in its keyframe `home`.
 
     Attributes:
@@ -50,38 +50,38 @@ class Home:
     parts: Mapping[str, float] = field(default_factory=dict)
 
 
-def task_start(session: Session) -> tuple[RecordConfig, Home]:
+def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
     """The first attempt of a session's seed: the config with the things of this attempt, and the start state.
 
     Raises:
         SimulationError: the things have no room, or the scene cannot be compiled.
     """
-    job = EpisodeJob(session.config.seed, 0)
+    job = AttemptJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
-        simulator = simulators.of(job)
-        attempt = sample(simulator, job)
+        simulator = simulators.get(job)
+        attempt = sample_attempt(simulator, job)
         config = simulator.config
         if attempt.layout is None or attempt.start is None:
-            raise SimulationError(f"task {config.task.name!r}: {no_start(simulator, attempt)}")
+            raise SimulationError(f"task {config.task.name!r}: {describe_missing_start(simulator, attempt)}")
         parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
         opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
     # An arm without a part in the task stands where the arm's own tasks begin.
     joints = [
-        config.start_joints if number in config.acting else arm.robot.start
+        config.start_joints if number in config.acting_indices else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
     ]
-    return config, Home(attempt.layout.T_in_world, joints, opened)
+    return config, HomeState(attempt.layout.T_in_world, joints, opened)
 
 
-def at_home(
-    blueprint: Blueprint, locations: Locations, home: Home | None = None
+def compose_at_home(
+    blueprint: Blueprint, locations: Locations, home: HomeState | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """A composed scene with keyframe `home`, and its compiled model.
 
     Args:
         home: the arms at rest without objects, unless given.
     """
-    spec, home = compose(blueprint, locations), home or Home()
+    spec, home = compose(blueprint, locations), home or HomeState()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
 
@@ -114,7 +114,7 @@ def write_scene(
         out.parent.mkdir(parents=True, exist_ok=True)
         moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
     except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
+        raise ResourceError(f"{out} cannot be written: {describe_refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
 
@@ -132,7 +132,7 @@ def _write_zip(files: dict[str, bytes], out: Path) -> Path | None:
     part = out.with_name(f".{out.name}.part")
     try:
         write_file(part, zip_bytes(files, out.stem))
-        moved = move_aside(out) if out.exists() or out.is_symlink() else None
+        moved = move_to_backup(out) if out.exists() or out.is_symlink() else None
         publish_file(part, out)
     finally:
         part.unlink(missing_ok=True)

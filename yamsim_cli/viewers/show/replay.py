@@ -13,33 +13,33 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.lowdim import has_simulation
 from yamsim_cli.core.dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, recorded_images
 from yamsim_cli.core.dataset.records import recorded_attempt
-from yamsim_cli.core.episode.payload import render
+from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.simulator import Simulator, simulator_for
 from yamsim_cli.core.errors import DatasetError, UsageError, suggest
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.video import VideoWriter
-from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.types import EpisodeJob
 
-from ..address import PageAddress
+from ..page_address import PageAddress
 from ..viewed_scene import EpisodePlayer
-from ..viewpoint import Viewpoint, frame_rig
-from .compose import at_home
-from .view import show_scene, task_viewpoint
+from ..viewpoint import Viewpoint, rig_viewpoint
+from .compose import compose_at_home
+from .viewer import show_scene, task_viewpoint
 
 if TYPE_CHECKING:
-    from ..bodies_page import BodiesPage
+    from ..scene_page import ScenePage
 
 
 @dataclass(frozen=True)
-class Film:
+class WrittenVideo:
     """A video that was written: its length in s, its size in pixels, and the new path of an older file of its name."""
 
     path: Path
@@ -52,7 +52,7 @@ class Film:
 
 def film_recorded(
     episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
-) -> Film:
+) -> WrittenVideo:
     """Make a video of the images that were recorded.
 
     Args:
@@ -78,11 +78,11 @@ def film_rendered(
     frame_period: float,
     *,
     overwrite: bool,
-) -> Film:
+) -> WrittenVideo:
     """Make a video of an episode rendered anew.
 
     Args:
-        session: of `shown_again`, with its meshes.
+        session: of `session_with_wrist_camera`, with its meshes.
 
     Raises:
         DatasetError: the episode was not simulated, or in another scene.
@@ -91,20 +91,20 @@ def film_rendered(
     with _simulator_of(episode, session) as simulator:
         chosen = _choose(cameras, simulator.scene.cameras)
         attempt = recorded_attempt(episode.record)
-        seen = (render(simulator, attempt, qpos, chosen) for qpos in positions(episode, simulator))
+        seen = (render_cameras(simulator, attempt, qpos, chosen) for qpos in episode_positions(episode, simulator))
         images = (np.concatenate(list(image.values()), axis=1) for image in seen)
         return _film(images, chosen, path, frame_period, overwrite=overwrite)
 
 
 def _film(
     images: Iterable[Image], cameras: tuple[str, ...], path: Path, frame_period: float, *, overwrite: bool
-) -> Film:
+) -> WrittenVideo:
     size = (0, 0)
     with VideoWriter(path, frame_period, overwrite=overwrite) as video:
         for image in images:
             video.write(image)
             size = (image.shape[1], image.shape[0])
-    return Film(path, video.frames, video.frames * frame_period, size, cameras, video.moved_aside)
+    return WrittenVideo(path, video.frames, video.frames * frame_period, size, cameras, video.moved_aside)
 
 
 def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
@@ -114,7 +114,7 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(wanted) or (valid[0],)
 
 
-def shown_again(session: Session, size: tuple[int, int] | None = None) -> Session:
+def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
     """A dataset's session with a wrist camera, even if none was recorded.
 
     Args:
@@ -124,7 +124,7 @@ def shown_again(session: Session, size: tuple[int, int] | None = None) -> Sessio
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
 
-def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
+def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     """MuJoCo's positions (frames, nq) of a simulated episode.
 
     Raises:
@@ -147,10 +147,10 @@ def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 
 def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
     """The simulator of a session in which an episode took place."""
-    return simulator_for(session, EpisodeJob(episode.record.seed, episode.record.attempt))
+    return simulator_for(session, AttemptJob(episode.record.seed, episode.record.attempt))
 
 
-def play(
+def play_simulated(
     episode: StoredEpisode,
     session: Session,
     speed: float,
@@ -169,16 +169,16 @@ def play(
         UsageError, ResourceError: see `view.show_scene`.
     """
     record, config = episode.record, session.config
-    with _simulator_of(episode, shown_again(session)) as simulator:
-        states = positions(episode, simulator)
-        model = simulator.varied(recorded_attempt(record)).model
+    with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
+        states = episode_positions(episode, simulator)
+        model = simulator.set_variation(recorded_attempt(record)).model
         player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)
         _show(player, episode, task_viewpoint(config), address, ready, stopped)
 
 
 def play_real(
     episode: RecordedEpisode,
-    motion: Motion,
+    motion: RecordedMotion,
     blueprint: Blueprint,
     locations: Locations,
     speed: float,
@@ -194,11 +194,11 @@ def play_real(
     Raises:
         UsageError, ResourceError: see `view.show_scene`.
     """
-    _, model = at_home(blueprint, locations)
+    _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s
     states = _measured_positions(motion, blueprint, model, period)
     player = EpisodePlayer(str(episode.directory), model, states, period, speed)
-    _show(player, episode, frame_rig(blueprint.rig), address, ready, stopped)
+    _show(player, episode, rig_viewpoint(blueprint.rig), address, ready, stopped)
 
 
 def _show(
@@ -209,7 +209,7 @@ def _show(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    def open_page(address: PageAddress) -> BodiesPage:
+    def open_page(address: PageAddress) -> ScenePage:
         from ..episode_page import EpisodePage
 
         return EpisodePage(player, viewpoint, address, RecordedImages(episode))
@@ -217,13 +217,13 @@ def _show(
     show_scene(player, viewpoint, address, open_page, ready, stopped)
 
 
-def _measured_positions(motion: Motion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
+def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
     """MuJoCo's positions (n, nq) at even times, each of the latest measurement."""
     rig = blueprint.rig
     even = np.arange(0.0, motion.duration + period / 2, period)
     rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)
     states = np.tile(model.key_qpos[0], (len(even), 1))
-    for arm, number in zip(motion.arms, rig.recorded, strict=True):
+    for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         robot, prefix = rig.arms[number].robot, rig.arms[number].prefix
         for k, name in enumerate(robot.joint_names):
             states[:, model.joint(prefix + name).qposadr[0]] = arm.joints[rows, k]

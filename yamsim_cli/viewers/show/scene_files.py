@@ -124,10 +124,10 @@ def _unroll(parent: Element) -> None:
     """Replace every frame by its children, with the frame's pose and class, in place."""
     for child in parent:
         _unroll(child)
-    parent[:] = [item for child in parent for item in (_moved(child) if child.tag == "frame" else [child])]
+    parent[:] = [item for child in parent for item in (_children_in_frame(child) if child.tag == "frame" else [child])]
 
 
-def _moved(frame: Element) -> Iterator[Element]:
+def _children_in_frame(frame: Element) -> Iterator[Element]:
     position, quat = _numbers(frame, "pos", "0 0 0"), _numbers(frame, "quat", "1 0 0 0")
     for child in frame:
         if name := frame.get("childclass"):

@@ -10,25 +10,25 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Protocol
 
-from yamsim_cli.core.closing import Closing
+from yamsim_cli.core.attempt_data import AttemptJob, AttemptPayload
+from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episode_record
-from yamsim_cli.core.dataset.writing.stage import Sink
-from yamsim_cli.core.episode.engine import Simulated, with_distractors
-from yamsim_cli.core.episode.payload import payload, result
-from yamsim_cli.core.episode.runner import require_meshes
+from yamsim_cli.core.dataset.writing.staged_writer import Sink
+from yamsim_cli.core.episode.attempt_payload import build_payload, payload_without_files
+from yamsim_cli.core.episode.execution import SimulatedAttempt, with_distractors
+from yamsim_cli.core.episode.runner import check_meshes
 from yamsim_cli.core.episode.simulator import Simulators
-from yamsim_cli.core.types import EpisodeJob, EpisodePayload
-from yamsim_cli.core.workers.executor import Executor
-from yamsim_cli.core.workers.processes import WorkerPool
+from yamsim_cli.core.workers.executors import Executor
+from yamsim_cli.core.workers.process_pool import ProcessPool
 
 SOURCE = "teleop"
 
 _POLL_SECONDS = 0.1  # s, between two checks whether a waiting writer was closed
 
 
-class DrivenRunner(Closing):
+class TeleopAttemptRenderer(Closable):
     """Renders successful driven attempts, which were judged while they were driven.
 
     Args:
@@ -38,29 +38,29 @@ class DrivenRunner(Closing):
     def __init__(self, session: Session, *, render: bool = True) -> None:
         self._render = render
         if render:
-            require_meshes(session)
+            check_meshes(session)
         self._simulators = Simulators(session)
         # Compiled at once, since the scene's files may be gone when the first attempt arrives.
-        self._simulators.of(EpisodeJob(session.config.seed, 0))
+        self._simulators.get(AttemptJob(session.config.seed, 0))
 
-    def run(self, driven: Simulated) -> EpisodePayload:
+    def run(self, driven: SimulatedAttempt) -> AttemptPayload:
         """The recorded bytes of an attempt."""
-        simulator, done = self._simulators.of(driven.attempt.job), driven
+        simulator, done = self._simulators.get(driven.attempt.job), driven
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
-        return payload(simulator, done) if self._render else result(done)
+        return build_payload(simulator, done) if self._render else payload_without_files(done)
 
     def close(self) -> None:
         """Free the renderers."""
         self._simulators.close()
 
 
-DrivenExecutor = Executor[Simulated, EpisodePayload]
+DrivenExecutor = Executor[SimulatedAttempt, AttemptPayload]
 
 
-def open_worker(session: Session) -> WorkerPool[Simulated, EpisodePayload]:
+def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayload]:
     """A worker process, so that rendering does not delay the arm."""
-    return WorkerPool(functools.partial(DrivenRunner, session), 1)
+    return ProcessPool(functools.partial(TeleopAttemptRenderer, session), 1)
 
 
 class AttemptReceiver(Protocol):
@@ -71,12 +71,12 @@ class AttemptReceiver(Protocol):
         """The number of the next attempt."""
         ...
 
-    def submit(self, driven: Simulated) -> None:
+    def submit(self, driven: SimulatedAttempt) -> None:
         """Receive an attempt."""
         ...
 
 
-class AttemptWriter(Closing):
+class AttemptWriter(Closable):
     """Has driven attempts rendered, and writes them in order, in a thread of its own.
 
     Writing an episode can take longer than a control tick. A context manager: on its exit, attempts that are not
@@ -112,7 +112,7 @@ class AttemptWriter(Closing):
         """The number of the next attempt."""
         return self._first + self._submitted
 
-    def submit(self, driven: Simulated) -> None:
+    def submit(self, driven: SimulatedAttempt) -> None:
         """Queue an attempt."""
         self._submitted += 1
         self._futures.append(self._thread.submit(self._process, driven))
@@ -136,7 +136,7 @@ class AttemptWriter(Closing):
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _process(self, driven: Simulated) -> AttemptRecord | None:
+    def _process(self, driven: SimulatedAttempt) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None
@@ -148,7 +148,7 @@ class AttemptWriter(Closing):
             self._ended.set()
             raise
 
-    def _payload(self) -> EpisodePayload | None:
+    def _payload(self) -> AttemptPayload | None:
         """The worker's result; None once the writer is closed."""
         while not self._ended.is_set():
             try:
@@ -157,7 +157,7 @@ class AttemptWriter(Closing):
                 continue
         return None
 
-    def _write(self, payload: EpisodePayload) -> AttemptRecord:
+    def _write(self, payload: AttemptPayload) -> AttemptRecord:
         number = self._sink.episodes if payload.outcome.success else None
         if number is not None:
             record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})

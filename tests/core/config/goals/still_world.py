@@ -42,16 +42,16 @@ class StillWorld:
     sheets: Mapping[str, Array] = field(default_factory=dict)
     marks: Mapping[tuple[str, str], Array] = field(default_factory=dict)
 
-    def mark(self, thing: str, handle: str) -> Array:
+    def handle_pose(self, thing: str, handle: str) -> Array:
         return self.marks[thing, handle]
 
     def pose(self, thing: str) -> Array:
         return pose(self.places[thing], rotation_from_vector([self.leaning.get(thing, 0.0), 0.0, 0.0]))
 
-    def start(self, thing: str) -> Array:
+    def start_pose(self, thing: str) -> Array:
         return pose(self.starts[thing])
 
-    def bounds(self, thing: str) -> tuple[Array, Array]:
+    def aabb(self, thing: str) -> tuple[Array, Array]:
         if thing == "table":
             return np.array([-1.0, -1.0, -0.02]), np.array([1.0, 1.0, 0.0])
         middle = np.array(self.places[thing])
@@ -60,22 +60,22 @@ class StillWorld:
     def touching(self, one: str, other: str) -> bool:
         return (one, other) in self.touches or (other, one) in self.touches
 
-    def holders(self, thing: str) -> frozenset[str]:
+    def holding_sides(self, thing: str) -> frozenset[str]:
         return self.held.get(thing, frozenset())
 
-    def passed_to(self, thing: str) -> tuple[str, ...]:
+    def holders_since_rest(self, thing: str) -> tuple[str, ...]:
         return self.passed.get(thing, ())
 
     def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
         return self.handed.get(thing, ())
 
-    def share_inside(self, thing: str, container: str) -> float:
+    def volume_fraction_inside(self, thing: str, container: str) -> float:
         return self.shares[thing, container]
 
-    def points(self, thing: str) -> Array:
+    def cloth_points(self, thing: str) -> Array:
         return self.sheets[thing]
 
-    def opening(self, thing: str, joint: str) -> float:
+    def joint_opening(self, thing: str, joint: str) -> float:
         return self.openings[thing, joint]
 
 

@@ -6,16 +6,17 @@ import math
 
 import pytest
 from pydantic import ValidationError
-
-from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.config.goals.goal import Goal, judge
-from yamsim_cli.core.config.goals.predicates import PREDICATES
-from yamsim_cli.core.geometry.se3 import Array, pose
-
 from .still_world import StillWorld, flat_sheet, folded_sheet
 
+from yamsim_cli.core.config.goals.goal import Goal, evaluate_goal
+from yamsim_cli.core.config.goals.predicates import PREDICATES
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.geometry.se3 import Array, pose
+
 Place = tuple[float, float, float]
-CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})
+CAST = RoleAssignment(
+    {"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"}
+)
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
 IN_AIR = StillWorld({"cup": (0.3, 0.0, 0.20), "plate": (0.3, 0.0, 0.02)}, held={"cup": frozenset({"left"})})
 
@@ -122,9 +123,9 @@ def test_every_predicate_has_a_case() -> None:
 
 def test_what_leans_against_a_thing_is_not_on_it() -> None:
     goal = Goal.model_validate({"on": {"thing": "cup", "surface": "plate", "radius": 0.05}})
-    assert judge(goal, ON_PLATE, CAST).worst.margin == pytest.approx(0.04)
+    assert evaluate_goal(goal, ON_PLATE, CAST).worst.margin == pytest.approx(0.04)
     leaning = StillWorld(ON_PLATE.places, touches=[("cup", "plate"), ("cup", "table")])
-    verdict = judge(goal, leaning, CAST)
+    verdict = evaluate_goal(goal, leaning, CAST)
     assert not verdict.reached and verdict.worst.detail == "touches the table"
 
 
@@ -132,10 +133,10 @@ def test_what_leans_against_a_thing_is_not_on_it() -> None:
 def test_holds_with_its_margin_and_not_in_a_near_miss(name: str) -> None:
     arguments, world, margin, near_miss = CASES[name]
     goal = Goal.model_validate({name: arguments})
-    verdict = judge(goal, world, CAST)
+    verdict = evaluate_goal(goal, world, CAST)
     assert verdict.reached
     assert verdict.worst.margin == pytest.approx(margin, abs=1e-9)
-    missed = judge(goal, near_miss, CAST)
+    missed = evaluate_goal(goal, near_miss, CAST)
     assert not missed.reached
     assert missed.worst.margin < 0
 
@@ -144,8 +145,8 @@ def test_holds_with_its_margin_and_not_in_a_near_miss(name: str) -> None:
 def test_not_turns_it_round(name: str) -> None:
     arguments, world, _, near_miss = CASES[name]
     goal = Goal.model_validate({"not": {name: arguments}})
-    assert not judge(goal, world, CAST).reached
-    assert judge(goal, near_miss, CAST).reached
+    assert not evaluate_goal(goal, world, CAST).reached
+    assert evaluate_goal(goal, near_miss, CAST).reached
 
 
 @pytest.mark.parametrize(
@@ -161,7 +162,7 @@ def test_what_is_not_hung_says_why(
     marks: tuple[float, float, float], touches: list[tuple[str, str]], held: dict[str, frozenset[str]], said: str
 ) -> None:
     world = StillWorld({}, marks={("plate", "peg"): pose(), ("cup", "eye"): pose(marks)}, touches=touches, held=held)
-    verdict = judge(Goal.model_validate({"hung": {"thing": "cup", "onto": "plate"}}), world, CAST)
+    verdict = evaluate_goal(Goal.model_validate({"hung": {"thing": "cup", "onto": "plate"}}), world, CAST)
     assert not verdict.reached
     assert said in verdict.worst.detail
 
@@ -175,7 +176,7 @@ def test_what_is_not_hung_says_why(
     ],
 )
 def test_cloth_that_is_folded_otherwise_is_not_folded_so(how: str, sheet: Array, said: str) -> None:
-    verdict = judge(
+    verdict = evaluate_goal(
         Goal.model_validate({"folded": {"thing": "cup", "how": how}}), StillWorld({}, sheets={"cup": sheet}), CAST
     )
     assert not verdict.reached
@@ -185,11 +186,11 @@ def test_cloth_that_is_folded_otherwise_is_not_folded_so(how: str, sheet: Array,
 def test_all_any_and_the_worst() -> None:
     on, upright = {"on": {"thing": "cup", "surface": "plate"}}, {"upright": {"thing": "cup", "tilt_deg": 5}}
     tilted = StillWorld(ON_PLATE.places, leaning={"cup": 0.5}, touches=ON_PLATE.touches)
-    every = judge(Goal.model_validate({"all": [on, upright]}), tilted, CAST)
+    every = evaluate_goal(Goal.model_validate({"all": [on, upright]}), tilted, CAST)
     assert not every.reached
     assert every.worst.what == "upright(cup)"
-    assert judge(Goal.model_validate({"any": [on, upright]}), tilted, CAST).reached
-    assert not judge(Goal.model_validate({"any": [upright, {"not": on}]}), tilted, CAST).reached
+    assert evaluate_goal(Goal.model_validate({"any": [on, upright]}), tilted, CAST).reached
+    assert not evaluate_goal(Goal.model_validate({"any": [upright, {"not": on}]}), tilted, CAST).reached
 
 
 @pytest.mark.parametrize(
@@ -225,7 +226,7 @@ def test_a_goal_survives_its_own_dump() -> None:
 def test_near_on_a_side_as_seen_from_the_base(side: str, inside: Place, outside: Place) -> None:
     goal = Goal.model_validate({"near": {"thing": "cup", "other": "plate", "radius": 0.1, "side": side}})
     plate = (0.3, 0.0, 0.0)
-    assert judge(goal, StillWorld({"cup": inside, "plate": plate}), CAST).reached
-    verdict = judge(goal, StillWorld({"cup": outside, "plate": plate}), CAST)
+    assert evaluate_goal(goal, StillWorld({"cup": inside, "plate": plate}), CAST).reached
+    verdict = evaluate_goal(goal, StillWorld({"cup": outside, "plate": plate}), CAST)
     assert not verdict.reached and side in verdict.worst.detail
-    assert not judge(goal, StillWorld({"cup": plate, "plate": inside}), CAST).reached
+    assert not evaluate_goal(goal, StillWorld({"cup": plate, "plate": inside}), CAST).reached

@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from tests.made_up_robot import RIG, write_robot
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.expert.planning.closed_form import ClosedFormIk, closed_form
+from yamsim_cli.core.expert.planning.analytic_ik import AnalyticIk, find_analytic_ik
 from yamsim_cli.core.expert.planning.ik import IkSolver, Tolerance
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
-from yamsim_cli.core.scene.robot import bare_arm
+from yamsim_cli.core.scene.arm_model import kinematic_model
 
 WHERE = Locations.find({})
 SHIPPED = ["single" if name == "i2rt_yam" else f"{name}+linear_4310" for name in WHERE.config_names("robots")]
@@ -27,11 +27,11 @@ ANYHOW = Tolerance(1e-3, math.radians(1.0), margin=0.0)
 
 
 def _model(rig: str, where: Locations = WHERE) -> mujoco.MjModel:
-    return bare_arm(load_config(RigConfig, "rigs", rig, where).arms[0])
+    return kinematic_model(load_config(RigConfig, "rigs", rig, where).arms[0])
 
 
-def _solver(model: mujoco.MjModel) -> ClosedFormIk:
-    solver = closed_form(model)
+def _solver(model: mujoco.MjModel) -> AnalyticIk:
+    solver = find_analytic_ik(model)
     assert solver is not None
     return solver
 
@@ -86,7 +86,7 @@ def test_many_poses_are_looked_at_together_as_one_by_one(rig: str, margin: float
     poses.append(forward(np.clip(np.zeros(6), low, high)))
     margins = [np.minimum(found - low, high - found).min(axis=1) for found in map(solver.solutions, poses)]
     reached = np.array([bool((one >= margin).any()) for one in margins])
-    asked = solver.may_reach(np.array(poses), margin)
+    asked = solver.maybe_reachable(np.array(poses), margin)
     assert not (reached & ~asked).any()
     # Rounding, and joints that a pose does not determine, may let a pose through that is out of reach.
     assert (asked & ~reached).sum() <= 2
@@ -151,16 +151,16 @@ def test_every_whole_turn_in_a_joints_range_counts() -> None:
     ],
 )
 def test_other_arms_have_no_closed_solution(axes: list[str]) -> None:
-    assert closed_form(_chain(axes)) is None
+    assert find_analytic_ik(_chain(axes)) is None
 
 
 def test_wrists_whose_axes_pass_each_other_have_none() -> None:
-    assert closed_form(_chain(_AXES, last="0.05 0 0.04")) is not None
-    assert closed_form(_chain(_AXES, last="0.05 0.01 0.04")) is None
+    assert find_analytic_ik(_chain(_AXES, last="0.05 0 0.04")) is not None
+    assert find_analytic_ik(_chain(_AXES, last="0.05 0.01 0.04")) is None
 
 
 def test_a_sliding_joint_has_none() -> None:
-    assert closed_form(_chain(_AXES, sixth='type="slide" range="-3 3"')) is None
+    assert find_analytic_ik(_chain(_AXES, sixth='type="slide" range="-3 3"')) is None
 
 
 @pytest.mark.parametrize("rig", SHIPPED)
@@ -213,7 +213,7 @@ def test_of_several_solutions_the_nearest_is_taken() -> None:
         for start in solutions:
             near = start + 1e-4
             np.testing.assert_allclose(ik.solve(ik.pose_of(joints), near, 0).joints, start, atol=1e-6)
-            found = ik.reach(ik.pose_of(joints), [near, near + 1.0], ANYHOW)
+            found = ik.solve_from(ik.pose_of(joints), [near, near + 1.0], ANYHOW)
             assert found is not None
             np.testing.assert_allclose(found, start, atol=1e-6)
     assert several > 20
@@ -224,8 +224,8 @@ def test_solutions_too_near_to_a_stop_are_not_reached() -> None:
     ik, low = IkSolver(model, np.eye(4)), model.jnt_range[:, 0]
     joints = np.array([0.2, 1.2, 1.0, low[3] + 0.03, 0.1, 0.3])
     T = ik.pose_of(joints)
-    assert ik.reach(T, [joints], Tolerance(1e-3, 0.02, margin=0.05)) is None
-    found = ik.reach(T, [joints], Tolerance(1e-3, 0.02, margin=0.02))
+    assert ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, margin=0.05)) is None
+    found = ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, margin=0.02))
     assert found is not None
     np.testing.assert_allclose(found, joints, atol=1e-9)
 
@@ -241,7 +241,7 @@ def test_a_path_does_not_change_to_another_branch() -> None:
             others = solutions[np.abs(solutions - start).max(axis=1) > 0.5]
             changes += len(others) > 0
             for other in others:
-                assert np.abs(ik.follow(ik.pose_of(other), ik.at(start), 8).joints - start).max() < 0.35
+                assert np.abs(ik.solve_next(ik.pose_of(other), ik.solution_at(start), 8).joints - start).max() < 0.35
     assert changes > 10
 
 
@@ -249,13 +249,13 @@ def test_an_arm_of_five_joints_is_searched(tmp_path: Path) -> None:
     write_robot(tmp_path)
     model = _model(RIG, Locations.find({"YAMSIM_DATA_DIR": str(tmp_path)}))
     assert model.nq == 5
-    assert closed_form(model) is None
+    assert find_analytic_ik(model) is None
     ik = IkSolver(model, np.eye(4))
     joints = np.array([0.3, 0.4, 1.2, 1.0, 0.2])
     T = ik.pose_of(joints)
     assert ik.solve(T, joints + 0.1, 100).position_error < 1e-5
-    assert ik.follow(T, ik.at(joints + 0.1), 100).position_error < 1e-5
-    found = ik.reach(T, [np.zeros(5), joints + 0.1], ANYHOW)
+    assert ik.solve_next(T, ik.solution_at(joints + 0.1), 100).position_error < 1e-5
+    found = ik.solve_from(T, [np.zeros(5), joints + 0.1], ANYHOW)
     assert found is not None
     np.testing.assert_allclose(ik.pose_of(found), T, atol=2e-3)
-    assert ik.reach(pose((2.0, 0.0, 0.2)), [joints], ANYHOW) is None
+    assert ik.solve_from(pose((2.0, 0.0, 0.2)), [joints], ANYHOW) is None

@@ -17,7 +17,7 @@ from yamsim_cli.core.expert.planning.dynamics import ArmDynamics
 from yamsim_cli.core.expert.planning.ik import IkSolver, Tolerance
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
-from yamsim_cli.core.scene.robot import arm_spec, bare_arm
+from yamsim_cli.core.scene.arm_model import arm_spec, kinematic_model
 
 # Source: I2RT YAM as in MuJoCo Menagerie i2rt_yam, ranges in rad.
 LOW = np.array([-2.61799, 0, 0, -1.5708, -1.5708, -2.0944])
@@ -26,11 +26,11 @@ HIGH = np.array([3.05433, 3.66519, 3.66519, 1.5708, 1.5708, 2.0944])
 
 @pytest.fixture(scope="module")
 def ik(config: RecordConfig) -> IkSolver:
-    return IkSolver(bare_arm(config.rig.arms[0]), np.eye(4))
+    return IkSolver(kinematic_model(config.rig.arms[0]), np.eye(4))
 
 
 def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
-    ik.hold(np.eye(4))
+    ik.set_held_frame(np.eye(4))
     rng = np.random.default_rng(0)
     for _ in range(20):
         joints = rng.uniform([-1, 1.2, 0.8, -1.2, -0.4, -0.8], [1, 1.9, 1.6, -0.6, 0.4, 0.8])
@@ -43,23 +43,23 @@ def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
 def test_a_held_frame_is_what_is_brought_to_the_target(ik: IkSolver) -> None:
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
     held = pose((0.01, -0.02, 0.03), rotation_z(0.4))
-    ik.hold(np.eye(4))
+    ik.set_held_frame(np.eye(4))
     T_pinch = ik.pose_of(joints)
-    ik.hold(held)
+    ik.set_held_frame(held)
     np.testing.assert_allclose(ik.pose_of(joints), T_pinch @ held, atol=1e-12)
 
 
 def test_targets_are_in_world(config: RecordConfig) -> None:
     T_base = pose((0.3, -0.4, 0.1), rotation_z(0.7))
-    moved = IkSolver(bare_arm(config.rig.arms[0]), T_base)
-    at_origin = IkSolver(bare_arm(config.rig.arms[0]), np.eye(4))
+    moved = IkSolver(kinematic_model(config.rig.arms[0]), T_base)
+    at_origin = IkSolver(kinematic_model(config.rig.arms[0]), np.eye(4))
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
     np.testing.assert_allclose(inverse(T_base) @ moved.pose_of(joints), at_origin.pose_of(joints), atol=1e-12)
     assert moved.solve(moved.pose_of(joints), joints + 0.05, 100).position_error < 1e-5
 
 
 def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
-    ik.hold(np.eye(4))
+    ik.set_held_frame(np.eye(4))
     solution = ik.solve(pose((1.2, 0, 0.1)), np.array([0, 1.5, 1.2, -1.0, 0, 0]), 100)
     assert solution.position_error > 0.3
     assert (solution.joints >= LOW - 1e-6).all()
@@ -111,13 +111,13 @@ def test_a_weight_in_the_hand_is_borne_by_every_joint_that_lifts_it(
 
 
 def test_a_waypoint_may_lean_where_the_pose_itself_is_out_of_reach(ik: IkSolver) -> None:
-    wide, narrow = Tolerance(4e-3, math.radians(6.0), leans=True), Tolerance(1.5e-3, math.radians(2.0))
+    wide, narrow = Tolerance(4e-3, math.radians(6.0), allow_tilt=True), Tolerance(1.5e-3, math.radians(2.0))
     rng, found = np.random.default_rng(0), 0
     for _ in range(200):
         joints = rng.uniform(LOW + 0.2, HIGH - 0.2)
         joints[4] = HIGH[4] - narrow.margin + 0.04
         T = ik.pose_of(joints)
-        if ik.reach(T, [joints], narrow) is None and (leaning := ik.reach(T, [joints], wide)) is not None:
+        if ik.solve_from(T, [joints], narrow) is None and (leaning := ik.solve_from(T, [joints], wide)) is not None:
             found += 1
             T_there = ik.pose_of(leaning)
             turned = np.arccos(np.clip((np.trace(T[:3, :3].T @ T_there[:3, :3]) - 1) / 2, -1.0, 1.0))

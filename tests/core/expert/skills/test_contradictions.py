@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.programs import STATION, changed, session_of
-from yamsim_cli.core.expert.skills.checked import program_contradiction
+from yamsim_cli.core.expert.skills.program_checks import program_contradiction
 from yamsim_cli.core.files.resources import Locations
 
 PICK = {"pick": {"thing": "cube"}}

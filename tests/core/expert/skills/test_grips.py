@@ -8,8 +8,8 @@ import numpy as np
 
 from yamsim_cli.api import PROGRAM
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.expert.skills.grips import sideways_grips
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.expert.skills.grasp_candidates import sideways_candidates
 
 
 def _item(name: str) -> ObjectConfig:
@@ -18,10 +18,10 @@ def _item(name: str) -> ObjectConfig:
 
 def test_a_hand_leans_to_the_side_about_narrow_things_alone() -> None:
     """Along the axis on which its fingers close, so that a wall beside them is not in its way."""
-    assert not list(sideways_grips(_item("kitchen_cup")))
+    assert not list(sideways_candidates(_item("kitchen_cup")))
     fork = _item("kitchen_fork")
     assert fork.grasp is not None
-    found = list(sideways_grips(fork))
+    found = list(sideways_candidates(fork))
     # A fork lies along y: fingers close along x, and the hand comes from above, leaning along x.
     leans = {round(math.degrees(math.asin(np.clip(grip.T_pinch_in_thing[0, 2], -1, 1)))) for grip in found}
     assert {0, 20, -20, 35, -35, 50, -50} <= leans

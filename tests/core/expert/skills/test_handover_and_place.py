@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from tests.programs import STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.engine import demonstrate
-from yamsim_cli.core.episode.sampling import sample
+from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulators
-from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 TASK = changed(
     {
@@ -85,12 +85,12 @@ def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) 
 @pytest.mark.parametrize(("task", "number"), [("handover", 0), ("handover", 5), ("pickplace", 0)])
 def test_joints_stay_away_from_their_stops(task: str, number: int) -> None:
     """In a hand-over they went down to 0 rad, where grips and retreats were chosen without a look at the stops."""
-    opener = Opener({}, lambda text: None, str)
+    opener = SessionOpener({}, lambda text: None, str)
     where = opener.locations()
-    job = EpisodeJob(7, number)
+    job = AttemptJob(7, number)
     with Simulators(Session(opener.config("default", where, task=task), where).without_meshes()) as simulators:
-        simulator = simulators.of(job)
-        outcome = demonstrate(simulator, sample(simulator, job)).outcome
+        simulator = simulators.get(job)
+        outcome = demonstrate(simulator, sample_attempt(simulator, job)).outcome
     assert outcome.success, outcome.detail
     assert outcome.margins is not None
     assert outcome.margins.joint > 0.08

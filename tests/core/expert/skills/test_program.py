@@ -7,19 +7,19 @@ from typing import Any, ClassVar, cast
 
 import pytest
 
-from yamsim_cli.core.config.goals.cast import Cast
+from yamsim_cli.core.attempt_data import FailureCause
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.expert.skills import program
-from yamsim_cli.core.expert.skills.base import Skill
-from yamsim_cli.core.expert.skills.bench import Bench, Segment, SkillFailedError
 from yamsim_cli.core.expert.skills.hand import Hand
 from yamsim_cli.core.expert.skills.operate import Operate
 from yamsim_cli.core.expert.skills.pick import Pick
 from yamsim_cli.core.expert.skills.place import Place
-from yamsim_cli.core.expert.skills.program import Recovery, RecoveryLog, read_program, run_program
-from yamsim_cli.core.files.documents.base import ConflictError
-from yamsim_cli.core.types import Cause
+from yamsim_cli.core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
+from yamsim_cli.core.expert.skills.program import RecoveryLog, SkillRetry, parse_program, run_program
+from yamsim_cli.core.expert.skills.skill import Skill
+from yamsim_cli.core.files.documents.config_base import ConflictError
 
-CAST = Cast(
+CAST = RoleAssignment(
     {"cube": ("cube_1", "cube_2", "cube_3"), "plate": ("plate",)},
     {"cube_1": "blue", "cube_2": "red", "cube_3": "blue", "plate": "plate"},
 )
@@ -32,11 +32,11 @@ class Failing(Skill):
     times: int
     tried: ClassVar[int] = 0
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         Failing.tried += 1
         if Failing.tried <= self.times:
-            raise SkillFailedError(Cause.SLIPPED, f"try {Failing.tried}")
-        yield Segment(())
+            raise SkillFailedError(FailureCause.SLIPPED, f"try {Failing.tried}")
+        yield MotionSegment(())
 
 
 class NoHands:
@@ -56,13 +56,13 @@ def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _run(times: int) -> RecoveryLog:
     log = RecoveryLog()
-    for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, log):
+    for _ in run_program([Failing(times=times)], cast(PlanningContext, NoHands()), CAST, log):
         pass
     return log
 
 
 def test_what_fails_is_tried_again_and_noted() -> None:
-    assert _run(2).recoveries == [Recovery(0, "failing", "try 1"), Recovery(0, "failing", "try 2")]
+    assert _run(2).recoveries == [SkillRetry(0, "failing", "try 1"), SkillRetry(0, "failing", "try 2")]
 
 
 def test_what_works_is_not_tried_again() -> None:
@@ -72,69 +72,69 @@ def test_what_works_is_not_tried_again() -> None:
 def test_a_third_failure_ends_it() -> None:
     with pytest.raises(SkillFailedError, match="try 3") as caught:
         _run(3)
-    assert caught.value.cause is Cause.SLIPPED
+    assert caught.value.cause is FailureCause.SLIPPED
 
 
-class Taking(Pick):
+class HandlessPick(Pick):
     """Takes without a hand."""
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
-        yield Segment(())
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
+        yield MotionSegment(())
 
 
-class Stuck(Place):
+class FailingPlace(Place):
     """Fails as often as it is told to, its thing in a hand."""
 
     tried: ClassVar[list[str]] = []
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
-        Stuck.tried.append(self.thing)
-        if len(Stuck.tried) <= self.number:
-            raise SkillFailedError(Cause.UNREACHABLE, "not there with it")
-        yield Segment(())
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
+        FailingPlace.tried.append(self.thing)
+        if len(FailingPlace.tried) <= self.number:
+            raise SkillFailedError(FailureCause.UNREACHABLE, "not there with it")
+        yield MotionSegment(())
 
 
 def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[str]:
     """What is put down to be taken another way where putting the plate down fails so often."""
     put: list[str] = []
 
-    def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
+    def put_back(bench: PlanningContext, cast: RoleAssignment, role: str) -> Iterator[MotionSegment]:
         put.append(role)
-        yield Segment(())
+        yield MotionSegment(())
 
-    monkeypatch.setattr(Stuck, "tried", [])
-    monkeypatch.setattr(program, "put_back", put_back)
-    steps = [Taking(thing=taken), Stuck(thing="plate", on="table", at=(0.0, 0.0), number=times)]
-    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
+    monkeypatch.setattr(FailingPlace, "tried", [])
+    monkeypatch.setattr(program, "put_down_failed_object", put_back)
+    steps = [HandlessPick(thing=taken), FailingPlace(thing="plate", on="table", at=(0.0, 0.0), number=times)]
+    list(run_program(steps, cast(PlanningContext, NoHands()), CAST, RecoveryLog()))
     return put
 
 
 class Closing(Operate):
     """Fails once, as a drawer that a hand slips off."""
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         ran.append("operate")
         if ran.count("operate") == 1:
-            raise SkillFailedError(Cause.SLIPPED, "the hand slipped off")
-        yield Segment(())
+            raise SkillFailedError(FailureCause.SLIPPED, "the hand slipped off")
+        yield MotionSegment(())
 
 
-class Noting(Taking):
+class RecordingPick(HandlessPick):
     """Notes what it takes."""
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         ran.append(f"pick {self.thing}")
-        yield Segment(())
+        yield MotionSegment(())
 
 
 class Dropping(Place):
     """Drops its thing the first time."""
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         ran.append(f"place {self.thing}")
         if ran.count(f"place {self.thing}") == 1 and self.thing == "cube_1":
-            raise SkillFailedError(Cause.DROPPED, "it fell")
-        yield Segment(())
+            raise SkillFailedError(FailureCause.DROPPED, "it fell")
+        yield MotionSegment(())
 
 
 ran: list[str] = []
@@ -142,21 +142,25 @@ ran: list[str] = []
 
 def _ran(*steps: Skill) -> list[str]:
     ran.clear()
-    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
+    list(run_program(steps, cast(PlanningContext, NoHands()), CAST, RecoveryLog()))
     return list(ran)
 
 
 def test_a_step_that_needs_nothing_in_a_hand_is_tried_again_by_itself() -> None:
-    steps = Noting(thing="cube_1"), Dropping(thing="cube_1", on="plate"), Closing(thing="plate", joint="lid", to=0)
+    steps = (
+        RecordingPick(thing="cube_1"),
+        Dropping(thing="cube_1", on="plate"),
+        Closing(thing="plate", joint="lid", to=0),
+    )
     assert _ran(*steps)[-2:] == ["operate", "operate"]
     assert _ran(*steps).count("pick cube_1") == 2
 
 
 def test_what_was_dropped_is_taken_again_and_nothing_else_is() -> None:
-    steps = Noting(thing="cube_1"), Noting(thing="cube_2"), Dropping(thing="cube_1", on="plate")
+    steps = RecordingPick(thing="cube_1"), RecordingPick(thing="cube_2"), Dropping(thing="cube_1", on="plate")
     again = ["pick cube_1", "pick cube_2", "place cube_1"]
     assert _ran(*steps) == again + again
-    first = Noting(thing="cube_2"), Dropping(thing="cube_2", on="plate"), Noting(thing="cube_1")
+    first = RecordingPick(thing="cube_2"), Dropping(thing="cube_2", on="plate"), RecordingPick(thing="cube_1")
     last = ["pick cube_1", "place cube_1"]
     assert _ran(*first, Dropping(thing="cube_1", on="cube_2")) == ["pick cube_2", "place cube_2", *last, *last]
 
@@ -180,7 +184,7 @@ def test_each_goes_through_the_things_of_a_role() -> None:
             }
         }
     ]
-    assert read_program(steps, CAST) == [
+    assert parse_program(steps, CAST) == [
         Pick(thing="cube_2"),
         Place(thing="cube_2", on="cube_1"),
         Pick(thing="cube_3"),
@@ -190,7 +194,7 @@ def test_each_goes_through_the_things_of_a_role() -> None:
 
 def test_each_may_go_by_kinds_and_count() -> None:
     step = {"place": {"thing": "it", "on": "table", "at": [0.4, 0.0], "step": [0, 0.1], "number": "number"}}
-    placed = read_program([{"each": {"of": "cube", "order": ["red", "blue"], "do": [step]}}], CAST)
+    placed = parse_program([{"each": {"of": "cube", "order": ["red", "blue"], "do": [step]}}], CAST)
     assert [(skill.thing, skill.number) for skill in placed if isinstance(skill, Place)] == [
         ("cube_2", 0),
         ("cube_1", 1),
@@ -210,5 +214,5 @@ def test_each_may_go_by_kinds_and_count() -> None:
 )
 def test_a_bad_step_is_told_with_its_place(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:
     with pytest.raises(ConflictError, match=said) as caught:
-        read_program([step], CAST)
+        parse_program([step], CAST)
     assert caught.value.paths[0] == path

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
-from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.execution import demonstrate
 from yamsim_cli.core.episode.simulator import Simulators
 from yamsim_cli.core.expert.skills.program import SKILLS
 

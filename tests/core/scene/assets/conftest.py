@@ -34,7 +34,7 @@ def build_wheel(members: dict[str, bytes]) -> bytes:
 
 
 @dataclass(frozen=True)
-class World:
+class AssetFixture:
     """A data root with a lock, an empty store, and a folder that pip can use as its package index."""
 
     locations: Locations
@@ -59,7 +59,7 @@ def contents() -> dict[str, bytes]:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
+def world(tmp_path: Path) -> AssetFixture:
     wheel = build_wheel({f"tiny/{name}": data for name, data in CONTENTS.items()})
     file = "tiny_meshes-1.0-py3-none-any.whl"
     notices = tmp_path / "data/assets/notices"
@@ -82,13 +82,13 @@ def world(tmp_path: Path) -> World:
     }
     archive = {"name": "tiny-meshes", "version": "1.0", "file": file, "sha256": sha256(wheel), "size": len(wheel)}
     raw = {"version": 1, "archives": {"tiny-meshes": archive}, "sets": {"tiny": tiny}}
-    made = World(Locations(data=(tmp_path / "data",), assets=tmp_path / "store"), index, raw)
+    made = AssetFixture(Locations(data=(tmp_path / "data",), assets=tmp_path / "store"), index, raw)
     made.write_lock(raw)
     return made
 
 
 @pytest.fixture
-def local_pip(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def local_pip(world: AssetFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     """Point pip at the folder with the tiny wheel, and at nothing else."""
     for name in ("PIP_EXTRA_INDEX_URL", "PIP_INDEX_URL"):
         monkeypatch.delenv(name, raising=False)

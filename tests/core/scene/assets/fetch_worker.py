@@ -10,7 +10,7 @@ from yamsim_cli.core.scene.assets import AssetStore, fetch, load_lock
 class SlowSource:
     name = "slow"
 
-    def offers(self, assets):
+    def has_set(self, assets):
         return True
 
     def read(self, assets, scratch, progress):

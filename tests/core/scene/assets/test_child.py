@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli.core.scene.assets import SourceError
-from yamsim_cli.core.scene.assets.child import run_child
+from yamsim_cli.core.scene.assets.child_process import run_child
 
 
 def test_what_a_program_writes_is_collected(tmp_path):
@@ -55,7 +55,7 @@ def test_a_program_that_does_not_exist_is_named(tmp_path):
 def test_a_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     script = f"""
 from pathlib import Path
-from yamsim_cli.core.scene.assets.child import run_child
+from yamsim_cli.core.scene.assets.child_process import run_child
 run_child(["sh", "-c", "echo $$ > {tmp_path}/pid; exec sleep 60"], Path({str(tmp_path)!r}), limit_s=60, idle_s=60)
 """
     parent = subprocess.Popen(

@@ -9,7 +9,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from yamsim_cli.commands.assets import app
-from yamsim_cli.core.scene.assets import reduction
+from yamsim_cli.core.scene.assets import mesh_reduction as reduction
 
 
 @pytest.fixture

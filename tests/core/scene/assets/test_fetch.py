@@ -19,7 +19,7 @@ class Fake:
     error: BaseException | None = None
     asked: list[str] = field(default_factory=list)
 
-    def offers(self, assets):
+    def has_set(self, assets):
         return True
 
     def read(self, assets, scratch, progress):
@@ -67,7 +67,7 @@ def test_one_set_that_fails_does_not_hold_up_the_others(world, contents):
     world.write_lock(world.raw | {"sets": {"bad": world.raw["sets"]["tiny"] | {"name": "bad"}} | world.raw["sets"]})
 
     class OnlyTiny(Fake):
-        def offers(self, assets):
+        def has_set(self, assets):
             return assets.name == "tiny"
 
     with pytest.raises(ResourceError, match=r"could not fetch bad \(no source offers it\)"):

@@ -11,48 +11,48 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.scene.assets.conftest import World
+from tests.core.scene.assets.conftest import AssetFixture
 from yamsim_cli.core.files.resources import Meshes
 from yamsim_cli.core.scene.assets import default_sources, fetch
 from yamsim_cli.core.scene.assets.fetch import FAILURE_VALID_S
-from yamsim_cli.opener import Opener
+from yamsim_cli.session_opener import SessionOpener
 
 Look = Callable[..., tuple[Meshes, list[str]]]
 
 
 @pytest.fixture
-def look(world: World, local_pip: None, monkeypatch: pytest.MonkeyPatch) -> Look:
+def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) -> Look:
     """Look for the tiny set as a command does: the folders of meshes, and what the user is told."""
     monkeypatch.setenv("MENAGERIE_ROOT", str(world.index))
 
     def found(**environ: str) -> tuple[Meshes, list[str]]:
         told = list[str]()
-        return Opener(environ, told.append, str).find_meshes(world.locations, ["tiny"]).meshes, told
+        return SessionOpener(environ, told.append, str).find_meshes(world.locations, ["tiny"]).meshes, told
 
     return found
 
 
-def test_missing_meshes_are_fetched_once(look: Look, world: World) -> None:
+def test_missing_meshes_are_fetched_once(look: Look, world: AssetFixture) -> None:
     meshes, told = look()
     assert meshes["tiny"] == world.store.directory(world.lock.sets["tiny"])
     assert told == ["The meshes of tiny are being fetched, which is done once."]
     assert look() == (meshes, [])
 
 
-def test_offline_nothing_is_fetched(look: Look, world: World) -> None:
+def test_offline_nothing_is_fetched(look: Look, world: AssetFixture) -> None:
     meshes, told = look(YAMSIM_OFFLINE="1")
     assert meshes == {"tiny": None}
     assert told == [
         "The meshes of tiny are not here, so primitives are shown: run `yamsim assets fetch`, or `yamsim doctor`."
     ]
-    opener = Opener({}, told.append, str)
+    opener = SessionOpener({}, told.append, str)
     opener.stay_offline()
     assert opener.find_meshes(world.locations, ["tiny"]).meshes == {"tiny": None}
     assert not world.store.root.exists()
     assert look(YAMSIM_OFFLINE="0")[0]["tiny"] is not None
 
 
-def test_an_empty_folder_asks_for_primitives_and_stays_empty(look: Look, world: World) -> None:
+def test_an_empty_folder_asks_for_primitives_and_stays_empty(look: Look, world: AssetFixture) -> None:
     world.store.root.mkdir()
     asked = {"YAMSIM_ASSETS": str(world.store.root)}
     assert look(**asked)[0] == {"tiny": None}
@@ -61,7 +61,7 @@ def test_an_empty_folder_asks_for_primitives_and_stays_empty(look: Look, world: 
 
 
 def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
-    look: Look, world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    look: Look, world: AssetFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setenv("PIP_FIND_LINKS", str(tmp_path))
@@ -77,7 +77,7 @@ def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
     assert not world.store.failure_mark.exists()
 
 
-def test_a_fetch_that_works_ends_the_hour(look: Look, world: World) -> None:
+def test_a_fetch_that_works_ends_the_hour(look: Look, world: AssetFixture) -> None:
     world.store.root.mkdir()
     world.store.failure_mark.touch()
     assert look()[0] == {"tiny": None}
@@ -85,7 +85,7 @@ def test_a_fetch_that_works_ends_the_hour(look: Look, world: World) -> None:
     assert not world.store.failure_mark.exists()
 
 
-def test_a_store_that_cannot_be_written_shows_primitives(look: Look, world: World) -> None:
+def test_a_store_that_cannot_be_written_shows_primitives(look: Look, world: AssetFixture) -> None:
     world.store.root.write_text("")
     meshes, told = look()
     assert meshes == {"tiny": None}
@@ -93,7 +93,7 @@ def test_a_store_that_cannot_be_written_shows_primitives(look: Look, world: Worl
 
 
 def test_an_index_that_says_nothing_is_given_up_after_the_first_set(
-    look: Look, world: World, monkeypatch: pytest.MonkeyPatch
+    look: Look, world: AssetFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tiny = world.raw["sets"]["tiny"]
     world.write_lock(world.raw | {"sets": {"tiny": tiny, "other": tiny | {"name": "other"}}})
@@ -104,7 +104,7 @@ def test_an_index_that_says_nothing_is_given_up_after_the_first_set(
         monkeypatch.setenv("PIP_INDEX_URL", f"http://127.0.0.1:{silent.getsockname()[1]}/simple")
         told = list[str]()
         began = time.monotonic()
-        meshes = Opener({}, told.append, str).find_meshes(world.locations, ["tiny", "other"]).meshes
+        meshes = SessionOpener({}, told.append, str).find_meshes(world.locations, ["tiny", "other"]).meshes
         took = time.monotonic() - began
     assert meshes == {"tiny": None, "other": None}
     assert "nothing arrived for 1 s" in told[1]

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.assets import load_lock
-from yamsim_cli.core.scene.assets.lock import is_contained
+from yamsim_cli.core.scene.assets.asset_lock import is_contained
 from yamsim_cli.core.scene.blueprint import recording_blueprint
-from yamsim_cli.core.scene.compose import mesh_sets, rig_mesh_sets
-from yamsim_cli.opener import Opener
+from yamsim_cli.core.scene.compose import rig_mesh_sets, visual_mesh_sets
+from yamsim_cli.session_opener import SessionOpener
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_a_missing_notice_is_named(world):
 @pytest.mark.slow
 def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):
     where = Locations.find({})
-    opener = Opener({}, lambda text: None, str)
+    opener = SessionOpener({}, lambda text: None, str)
     rigs = {name: load_config(RigConfig, "rigs", name, where) for name in where.config_names("rigs")}
     things = {name: load_config(ObjectConfig, "objects", name, where) for name in where.config_names("objects")}
     # A task of the first kind names no rig, and `handover` is done with two arms.
@@ -125,7 +125,7 @@ def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(com
     tasks = {name: opener.config("default", where, task=name, **more) for name, more in given.items()}
     shown = {f"rigs/{name}": rig_mesh_sets(rig) for name, rig in rigs.items()}
     shown |= {f"objects/{name}": item.mesh_sets for name, item in things.items()}
-    shown |= {f"tasks/{name}": mesh_sets(recording_blueprint(config)) for name, config in tasks.items()}
+    shown |= {f"tasks/{name}": visual_mesh_sets(recording_blueprint(config)) for name, config in tasks.items()}
     fetched = {assets.name for assets in committed.select([])}
     assert {place: lacks for place, names in shown.items() if (lacks := set(names) - fetched)} == {}
     on_demand = {"i2rt_arm_yam_ultra", "i2rt_arm_big_yam", "i2rt_gripper_flexible_4310"}

@@ -10,8 +10,8 @@ import pytest
 
 from tests.silhouettes import DIRECTIONS, PIXELS, Silhouettes, overlap
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.deviation import deviation
 from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
 from yamsim_cli.core.scene.assets import AssetStore, load_lock, make_reduced
 
 LOCATIONS = Locations.find(os.environ)
@@ -66,7 +66,7 @@ def meshes(name: str, file: str) -> list[tuple]:
 def test_no_point_strays_by_half_a_millimetre(name: str, file: str) -> None:
     source, reduced = meshes(name, file)
     assert len(reduced[1]) < LARGE_SHARES.get((name, file), 0.45) * len(source[1])
-    assert deviation(source, reduced, 1.0, 20_000) <= 0.5
+    assert hausdorff_distance(source, reduced, 1.0, 20_000) <= 0.5
 
 
 @pytest.mark.slow

@@ -8,10 +8,11 @@ import pytest
 from tests.meshes import ball, box, volume
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.writing import sha256_bytes
-from yamsim_cli.core.geometry.deviation import deviation
 from yamsim_cli.core.geometry.stl import read_stl, stl_bytes
-from yamsim_cli.core.scene.assets import LockedFile, Reduction, find_reduced, make_reduced, reduction
-from yamsim_cli.core.scene.assets.reduction import LIMIT_MM, cleared, collapsed, reduce_stl
+from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
+from yamsim_cli.core.scene.assets import LockedFile, Reduction, find_reduced, make_reduced
+from yamsim_cli.core.scene.assets import mesh_reduction as reduction
+from yamsim_cli.core.scene.assets.mesh_reduction import LIMIT_MM, collapse_edges, reduce_stl, remove_slivers
 
 # 80 mm across, 6,240 faces.
 BALL = ball(0.04, 40)
@@ -27,7 +28,7 @@ def test_a_ball_stays_a_ball_with_far_fewer_faces():
     source = stl_bytes(*BALL)
     reduced = reduce_stl(source, Reduction(faces=900))
     assert len(in_mm(reduced)[1]) < 1000
-    assert deviation(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
+    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
     assert volume(in_mm(reduced)) == pytest.approx(volume(in_mm(source)), rel=0.02)
 
 
@@ -36,7 +37,7 @@ def test_slivers_of_a_flat_side_go_at_no_loss():
     source = stl_bytes(*box(0.1, 12))
     reduced = reduce_stl(source, None)
     assert len(in_mm(reduced)[1]) == 12
-    assert deviation(in_mm(source), in_mm(reduced), 1.0, 1000) < 1e-3
+    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 1000) < 1e-3
 
 
 @pytest.mark.slow
@@ -48,11 +49,11 @@ def test_the_same_mesh_gives_the_same_bytes():
 def test_one_that_strays_too_far_is_not_used(monkeypatch):
     """A ball of 20 faces misses the real one by millimetres: clearing alone is what is left."""
     source = stl_bytes(*BALL)
-    far = collapsed(in_mm(source), Reduction(faces=20))
-    assert deviation(in_mm(source), far, 10.0, 1000) > LIMIT_MM
+    far = collapse_edges(in_mm(source), Reduction(faces=20))
+    assert hausdorff_distance(in_mm(source), far, 10.0, 1000) > LIMIT_MM
     reduced = reduce_stl(source, Reduction(faces=20))
     assert 100 < len(in_mm(reduced)[1]) < len(BALL[1])
-    assert deviation(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
+    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
     # And where that strays too, the source.
     monkeypatch.setattr(reduction, "cleared", lambda surface, tolerance: (surface[0] * 1.1, surface[1][:50]))
     assert reduce_stl(source, Reduction(faces=20)) == source
@@ -61,7 +62,7 @@ def test_one_that_strays_too_far_is_not_used(monkeypatch):
 def test_what_encloses_no_body_is_left_as_it_is():
     vertices, faces = box(100.0, 4)
     sheet = vertices, faces[(vertices[faces][..., 2] == 0).all(axis=1)]
-    assert cleared(sheet, 0.2) is sheet
+    assert remove_slivers(sheet, 0.2) is sheet
     data = stl_bytes(sheet[0] / 1000, sheet[1])
     assert reduce_stl(data, None) == data
 
@@ -89,7 +90,7 @@ def tiny(world, contents):
 
 @pytest.fixture
 def source(world, tiny, contents):
-    with world.store.writing():
+    with world.store.write_lock():
         return world.store.publish(tiny, contents, "the notice")
 
 
@@ -136,7 +137,7 @@ def test_another_source_or_recipe_is_another_folder(world, tiny, source, monkeyp
     other = dict(tiny.files)
     other["part.stl"] = other["part.stl"].model_copy(update={"sha256": "0" * 64})
     assert find_reduced(world.store, tiny.model_copy(update={"files": other})) is None
-    monkeypatch.setattr(reduction, "recipe", lambda: "another")
+    monkeypatch.setattr(reduction, "reduction_fingerprint", lambda: "another")
     assert find_reduced(world.store, tiny) is None
     assert make_reduced(world.store, tiny, source, "the notice").directory != made.directory
     assert made.directory.is_dir()
@@ -162,7 +163,7 @@ def test_a_library_that_is_not_here_is_a_missing_resource(world, tiny, source, m
     def missing():
         raise ModuleNotFoundError("No module named 'manifold3d'")
 
-    monkeypatch.setattr(reduction, "recipe", missing)
+    monkeypatch.setattr(reduction, "reduction_fingerprint", missing)
     for call in (lambda: find_reduced(world.store, tiny), lambda: make_reduced(world.store, tiny, source, "")):
         with pytest.raises(ResourceError, match="manifold3d"):
             call()

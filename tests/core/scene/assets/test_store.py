@@ -7,7 +7,7 @@ from yamsim_cli.core.scene.assets import AssetStore, FileStatus
 
 
 def publish(world, contents) -> Path:
-    with world.store.writing():
+    with world.store.write_lock():
         return world.store.publish(world.lock.sets["tiny"], contents, "the notice")
 
 
@@ -50,7 +50,7 @@ def test_a_file_of_the_wrong_size_is_not_read(tmp_path, world, monkeypatch):
     def never(path):
         raise AssertionError(f"{path} was read")
 
-    monkeypatch.setattr("yamsim_cli.core.scene.assets.store.sha256_file", never)
+    monkeypatch.setattr("yamsim_cli.core.scene.assets.asset_store.sha256_file", never)
     (tmp_path / "part.stl").write_bytes(b"x" * 100)
     assert AssetStore(tmp_path).resolve(world.lock.sets["tiny"]) is None
 
@@ -97,7 +97,7 @@ def test_publishing_is_all_or_nothing(world, contents, owner, call, monkeypatch)
 
     failures = 0
     while True:
-        with world.store.writing(), monkeypatch.context() as patch:
+        with world.store.write_lock(), monkeypatch.context() as patch:
             calls_left = failures
             patch.setattr(owner, call, flaky)
             try:

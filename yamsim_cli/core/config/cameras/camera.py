@@ -7,10 +7,10 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from ...files.documents.base import Config
-from ...files.documents.document import Document
+from ...files.documents.config_base import Config
+from ...files.documents.yaml_document import Document
 from ...geometry.camera import CameraModel
-from .camera_files import camera_parts, read_camera
+from .camera_files import cameras_in_file, read_camera
 
 Row = tuple[float, float, float]
 
@@ -80,6 +80,6 @@ class CameraConfig(Config):
         return read_camera(path)
 
     @classmethod
-    def within(cls, path: Path) -> tuple[Path, ...]:
-        """See `camera_parts`."""
-        return camera_parts(path)
+    def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
+        """See `cameras_in_file`."""
+        return cameras_in_file(path)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import ConfigError, suggest
-from ...files.documents.document import Document, KeyPath, load_yaml, read_config
+from ...files.documents.yaml_document import Document, KeyPath, load_yaml, read_config
 from ...files.resources import camera_file
 from .file_storage import parse_json, parse_xml
 
@@ -60,7 +60,7 @@ def read_camera(path: Path) -> Document:
     if not named:
         if name:
             raise ConfigError(f"{file}: the camera in it has no name: leave out {':' + name!r}")
-        return _one(document)
+        return _single_camera(document)
     if not name and len(named) > 1:
         example = f"{file}:{min(named)}"
         raise ConfigError(f"{file}: {len(named)} cameras are in it: name one, as in {example}; {suggest('', named)}")
@@ -70,7 +70,7 @@ def read_camera(path: Path) -> Document:
     return _kalibr(document, named[name]) if len(named[name]) == 1 else _raiden(document, named[name])
 
 
-def camera_parts(path: Path) -> tuple[Path, ...]:
+def cameras_in_file(path: Path) -> tuple[Path, ...]:
     """`FILE:CAMERA` for each named camera of a file; the path itself if it names a camera or the file has no names.
 
     Raises ConfigError if the file is unreadable, or not of the format of its suffix.
@@ -137,7 +137,7 @@ class _Converter:
         return Document(self._ours, self._document.source, self._places)
 
 
-def _one(document: Document) -> Document:
+def _single_camera(document: Document) -> Document:
     """The camera of a file without camera names; a file with yamsim's keys is returned unchanged."""
     data = document.data
     if not any(alias in data for names in _ALIASES.values() for alias in names):
@@ -150,7 +150,7 @@ def _one(document: Document) -> Document:
         for alias in (key, *aliases):
             if camera.has(alias):
                 value = _matrix(data[alias])
-                camera.put(key, alias, _flat(value) if key == "distortion" else value)
+                camera.put(key, alias, _coefficient_list(value) if key == "distortion" else value)
                 break
     return camera.document()
 
@@ -170,7 +170,7 @@ def _raiden(document: Document, at: Keys) -> Document:
     _Converter(document, at).get("intrinsics")
     camera = _Converter(document, (*at, "intrinsics"))
     camera.put("K", "camera_matrix", camera.get("camera_matrix"))
-    camera.put("distortion", "distortion_coeffs", _flat(camera.get("distortion_coeffs")))
+    camera.put("distortion", "distortion_coeffs", _coefficient_list(camera.get("distortion_coeffs")))
     _put_size(camera, "image_size")
     return camera.document()
 
@@ -187,7 +187,7 @@ def _matrix(value: Any) -> Any:
     return value["data"] if isinstance(value, dict) and "data" in value else value
 
 
-def _flat(value: Any) -> Any:
+def _coefficient_list(value: Any) -> Any:
     """Coefficients in a matrix of one row or column, as a list."""
     if isinstance(value, list) and all(isinstance(part, list) for part in value):
         return [number for part in value for number in part]

@@ -7,7 +7,7 @@ from typing import Any
 from xml.parsers import expat
 
 from ...errors import ConfigError
-from ...files.documents.document import Document, KeyPath, number_or_text, parse_yaml
+from ...files.documents.yaml_document import Document, KeyPath, number_or_text, parse_yaml
 
 _ROOT = "opencv_storage"
 

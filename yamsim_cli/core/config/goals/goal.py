@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 from pydantic import FiniteFloat, create_model, model_validator
 
-from ...files.documents.base import OMIT_NONE, Config
-from ...files.documents.units import Within
-from .cast import Cast
-from .measure import Measure, worst
+from ...files.documents.config_base import OMIT_NONE, Config
+from ...files.documents.units import QuantityBounds
+from .measure import GoalMeasure, worst_measure
 from .predicates import PREDICATES, Predicate
-from .world import World
+from .role_assignment import RoleAssignment
+from .world import GoalWorld
 
 # Keys that join clauses: all of several, any of several, the opposite of one.
 _JOINS = ("all", "any", "not")
@@ -38,18 +38,20 @@ class _Clause(Config):
         """The clause's key and value."""
         return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """The measures that have to hold: for `any`, those of the best clause; for `not`, one inverted measure."""
         key, value = self._item
         match key:
             case "all":
-                return [measure for clause in value for measure in clause.measures(world, cast)]
+                return [measure for clause in value for measure in clause.measures(world, roles)]
             case "any":
-                return max((clause.measures(world, cast) for clause in value), key=lambda found: worst(found).margin)
+                return max(
+                    (clause.measures(world, roles) for clause in value), key=lambda found: worst_measure(found).margin
+                )
             case "not":
-                return [_inverted(worst(value.measures(world, cast)))]
+                return [_inverted(worst_measure(value.measures(world, roles)))]
         predicate: Predicate = value
-        return predicate.measures(world, cast)
+        return predicate.measures(world, roles)
 
     def holds_if(self, truth: Mapping[str, bool]) -> bool:
         """Whether the clause holds, given for each predicate's `repr` whether the predicate holds."""
@@ -75,10 +77,10 @@ class _Clause(Config):
             yield (*path, key), value
 
 
-def _inverted(measure: Measure) -> Measure:
+def _inverted(measure: GoalMeasure) -> GoalMeasure:
     """The measure of the opposite. A predicate holds at a margin of 0, so its opposite does not."""
     margin = -measure.margin if measure.margin else -1e-9
-    return Measure(f"not {measure.what}", margin, measure.unit, measure.detail)
+    return GoalMeasure(f"not {measure.what}", margin, measure.unit, measure.detail)
 
 
 def _optional(annotation: Any) -> Any:
@@ -106,18 +108,18 @@ class Goal(Clause):  # type: ignore[misc]
         for_s: the time, s of the simulation; with 0, the last moment alone counts.
     """
 
-    for_s: Annotated[FiniteFloat, Within("s", 0, 60)] = 0.0
+    for_s: Annotated[FiniteFloat, QuantityBounds("s", 0, 60)] = 0.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GoalVerdict:
     """Whether a goal is reached.
 
     Attributes:
         measures: of everything that has to hold.
     """
 
-    measures: tuple[Measure, ...]
+    measures: tuple[GoalMeasure, ...]
 
     @property
     def reached(self) -> bool:
@@ -125,11 +127,11 @@ class Verdict:
         return all(measure.holds for measure in self.measures)
 
     @property
-    def worst(self) -> Measure:
+    def worst(self) -> GoalMeasure:
         """The first measure that fails, else the measure nearest to failing."""
-        return worst(self.measures)
+        return worst_measure(self.measures)
 
 
-def judge(goal: Goal, world: World, cast: Cast) -> Verdict:
+def evaluate_goal(goal: Goal, world: GoalWorld, roles: RoleAssignment) -> GoalVerdict:
     """Whether a goal holds in the present state of a world."""
-    return Verdict(tuple(goal.measures(world, cast)))
+    return GoalVerdict(tuple(goal.measures(world, roles)))

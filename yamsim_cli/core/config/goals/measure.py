@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Measure:
+class GoalMeasure:
     """By what margin a predicate holds or fails.
 
     Attributes:
@@ -28,12 +28,12 @@ class Measure:
         return self.margin >= 0
 
 
-def either(what: str, holds: bool, detail: str = "") -> Measure:
+def binary_measure(what: str, holds: bool, detail: str = "") -> GoalMeasure:
     """The measure of a predicate without degrees."""
-    return Measure(what, 0.0 if holds else -1.0, "", detail)
+    return GoalMeasure(what, 0.0 if holds else -1.0, "", detail)
 
 
-def worst(measures: Sequence[Measure]) -> Measure:
+def worst_measure(measures: Sequence[GoalMeasure]) -> GoalMeasure:
     """The first measure that fails, else the measure with the least margin."""
     failing = [measure for measure in measures if not measure.holds]
     return failing[0] if failing else min(measures, key=lambda measure: measure.margin)

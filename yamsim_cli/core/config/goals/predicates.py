@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...files.documents.base import OMIT_NONE, Config
+from ...files.documents.config_base import OMIT_NONE, Config
 from ...files.documents.units import Distance, Place, Share
-from ...geometry.folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
+from ...geometry.cloth_folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
 from ...geometry.se3 import Array, inverse
-from .cast import Cast
-from .measure import Measure, either
-from .world import TABLE, World
+from .measure import GoalMeasure, binary_measure
+from .role_assignment import RoleAssignment
+from .world import TABLE, GoalWorld
 
 _Receiver = Literal["left", "right", "either"]
 
@@ -33,7 +33,7 @@ class Predicate(Config):
     OF_CLOTH: ClassVar[bool] = False
 
     @abstractmethod
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """One or more measures for each thing, or pair of things; all have to hold."""
 
     def roles(self) -> tuple[tuple[str, str], ...]:
@@ -47,50 +47,50 @@ class _OfEachThing(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        return [measure for thing in cast.of(self.thing) for measure in self._measures(world, thing)]
+        return [measure for thing in roles.objects_of(self.thing) for measure in self._measures(world, thing)]
 
-    def _measures(self, world: World, thing: str) -> list[Measure]:
+    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         return [self._measure(world, thing)]
 
-    def _measure(self, world: World, thing: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
         raise NotImplementedError
 
 
 class _OfEachPair(Predicate):
-    """A predicate between each thing of a role and its counterpart, see `Cast.pairs`."""
+    """A predicate between each thing of a role and its counterpart, see `RoleAssignment.pairs`."""
 
     thing: str
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        return [self._measure(world, *pair) for pair in cast.pairs(self.thing, getattr(self, self.ROLES[1]))]
+        return [self._measure(world, *pair) for pair in roles.pairs(self.thing, getattr(self, self.ROLES[1]))]
 
     @abstractmethod
-    def _measure(self, world: World, thing: str, other: str) -> Measure: ...
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure: ...
 
 
-def _still_held(world: World, thing: str, what: str) -> Measure | None:
+def _still_held(world: GoalWorld, thing: str, what: str) -> GoalMeasure | None:
     """A failed measure where a hand holds the thing; None where no hand does."""
-    holders = world.holders(thing)
-    return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
+    holders = world.holding_sides(thing)
+    return binary_measure(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
 
 
-def _overlap_xy(world: World, upper: str, lower: str) -> float:
+def _overlap_xy(world: GoalWorld, upper: str, lower: str) -> float:
     """How far inside the outline of `lower`, seen from above, the middle of `upper` lies, m; negative outside."""
-    first, last = world.bounds(upper)
+    first, last = world.aabb(upper)
     middle = (first + last) / 2
-    low, high = world.bounds(lower)
+    low, high = world.aabb(lower)
     return float(min(*(middle[:2] - low[:2]), *(high[:2] - middle[:2])))
 
 
-def _bottom(world: World, thing: str) -> float:
-    return float(world.bounds(thing)[0][2])
+def _bottom(world: GoalWorld, thing: str) -> float:
+    return float(world.aabb(thing)[0][2])
 
 
-def _top(world: World, thing: str) -> float:
-    return float(world.bounds(thing)[1][2])
+def _top(world: GoalWorld, thing: str) -> float:
+    return float(world.aabb(thing)[1][2])
 
 
 class On(_OfEachPair):
@@ -109,22 +109,22 @@ class On(_OfEachPair):
     inside: Distance = 0.0
     radius: Distance | None = None
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"on({thing}, {other})"
         if held := _still_held(world, thing, what):
             return held
         if not world.touching(thing, other):
-            return either(what, False, "they do not touch")
+            return binary_measure(what, False, "they do not touch")
         if other == TABLE:
-            return either(what, True)
+            return binary_measure(what, True)
         if self.radius is not None:
             if world.touching(thing, TABLE):
-                return either(what, False, "touches the table")
+                return binary_measure(what, False, "touches the table")
             apart = world.pose(thing)[:2, 3] - world.pose(other)[:2, 3]
             distance = float((apart @ apart) ** 0.5)
-            return Measure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
+            return GoalMeasure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
         inside = _overlap_xy(world, thing, other)
-        return Measure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
+        return GoalMeasure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
 
 
 class Inside(_OfEachPair):
@@ -139,12 +139,12 @@ class Inside(_OfEachPair):
     container: str
     share: Annotated[Share, Field(gt=0)] = 0.8
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"in({thing}, {other})"
         if held := _still_held(world, thing, what):
             return held
-        share = world.share_inside(thing, other)
-        return Measure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")
+        share = world.volume_fraction_inside(thing, other)
+        return GoalMeasure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")
 
 
 class Stacked(Predicate):
@@ -159,24 +159,24 @@ class Stacked(Predicate):
     things: str
     order: Literal["any", "given"] = "any"
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        names = list(cast.of(self.things))
+        names = list(roles.objects_of(self.things))
         if self.order == "any":
             names.sort(key=lambda name: _bottom(world, name))
         return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
 
     @staticmethod
-    def _measure(world: World, lower: str, upper: str) -> Measure:
+    def _measure(world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
         what = f"stacked({upper} on {lower})"
         if held := _still_held(world, upper, what):
             return held
         if not world.touching(upper, lower):
-            return either(what, False, "they do not touch")
+            return binary_measure(what, False, "they do not touch")
         if _bottom(world, upper) <= _bottom(world, lower):
-            return either(what, False, "it is not the higher one")
+            return binary_measure(what, False, "it is not the higher one")
         inside = _overlap_xy(world, upper, lower)
-        return Measure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
+        return GoalMeasure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
 
 
 class Over(_OfEachPair):
@@ -193,11 +193,11 @@ class Over(_OfEachPair):
     surface: str
     gap: Distance = 0.02
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         inside = _overlap_xy(world, thing, other)
         apart = _bottom(world, thing) - _top(world, other)
         detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
-        return Measure(f"over({thing}, {other})", min(inside, self.gap - abs(apart)), "m", detail)
+        return GoalMeasure(f"over({thing}, {other})", min(inside, self.gap - abs(apart)), "m", detail)
 
 
 class Piled(Predicate):
@@ -215,23 +215,25 @@ class Piled(Predicate):
     things: Annotated[tuple[str, ...], Field(min_length=1)]
     gap: Distance = 0.02
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        names = sorted((name for role in self.things for name in cast.of(role)), key=lambda name: _bottom(world, name))
+        names = sorted(
+            (name for role in self.things for name in roles.objects_of(role)), key=lambda name: _bottom(world, name)
+        )
         return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """See `Predicate`."""
         return tuple(("things", role) for role in self.things)
 
-    def _measure(self, world: World, lower: str, upper: str) -> Measure:
+    def _measure(self, world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
         inside, higher = _overlap_xy(world, upper, lower), _bottom(world, upper) - _bottom(world, lower)
         apart = _bottom(world, upper) - _top(world, lower)
         margin = min(inside, self.gap - apart)
         if higher <= 0:
             margin = min(margin, -1e-9)  # of two things that are equally low, neither is on the other
         detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
-        return Measure(f"piled({upper} on {lower})", margin, "m", detail)
+        return GoalMeasure(f"piled({upper} on {lower})", margin, "m", detail)
 
 
 class Upright(_OfEachThing):
@@ -244,10 +246,10 @@ class Upright(_OfEachThing):
 
     tilt_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 15.0
 
-    def _measure(self, world: World, thing: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
         up = float(world.pose(thing)[2, 2])
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, up))))
-        return Measure(f"upright({thing})", self.tilt_deg - tilt, "deg", f"it leans by {tilt:.1f} deg")
+        return GoalMeasure(f"upright({thing})", self.tilt_deg - tilt, "deg", f"it leans by {tilt:.1f} deg")
 
 
 # Side -> its direction in `world`, seen from the robot's base.
@@ -280,26 +282,28 @@ class Near(Predicate):
             raise ValueError("give either `other` or `place`")
         return self
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
         if self.other is None:
-            return [self._measure(world, thing, "place", np.array(self.place)) for thing in cast.of(self.thing)]
+            return [
+                self._measure(world, thing, "place", np.array(self.place)) for thing in roles.objects_of(self.thing)
+            ]
         return [
             self._measure(world, thing, other, world.pose(other)[:2, 3])
-            for thing, other in cast.pairs(self.thing, self.other)
+            for thing, other in roles.pairs(self.thing, self.other)
         ]
 
-    def _measure(self, world: World, thing: str, other: str, place: Array) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str, place: Array) -> GoalMeasure:
         off = world.pose(thing)[:2, 3] - place
         distance = float(np.linalg.norm(off))
         margin, detail = self.radius - distance, f"{distance * 1000:.0f} mm away"
         if self.side is None:
-            return Measure(f"near({thing}, {other})", margin, "m", detail)
+            return GoalMeasure(f"near({thing}, {other})", margin, "m", detail)
         axis = np.array(_SIDES[self.side])
         along, across = float(off @ axis), abs(float(axis[0] * off[1] - axis[1] * off[0]))
         inside = (along - across) / math.sqrt(2)  # m, distance from the nearer edge of the quarter circle
         detail += f", {along * 1000:.0f} mm of it to the side {self.side!r}"
-        return Measure(f"near({thing}, {other}, {self.side})", min(margin, inside), "m", detail)
+        return GoalMeasure(f"near({thing}, {other}, {self.side})", min(margin, inside), "m", detail)
 
 
 class Above(_OfEachPair):
@@ -314,9 +318,9 @@ class Above(_OfEachPair):
     other: str
     by: Distance = 0.0
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         height = _bottom(world, thing) - _top(world, other)
-        return Measure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
+        return GoalMeasure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
 
 
 class HeldBy(_OfEachThing):
@@ -330,8 +334,8 @@ class HeldBy(_OfEachThing):
     IN_HAND: ClassVar[bool | None] = True
     arm: Literal["left", "right", "either", "both"] = "either"
 
-    def _measure(self, world: World, thing: str) -> Measure:
-        holders = world.holders(thing)
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+        holders = world.holding_sides(thing)
         match self.arm:
             case "either":
                 holds = bool(holders)
@@ -340,7 +344,7 @@ class HeldBy(_OfEachThing):
             case side:
                 holds = holders == {side}
         detail = f"held by the {' and the '.join(sorted(holders))} hand" if holders else "no hand holds it"
-        return either(f"held_by({thing}, {self.arm})", holds, detail)
+        return binary_measure(f"held_by({thing}, {self.arm})", holds, detail)
 
 
 class HandedOver(_OfEachThing):
@@ -354,11 +358,11 @@ class HandedOver(_OfEachThing):
     IN_HAND: ClassVar[bool | None] = True
     to: _Receiver = "either"
 
-    def _measure(self, world: World, thing: str) -> Measure:
-        hands = world.passed_to(thing)
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+        hands = world.holders_since_rest(thing)
         receivers = [receiver for giver, receiver in pairwise(hands) if giver != receiver]
         holds = bool(receivers) if self.to == "either" else self.to in receivers
-        return either(f"handed_over({thing}, {self.to})", holds, f"held by: {', '.join(hands) or 'no hand'}")
+        return binary_measure(f"handed_over({thing}, {self.to})", holds, f"held by: {', '.join(hands) or 'no hand'}")
 
 
 class WasHandedOver(_OfEachThing):
@@ -371,11 +375,11 @@ class WasHandedOver(_OfEachThing):
 
     to: _Receiver = "either"
 
-    def _measure(self, world: World, thing: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
         passed = world.handovers(thing)
         detail = ", ".join(f"from {giver} to {receiver}" for giver, receiver in passed) or "never from hand to hand"
         holds = any(self.to in ("either", receiver) for _, receiver in passed)
-        return either(f"was_handed_over({thing}, {self.to})", holds, detail)
+        return binary_measure(f"was_handed_over({thing}, {self.to})", holds, detail)
 
 
 class Sorted(Predicate):
@@ -408,17 +412,17 @@ class Sorted(Predicate):
         """See `Predicate`."""
         return (("things", self.things), *((f"into.{kind}", role) for kind, role in self.into.items()))
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        things = cast.of(self.things)
+        things = roles.objects_of(self.things)
         if self.into:
-            return [self._in_its_own(world, cast, thing) for thing in things]
-        if strangers := [thing for thing in things if cast.kinds[thing] not in self.order]:
+            return [self._in_its_own(world, roles, thing) for thing in things]
+        if strangers := [thing for thing in things if roles.config_names[thing] not in self.order]:
             return [
-                either(f"sorted({thing})", False, f"its kind {cast.kinds[thing]} is not in `order`")
+                binary_measure(f"sorted({thing})", False, f"its kind {roles.config_names[thing]} is not in `order`")
                 for thing in strangers
             ]
-        rank = {thing: self.order.index(cast.kinds[thing]) for thing in things}
+        rank = {thing: self.order.index(roles.config_names[thing]) for thing in things}
         names = sorted(things, key=lambda thing: rank[thing])
         along, across = ("xy".index(self.axis), "yx".index(self.axis))
         places = {name: world.pose(name)[:2, 3] for name in names}
@@ -431,17 +435,17 @@ class Sorted(Predicate):
         if self.line is not None:
             width = float(np.ptp([places[name][across] for name in names]))
             what = f"sorted({self.things}, in line)"
-            found.append(Measure(what, self.line - width, "m", f"{width * 1000:.0f} mm across the row"))
+            found.append(GoalMeasure(what, self.line - width, "m", f"{width * 1000:.0f} mm across the row"))
         return found
 
-    def _after(self, one: str, other: str, gap: float) -> Measure:
-        return Measure(f"sorted({one}, {other})", gap - self.apart, "m", f"{gap * 1000:.0f} mm along {self.axis}")
+    def _after(self, one: str, other: str, gap: float) -> GoalMeasure:
+        return GoalMeasure(f"sorted({one}, {other})", gap - self.apart, "m", f"{gap * 1000:.0f} mm along {self.axis}")
 
-    def _in_its_own(self, world: World, cast: Cast, thing: str) -> Measure:
-        kind = cast.kinds[thing]
+    def _in_its_own(self, world: GoalWorld, roles: RoleAssignment, thing: str) -> GoalMeasure:
+        kind = roles.config_names[thing]
         if kind not in self.into:
-            return either(f"sorted({thing})", False, f"no container for a {kind}")
-        return Inside(thing=thing, container=self.into[kind]).measures(world, cast)[0]
+            return binary_measure(f"sorted({thing})", False, f"no container for a {kind}")
+        return Inside(thing=thing, container=self.into[kind]).measures(world, roles)[0]
 
 
 class Open(_OfEachThing):
@@ -458,10 +462,10 @@ class Open(_OfEachThing):
     share: Share = 0.7
     side: Literal["least", "most"] = "least"
 
-    def _measure(self, world: World, thing: str) -> Measure:
-        opening = world.opening(thing, self.joint)
+    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+        opening = world.joint_opening(thing, self.joint)
         margin = opening - self.share if self.side == "least" else self.share - opening
-        return Measure(f"open({thing}, {self.joint})", margin, "share", f"open by {opening:.0%}")
+        return GoalMeasure(f"open({thing}, {self.joint})", margin, "share", f"open by {opening:.0%}")
 
 
 class Swapped(Predicate):
@@ -477,15 +481,15 @@ class Swapped(Predicate):
     other: str
     radius: Annotated[Distance, Field(gt=0)] = 0.03
 
-    def measures(self, world: World, cast: Cast) -> list[Measure]:
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """See `Predicate`."""
-        one, other = cast.one(self.thing), cast.one(self.other)
+        one, other = roles.object_of(self.thing), roles.object_of(self.other)
         return [self._measure(world, one, other), self._measure(world, other, one)]
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
-        off = float(np.linalg.norm(world.pose(thing)[:2, 3] - world.start(other)[:2, 3]))
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+        off = float(np.linalg.norm(world.pose(thing)[:2, 3] - world.start_pose(other)[:2, 3]))
         detail = f"{off * 1000:.0f} mm from where the {other} started"
-        return Measure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
+        return GoalMeasure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
 
 
 class Hung(_OfEachPair):
@@ -509,19 +513,19 @@ class Hung(_OfEachPair):
     radius: Distance = 0.022
     depth: Distance = 0.015
 
-    def _measure(self, world: World, thing: str, other: str) -> Measure:
+    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"hung({thing}, {other})"
         if held := _still_held(world, thing, what):
             return held
         if world.touching(thing, TABLE):
-            return either(what, False, "it touches the table")
-        T_eye_in_peg = inverse(world.mark(other, self.peg)) @ world.mark(thing, self.eye)
+            return binary_measure(what, False, "it touches the table")
+        T_eye_in_peg = inverse(world.handle_pose(other, self.peg)) @ world.handle_pose(thing, self.eye)
         (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
         # The peg is the z axis; `behind` is where it meets the eye's plane, never where it is parallel to the plane.
         behind = float(T_eye_in_peg[:3, 3] @ through / through[2]) if abs(through[2]) > 1e-6 else -np.inf
         off = float(np.linalg.norm((x, y, z - behind)))
         detail = f"the peg {off * 1000:.0f} mm beside the eye's middle, its tip {behind * 1000:.0f} mm through"
-        return Measure(what, min(self.radius - off, behind - self.depth), "m", detail)
+        return GoalMeasure(what, min(self.radius - off, behind - self.depth), "m", detail)
 
 
 class Folded(_OfEachThing):
@@ -543,23 +547,25 @@ class Folded(_OfEachThing):
     area: Annotated[Share, Field(gt=0)] = 0.1
     height: Annotated[Distance, Field(gt=0)] = 0.03
 
-    def _measures(self, world: World, thing: str) -> list[Measure]:
+    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"folded({thing}, {self.how})"
         if held := _still_held(world, thing, what):
             return [held]
-        points = world.points(thing)
+        points = world.cloth_points(thing)
         ways = fold_plans(self.how, *points.shape[:2])
         if not ways:
-            return [either(what, False, "its grid of points does not allow it")]
+            return [binary_measure(what, False, "its grid of points does not allow it")]
         folded = min(ways, key=lambda way: _fold_error(points, way))
         error, covered = _fold_error(points, folded), _covered(points)
         high, order = float(np.ptp(points[..., 2])), _layer_gap(points, folded)
         off = abs(covered - folded.covered)
         return [
-            Measure(what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"),
-            Measure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
-            Measure(f"{what}: layers", order, "m", f"the upper layer is {order * 1000:.1f} mm higher at least"),
-            Measure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
+            GoalMeasure(
+                what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"
+            ),
+            GoalMeasure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
+            GoalMeasure(f"{what}: layers", order, "m", f"the upper layer is {order * 1000:.1f} mm higher at least"),
+            GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
         ]
 
 
@@ -577,15 +583,15 @@ class Spread(_OfEachThing):
     area: Annotated[Share, Field(gt=0, lt=1)] = 0.95
     height: Annotated[Distance, Field(gt=0)] = 0.015
 
-    def _measures(self, world: World, thing: str) -> list[Measure]:
+    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"spread({thing})"
         if held := _still_held(world, thing, what):
             return [held]
-        points = world.points(thing)
+        points = world.cloth_points(thing)
         covered, high = _covered(points), float(np.ptp(points[..., 2]))
         return [
-            Measure(what, covered - self.area, "share", f"it covers {covered:.1%} of its area"),
-            Measure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
+            GoalMeasure(what, covered - self.area, "share", f"it covers {covered:.1%} of its area"),
+            GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
         ]
 
 
@@ -599,15 +605,15 @@ def _layer(points: Array, layer: NDArray[np.int_]) -> Array:
     return there
 
 
-def _fold_error(points: Array, way: FoldPlan) -> float:
+def _fold_error(points: Array, plan: FoldPlan) -> float:
     """The largest distance, seen from above, between points that an exact fold puts onto each other, m."""
-    pairs = [(_layer(points, one), _layer(points, other)) for one, other in way.layers]
+    pairs = [(_layer(points, one), _layer(points, other)) for one, other in plan.layers]
     return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
 
 
-def _layer_gap(points: Array, way: FoldPlan) -> float:
+def _layer_gap(points: Array, plan: FoldPlan) -> float:
     """The least height of a layer over the layer below, m; negative where they intersect."""
-    higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in way.layers])
+    higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in plan.layers])
     return float(max(higher.min(), -higher.max()))  # folded from below, the layers lie the other way round
 
 

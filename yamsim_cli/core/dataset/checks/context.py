@@ -14,11 +14,11 @@ from ...config.rig import RigConfig
 from ...errors import ConfigError, DatasetError
 from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
-from ...robots.robot import widest_joints
-from ..layout import CONFIG, EPISODE, episode_directories, episode_name
-from ..real import is_real, real_config
+from ...robots.robot import widest_joint_limits
+from ..dataset_paths import CONFIG, EPISODE, episode_directories, episode_name
+from ..imported_records import is_real, real_config
 from .motion import ArmLimits
-from .problem import Problems
+from .problem import ProblemCollector
 
 _PLAIN_CONFIG = "default"  # config of `record` whose arm plain recordings are assumed to have
 # Objects, and limits for success (m), by which a plain recording is judged. Source: the lab's pick-and-place.
@@ -44,7 +44,7 @@ class StartRegion:
 
 
 @dataclass(frozen=True)
-class Context:
+class CheckContext:
     """What holds for all episodes of a dataset.
 
     Attributes:
@@ -98,7 +98,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
         raise DatasetError(
             f"{dataset} holds no episodes (ep_NNNNNN, or any with rgb/ and lowdim/) and no {CONFIG}; {hint}"
         )
-    return [EpisodeDirectory(path, None) for path in sorted(plain, key=_natural)], False
+    return [EpisodeDirectory(path, None) for path in sorted(plain, key=_natural_sort_key)], False
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
@@ -119,12 +119,12 @@ def _is_episode(path: Path) -> bool:
     return (path / "lowdim").is_dir() or (path / "rgb").is_dir()
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
     """A sorting key that puts ep2 before ep10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]{1,18})", path.name)]
 
 
-def read_context(dataset: Path, recorded: bool, locations: Locations, problems: Problems) -> Context:
+def read_context(dataset: Path, recorded: bool, locations: Locations, problems: ProblemCollector) -> CheckContext:
     """The context from the dataset's config; without a config, what holds for every arm."""
     parsed: RecordConfig | None = None
     if recorded and not (dataset / CONFIG).is_file():
@@ -136,24 +136,28 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None and is_real(dataset):
         rig = real_config(dataset, locations).rig
-        return Context(
-            recorded, _limits(rig), rig.T_base_in_world(rig.recorded[0]), wrist_cameras=_wrists(rig), real=True
+        return CheckContext(
+            recorded,
+            _limits(rig),
+            rig.T_base_in_world(rig.recording_order[0]),
+            wrist_cameras=_wrist_cameras(rig),
+            real=True,
         )
     if parsed is None:
         arm = load_config(RecordConfig, "record", _PLAIN_CONFIG, locations).rig.arms[0]
-        return Context(recorded, (ArmLimits(widest_joints(arm.model), len(arm.robot.drives), None),), pose())
+        return CheckContext(recorded, (ArmLimits(widest_joint_limits(arm.model), len(arm.robot.drives), None),), pose())
     rig = parsed.rig
-    arms, wrists = _limits(rig), _wrists(rig)
-    T_base_in_world = rig.T_base_in_world(rig.recorded[0])
-    target, cast = parsed.task.target_predicate, parsed.task.typical_cast
+    arms, wrists = _limits(rig), _wrist_cameras(rig)
+    T_base_in_world = rig.T_base_in_world(rig.recording_order[0])
+    target, cast = parsed.task.target_predicate, parsed.task.typical_roles
     if target is None or target.radius is None:
-        return Context(recorded, arms, T_base_in_world, "", "", wrist_cameras=wrists, judged_by_goal=True)
-    return Context(
+        return CheckContext(recorded, arms, T_base_in_world, "", "", wrist_cameras=wrists, judged_by_goal=True)
+    return CheckContext(
         recorded,
         arms,
         T_base_in_world,
-        cast.one(target.thing),
-        cast.one(target.surface),
+        cast.object_of(target.thing),
+        cast.object_of(target.surface),
         _region(parsed, (target.thing, target.surface)),
         target.radius,
         _MAX_HEIGHT,
@@ -171,11 +175,11 @@ def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
 
 
 def _limits(rig: RigConfig) -> tuple[ArmLimits, ...]:
-    robots = [rig.arms[k].robot for k in rig.recorded]
+    robots = [rig.arms[k].robot for k in rig.recording_order]
     return tuple(
         ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None) for robot in robots
     )
 
 
-def _wrists(rig: RigConfig) -> dict[str, int]:
-    return {rig.arms[k].wrist_camera_name: number for number, k in enumerate(rig.recorded)}
+def _wrist_cameras(rig: RigConfig) -> dict[str, int]:
+    return {rig.arms[k].wrist_camera_name: number for number, k in enumerate(rig.recording_order)}

@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 
 from ...errors import DatasetError
-from ..lowdim import GRASP, SIMULATION, flat, load_frame, shapes, simulation_faults
+from ..lowdim import GRASP, SIMULATION, flatten_frame, frame_array_shapes, load_frame, simulation_faults
 from ..records import EpisodeRecord
-from ..unpickle import ForbiddenPickleError
-from .problem import Problems
+from ..safe_unpickle import ForbiddenPickleError
+from .problem import ProblemCollector
 
 # Optional key -> an example of its value.
 _OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
-class ValueForm:
+class ValueSpec:
     """The form of a value: an array's dtype and shape, or a plain type and ()."""
 
     kind: str
     shape: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, value: Any) -> ValueForm:
+    def from_value(cls, value: Any) -> ValueSpec:
         """The form of `value`."""
         if isinstance(value, np.ndarray):
             return cls(str(value.dtype), value.shape)
@@ -36,7 +36,7 @@ class ValueForm:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(
+def expected_specs(
     objects: Iterable[str],
     cameras: Iterable[str],
     arms: int,
@@ -45,7 +45,7 @@ def expected_forms(
     *,
     joint_actions: bool = False,
     cloths: Mapping[str, tuple[int, int]] | None = None,
-) -> dict[str, ValueForm]:
+) -> dict[str, ValueSpec]:
     """Flat key -> form, of a frame that yamsim records.
 
     Args:
@@ -54,26 +54,26 @@ def expected_forms(
         cloths: cloth -> number of points along its x axis and its y axis.
     """
     float32 = str(np.dtype(np.float32))
-    rows = shapes(arms, drives, joint_actions=joint_actions)
-    forms = {key: ValueForm(float32, shape) for key, shape in rows.items()}
-    forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
-    forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in (joints or {}).items()}
-    forms |= {f"{name}_points": ValueForm(float32, (x * y, 3)) for name, (x, y) in (cloths or {}).items()}
+    rows = frame_array_shapes(arms, drives, joint_actions=joint_actions)
+    forms = {key: ValueSpec(float32, shape) for key, shape in rows.items()}
+    forms |= {f"{name}_pose": ValueSpec(float32, (4, 4)) for name in objects}
+    forms |= {f"{name}_joints": ValueSpec(float32, (len(names),)) for name, names in (joints or {}).items()}
+    forms |= {f"{name}_points": ValueSpec(float32, (x * y, 3)) for name, (x, y) in (cloths or {}).items()}
     for camera in cameras:
         forms |= {
-            f"intrinsics[{camera}]": ValueForm(float32, (3, 3)),
-            f"extrinsics[{camera}]": ValueForm(float32, (4, 4)),
+            f"intrinsics[{camera}]": ValueSpec(float32, (3, 3)),
+            f"extrinsics[{camera}]": ValueSpec(float32, (4, 4)),
         }
     plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
     if cloths:
         plain[GRASP] = str
-    forms.update((key, ValueForm(kind.__name__)) for key, kind in plain.items())
-    return forms if arms == 1 else forms | {"magnet": ValueForm(str(np.dtype(np.bool_)), (arms,))}
+    forms.update((key, ValueSpec(kind.__name__)) for key, kind in plain.items())
+    return forms if arms == 1 else forms | {"magnet": ValueSpec(str(np.dtype(np.bool_)), (arms,))}
 
 
-def recorded_forms(record: EpisodeRecord) -> dict[str, ValueForm]:
+def recorded_specs(record: EpisodeRecord) -> dict[str, ValueSpec]:
     """Flat key -> form, of the frames of a recorded episode."""
-    return expected_forms(
+    return expected_specs(
         record.objects,
         record.cameras,
         record.arms,
@@ -84,9 +84,9 @@ def recorded_forms(record: EpisodeRecord) -> dict[str, ValueForm]:
     )
 
 
-def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueForm]) -> list[str]:
+def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueSpec]) -> list[str]:
     """The faults of a decoded frame that should have these forms, one text each."""
-    problems = Problems()
+    problems = ProblemCollector()
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
@@ -102,7 +102,7 @@ class LowdimChecks:
         values: number -> flat key -> value, of values that have the right form and are finite.
     """
 
-    def __init__(self, forms: Mapping[str, ValueForm] | None, problems: Problems) -> None:
+    def __init__(self, forms: Mapping[str, ValueSpec] | None, problems: ProblemCollector) -> None:
         self._forms = forms
         self._source = "" if forms is not None else ", as in the first frame"
         self._problems = problems
@@ -127,10 +127,10 @@ class LowdimChecks:
         # `SIMULATION` keys are checked apart: their shapes differ in the last frame, and a frame may have none.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
-        entries = {key: value for key, value in flat(frame).items() if key not in SIMULATION}
+        entries = {key: value for key, value in flatten_frame(frame).items() if key not in SIMULATION}
         forms = self._forms
         if forms is None:
-            forms = self._forms = {key: ValueForm.of(value) for key, value in entries.items()}
+            forms = self._forms = {key: ValueSpec.from_value(value) for key, value in entries.items()}
         self.frames[number] = dict(frame)
         self.values[number] = {
             key: value for key, value in entries.items() if self._is_right(name, key, value, forms.get(key))
@@ -138,17 +138,17 @@ class LowdimChecks:
         for key in forms.keys() - entries.keys():
             self._problems.add("lowdim.missing", name, key, ", ".join(forms), about=key)
 
-    def _is_right(self, name: str, key: str, value: Any, wanted: ValueForm | None) -> bool:
+    def _is_right(self, name: str, key: str, value: Any, wanted: ValueSpec | None) -> bool:
         def add(code: str, found: object, valid: object) -> bool:
             self._problems.add(code, name, f"{key} is {found}", f"{valid}{self._source}" if valid else "", about=key)
             return False
 
-        form = ValueForm.of(value)
+        form = ValueSpec.from_value(value)
         if wanted is None:
             if key not in _OPTIONAL:
                 self._problems.add("lowdim.unexpected", name, key, about=key)
                 return False
-            wanted = ValueForm.of(_OPTIONAL[key])
+            wanted = ValueSpec.from_value(_OPTIONAL[key])
         if form.kind != wanted.kind:
             return add("lowdim.type", form, wanted)
         if form.shape != wanted.shape:

@@ -12,7 +12,7 @@ import numpy as np
 from ...geometry.camera import project
 from ...geometry.se3 import Array, inverse
 from ...robots.models import JointLimits
-from .problem import Problems
+from .problem import ProblemCollector
 
 TIMESTAMPS = "timestamps.npy"  # capture times, which converted real recordings have in `rgb/<camera>/`
 # Version 1.0 of npy, as numpy writes a plain list of 64-bit integers. Source: numpy.lib.format.
@@ -39,7 +39,9 @@ _FOCAL_LENGTHS = (0.13, 10.0)  # smallest and largest, as a share of the image's
 Named = Callable[[int], str]  # frame -> path of the frame's file
 
 
-def check_times(times: Mapping[int, float], period: float | None, name: Named, problems: Problems) -> float | None:
+def check_times(
+    times: Mapping[int, float], period: float | None, name: Named, problems: ProblemCollector
+) -> float | None:
     """Note times that do not increase or are uneven; returns the time between frames, s.
 
     Args:
@@ -117,7 +119,7 @@ def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated
     return found
 
 
-def angles_shown(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]) -> dict[int, Array]:
+def angles_by_camera(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]) -> dict[int, Array]:
     """Frame -> angles (n,) of the arms whose motion a camera's pictures have to show, rad; empty without arms.
 
     A wrist camera shows the motion of its own arm alone.
@@ -131,7 +133,9 @@ def angles_shown(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]
     return {k: np.concatenate([arm.joints[k] for arm in shown]) for k in shown[0].joints}
 
 
-def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: Problems) -> None:
+def check_limits(
+    joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: ProblemCollector
+) -> None:
     """Note joints beyond their stops; `joints` is frame -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
         for value, joint in zip(values, limits, strict=True):
@@ -141,7 +145,9 @@ def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], nam
                 problems.add("joints.limit", name(k), text, valid, about=joint.name)
 
 
-def check_fingers(openings: Mapping[int, float], stops: tuple[float, float], name: Named, problems: Problems) -> None:
+def check_fingers(
+    openings: Mapping[int, float], stops: tuple[float, float], name: Named, problems: ProblemCollector
+) -> None:
     """Note finger openings (m) beyond their stops."""
     low, high = stops
     for k, value in sorted(openings.items()):
@@ -151,7 +157,11 @@ def check_fingers(openings: Mapping[int, float], stops: tuple[float, float], nam
 
 
 def check_speeds(
-    joints: Mapping[int, Array], period: float | None, limits: Sequence[JointLimits], name: Named, problems: Problems
+    joints: Mapping[int, Array],
+    period: float | None,
+    limits: Sequence[JointLimits],
+    name: Named,
+    problems: ProblemCollector,
 ) -> None:
     """Note joints that move faster than their drive can report, or than their motor can turn.
 
@@ -191,7 +201,7 @@ def read_timestamps(data: bytes) -> list[float] | None:
     return [(int(time) - int(times[0])) * 1e-9 for time in times]
 
 
-def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Problems) -> None:
+def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: ProblemCollector) -> None:
     """Note poses (4, 4) under `key`, by frame, that are not rigid transforms in metres."""
     numbers = sorted(poses)
     T = np.array([poses[k] for k in numbers], dtype=np.float64)
@@ -213,7 +223,7 @@ def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Prob
 
 
 def check_intrinsics(
-    key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: Problems
+    key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: ProblemCollector
 ) -> None:
     """Note matrices (3, 3) under `key`, by frame, that are no camera matrices, or do not fit images of this size."""
     for k, K in sorted(matrices.items()):
@@ -240,7 +250,7 @@ def check_view(
     values: Mapping[int, Mapping[str, Any]],
     points: Mapping[str, Mapping[int, Array]],
     size: tuple[int, int] | None,
-    problems: Problems,
+    problems: ProblemCollector,
 ) -> None:
     """Note a camera whose images show none of the poses `points`, key -> frame -> pose (4, 4).
 

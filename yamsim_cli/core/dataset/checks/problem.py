@@ -18,7 +18,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True)
-class Code:
+class ProblemCode:
     """One kind of fault.
 
     Attributes:
@@ -123,15 +123,15 @@ _WARNINGS = {
 }
 
 # `<subject>.<fault>` -> kind of fault; keys are stable across versions.
-CODES: Mapping[str, Code] = {
-    name: Code(severity, *texts)
+CODES: Mapping[str, ProblemCode] = {
+    name: ProblemCode(severity, *texts)
     for severity, codes in ((Severity.ERROR, _ERRORS), (Severity.WARNING, _WARNINGS))
     for name, texts in codes.items()
 }
 
 
 @dataclass(frozen=True)
-class Problem:
+class DatasetProblem:
     """A fault that was found.
 
     Attributes:
@@ -151,7 +151,7 @@ class Problem:
     count: int = 1
 
     @property
-    def kind(self) -> Code:
+    def kind(self) -> ProblemCode:
         """Severity, title and advice."""
         return CODES[self.code]
 
@@ -167,7 +167,7 @@ class Problem:
         """The episode and file with the fault."""
         return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
 
-    def plain(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """The fault as data that is ready for JSON."""
         return {
             "code": self.code,
@@ -183,29 +183,29 @@ class Problem:
         }
 
 
-class Problems:
-    """Collects the faults of one episode or of the dataset; the same fault in many frames is one `Problem`."""
+class ProblemCollector:
+    """Collects the faults of one episode or of the dataset; the same fault in many frames is one `DatasetProblem`."""
 
     def __init__(self, episode: str = "") -> None:
         self._episode = episode
-        self._found: dict[Hashable, Problem] = {}
+        self._found: dict[Hashable, DatasetProblem] = {}
 
     def add(self, code: str, file: str = "", value: object = "", valid: object = "", *, about: Hashable = None) -> None:
-        """Note a fault. Faults of one code with the same `about`, unless None, become one `Problem`."""
+        """Note a fault. Faults of one code with the same `about`, unless None, become one `DatasetProblem`."""
         assert code in CODES, code
         key = (code, len(self._found)) if about is None else (code, "about", about)
         if earlier := self._found.get(key):
             self._found[key] = replace(earlier, count=earlier.count + 1)
         else:
-            self._found[key] = Problem(
+            self._found[key] = DatasetProblem(
                 code, printable(self._episode), printable(file), printable(value), printable(valid)
             )
 
-    def have(self, prefix: str) -> bool:
+    def has_code_prefix(self, prefix: str) -> bool:
         """Whether a fault's code begins with `prefix`."""
         return any(problem.code.startswith(prefix) for problem in self._found.values())
 
-    def list(self) -> list[Problem]:
+    def list(self) -> list[DatasetProblem]:
         """The faults, in the order of `add`."""
         return list(self._found.values())
 
@@ -221,6 +221,6 @@ def printable(value: object) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
-def errors(problems: list[Problem]) -> int:
+def count_errors(problems: list[DatasetProblem]) -> int:
     """How many of the problems are errors."""
     return sum(problem.kind.severity is Severity.ERROR for problem in problems)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...errors import DatasetError
 from ...files.writing import sha256_bytes
-from ..layout import DAMAGED, EPISODE, episode_directories
+from ..dataset_paths import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
 
 _READERS = 32  # threads: each waits for the disk or the network, and hashing releases the GIL
@@ -43,12 +43,12 @@ def inspect_episodes(dataset: Path) -> list[InspectedEpisode]:
         return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
 
-def set_aside(episode: Path) -> Path:
+def quarantine_episode(episode: Path) -> Path:
     """Move a damaged episode into its dataset's directory of damaged parts; returns the new place."""
-    return episode.rename(place_for_damaged(episode))
+    return episode.rename(quarantine_path(episode))
 
 
-def place_for_damaged(path: Path) -> Path:
+def quarantine_path(path: Path) -> Path:
     """A free path for a damaged part of a dataset; the directory of damaged parts is made if missing."""
     folder = path.parent / DAMAGED
     folder.mkdir(exist_ok=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from ...errors import DatasetError
 from ...files.writing import write_file
-from ..layout import ATTEMPTS, episode_name
+from ..dataset_paths import ATTEMPTS, episode_name
 from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
-from .integrity import place_for_damaged
+from .integrity import quarantine_path
 
 # Outcome of an attempt whose line is lost and that is not made again.
 LINE_LOST = OutcomeRecord(
@@ -73,7 +73,7 @@ class Ledger:
         """Attempts before the last known one whose lines are lost."""
         return set(range(max(self.known, default=-1))) - self.known.keys()
 
-    def adopt(self, episodes: Sequence[EpisodeRecord]) -> None:
+    def restore_lost_lines(self, episodes: Sequence[EpisodeRecord]) -> None:
         """Restore lost lines from the dataset's whole episodes, and leave out lines that contradict them.
 
         Raises:
@@ -123,7 +123,7 @@ class Ledger:
         self._put(attempt, to_json(attempt))
         self._write()
 
-    def mend(self) -> Path | None:
+    def repair(self) -> Path | None:
         """Write the file anew if it differs from `known`; after an OSError the file is unchanged.
 
         Returns:
@@ -134,7 +134,7 @@ class Ledger:
         kept = None
         if self.fault is not None:
             # A copy, so that a ledger exists at every moment.
-            kept = place_for_damaged(self._file)
+            kept = quarantine_path(self._file)
             write_file(kept, self._read)
         self._write()
         return kept
@@ -146,7 +146,7 @@ class Ledger:
         write_file(self._file, self._text())
 
 
-def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
+def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
     """The number of the episode that an attempt gave if it succeeded: episodes are numbered in order of attempts.
 
     Returns:
@@ -158,6 +158,6 @@ def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | Non
     return number if not after or after[0] > number else None
 
 
-def lost_line(attempt: int, seed: int) -> AttemptRecord:
+def placeholder_record(attempt: int, seed: int) -> AttemptRecord:
     """The record of an attempt whose line is lost."""
     return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ...closing import Closing
+from ...closable import Closable
 from ...config.recording import RecordConfig
-from ...errors import DatasetError, ResourceError, ranges
-from ...files.documents.document import dump_yaml, parse_yaml
+from ...errors import DatasetError, ResourceError, join_ranges
+from ...files.documents.yaml_document import dump_yaml, parse_yaml
 from ...files.writing import append_line, publish_directory, sha256_bytes, write_file
-from ..disk_faults import reason
-from ..layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
-from .integrity import InspectedEpisode, inspect_episodes, set_aside
-from .ledger import Ledger, lost_line
-from .opening import MESHES, OpenMode, claim, require_same_config, unstated_meshes
+from .directory_claim import MESHES, OpenMode, claim_directory, describe_unstated_meshes, require_same_config
+from .integrity import InspectedEpisode, inspect_episodes, quarantine_episode
+from .ledger import Ledger, placeholder_record
 
 
 class AttemptLog:
@@ -48,7 +48,7 @@ class AttemptLog:
         self.episodes += attempt.episode is not None
 
 
-class DatasetWriter(AttemptLog, Closing):
+class DatasetWriter(AttemptLog, Closable):
     """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
 
     Attributes:
@@ -79,7 +79,7 @@ class DatasetWriter(AttemptLog, Closing):
         self._task = str(config["task"]["name"])
         self._seed = int(config["seed"])
         try:
-            held = claim(path, mode, locks_reach_others=locks_reach_others)
+            held = claim_directory(path, mode, locks_reach_others=locks_reach_others)
             self._lock, self.moved_aside = held.lock, held.moved_aside
             try:
                 if held.occupied:
@@ -90,7 +90,9 @@ class DatasetWriter(AttemptLog, Closing):
                 self.close()
                 raise
         except OSError as error:
-            raise ResourceError(f"{path} cannot be written: {reason(error, path)}; choose another --out") from error
+            raise ResourceError(
+                f"{path} cannot be written: {describe_disk_error(error, path)}; choose another --out"
+            ) from error
 
     @property
     def missing(self) -> list[AttemptRecord]:
@@ -138,24 +140,28 @@ class DatasetWriter(AttemptLog, Closing):
     def _resume(self, config: Mapping[str, Any]) -> None:
         self._compare(config)
         ledger = Ledger(self.path)
-        ledger.adopt([record for found in inspect_episodes(self.path) if (record := self._take_up(found)) is not None])
+        ledger.restore_lost_lines(
+            [record for found in inspect_episodes(self.path) if (record := self._take_up(found)) is not None]
+        )
         self._take_over(ledger)
         for attempt in self.missing:
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
-                self.repairs.append(f"{place.name} is no directory; moved to {set_aside(place)}, and made again")
+                self.repairs.append(
+                    f"{place.name} is no directory; moved to {quarantine_episode(place)}, and made again"
+                )
 
     def _take_over(self, ledger: Ledger) -> None:
         """Count the attempts that the ledger holds, including those whose lines are lost."""
-        kept, self.lost_lines = ledger.mend(), ledger.missing
+        kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
             self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
         if self.lost_lines:
             self._ledger = ledger
-            numbers = ranges(sorted(self.lost_lines))
+            numbers = join_ranges(sorted(self.lost_lines))
             self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost, and made again")
         for number in range(max(ledger.known, default=-1) + 1):
-            self._count(ledger.known.get(number) or lost_line(number, self._seed))
+            self._count(ledger.known.get(number) or placeholder_record(number, self._seed))
 
     def _compare(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
@@ -167,7 +173,7 @@ class DatasetWriter(AttemptLog, Closing):
         if MESHES in config and MESHES not in recorded:
             # The dataset is resumed without this key, which would be of no use in only some of the episodes.
             self.config = {key: value for key, value in config.items() if key != MESHES}
-            self.repairs.append(unstated_meshes(self.path, config))
+            self.repairs.append(describe_unstated_meshes(self.path, config))
         require_same_config(self.path, recorded, self.config)
 
     def _take_up(self, found: InspectedEpisode) -> EpisodeRecord | None:
@@ -175,14 +181,14 @@ class DatasetWriter(AttemptLog, Closing):
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
-                f"{found.directory.name}: {fault}; moved to {set_aside(found.directory)}, and made again"
+                f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, and made again"
             )
             return None
         self.entries[found.number] = _entry(record, found.text, found.size)
         return record
 
 
-def config_as_stated(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
+def config_for_new_episodes(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
     """The config for new episodes: without meshes, if the dataset was recorded without a statement of its meshes."""
     return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
 

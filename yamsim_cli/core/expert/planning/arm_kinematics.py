@@ -22,7 +22,7 @@ class ArmKinematics:
     """Computes poses of the hand at given joints.
 
     Args:
-        model: a bare arm, see `scene.robot.bare_arm`.
+        model: a bare arm, see `scene.robot.kinematic_model`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -42,7 +42,7 @@ class ArmKinematics:
 
 
 @dataclass(frozen=True)
-class Reached:
+class ReachResult:
     """The result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
 
     joints: Array
@@ -50,7 +50,7 @@ class Reached:
     rotation_error: float
 
     @property
-    def miss(self) -> float:
+    def total_error(self) -> float:
         """The total error, m; an angle counts as the distance that it makes at the finger tips."""
         return self.position_error + _HAND_LENGTH * self.rotation_error
 
@@ -62,7 +62,7 @@ class OutOfReachError(SimulationError):
         nearest: the joints with the smallest total error.
     """
 
-    def __init__(self, nearest: Reached, position_tolerance: float, rotation_tolerance: float) -> None:
+    def __init__(self, nearest: ReachResult, position_tolerance: float, rotation_tolerance: float) -> None:
         super().__init__(
             f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and "
             f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
@@ -72,13 +72,13 @@ class OutOfReachError(SimulationError):
         self.nearest = nearest
 
 
-def reach(
+def solve_or_raise(
     solvers: Sequence[IkSolver],
     T_tool_in_world: Array,
     starts: Iterable[Array],
     position_tolerance: float,
     rotation_tolerance: float,
-) -> Reached:
+) -> ReachResult:
     """The first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
 
     Args:
@@ -88,19 +88,19 @@ def reach(
     Raises:
         OutOfReachError: no joints are within the tolerances; the error holds the nearest ones.
     """
-    nearest: Reached | None = None
+    nearest: ReachResult | None = None
     for start in starts:
         joints = start
         for solver in solvers:
             joints = solver.solve(T_tool_in_world, joints, _ITERATIONS).joints
             T = solver.pose_of(joints)
-            found = Reached(
+            found = ReachResult(
                 joints,
                 float(np.linalg.norm(T[:3, 3] - T_tool_in_world[:3, 3])),
                 float(np.linalg.norm(rotation_vector(T[:3, :3].T @ T_tool_in_world[:3, :3]))),
             )
             if found.position_error <= position_tolerance and found.rotation_error <= rotation_tolerance:
                 return found
-        nearest = found if nearest is None or found.miss < nearest.miss else nearest
+        nearest = found if nearest is None or found.total_error < nearest.total_error else nearest
     assert nearest is not None  # there is a start
     raise OutOfReachError(nearest, position_tolerance, rotation_tolerance)

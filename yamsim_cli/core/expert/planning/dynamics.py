@@ -7,7 +7,7 @@ import numpy as np
 
 from ...geometry.se3 import Array
 from ...robots.robot import Robot
-from ...scene.robot import finger_places
+from ...scene.arm_model import finger_addresses
 
 
 class ArmDynamics:
@@ -23,7 +23,7 @@ class ArmDynamics:
         self._data = mujoco.MjData(model)
         joints = [model.joint(name) for name in robot.joint_names]
         self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
-        self._fingers, self._signs = finger_places(model, robot)
+        self._fingers, self._signs = finger_addresses(model, robot)
         # Torques of contacts are left to the controller: paths do not touch anything on purpose.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 

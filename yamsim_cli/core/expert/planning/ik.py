@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from ...geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_from_vector
-from .closed_form import closed_form
-from .quick_reach import QuickReach
+from .analytic_ik import find_analytic_ik
+from .fast_ik import FastIkSolver
 
 # The position has priority, then the heading, then the tilt. An arm that must lean outwards to reach a place does so,
 # and the position stays exact to a fraction of a millimetre.
@@ -74,9 +74,9 @@ class Tolerance:
     position: float
     rotation: float
     margin: float = 0.05
-    leans: bool = False
+    allow_tilt: bool = False
 
-    def admits(self, solution: IkSolution) -> bool:
+    def is_met_by(self, solution: IkSolution) -> bool:
         """Whether a solution is within the tolerance."""
         return (
             solution.position_error <= self.position
@@ -107,8 +107,8 @@ class IkSolver:
         self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
         self._low, self._high = model.jnt_range.T.copy()
-        self._closed_form = closed_form(model)
-        self._quick = QuickReach(model, T_base_in_world)
+        self._closed_form = find_analytic_ik(model)
+        self._quick = FastIkSolver(model, T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
         self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
@@ -116,14 +116,14 @@ class IkSolver:
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)
         self._T_pinch_in_flange = pose(pinch.pos, rotation.reshape(3, 3))
-        self.hold(np.eye(4))
+        self.set_held_frame(np.eye(4))
 
     @property
-    def is_exact(self) -> bool:
+    def has_analytic_ik(self) -> bool:
         """Whether the arm has a closed solution, so that a pose without an exact solution is out of reach."""
         return self._closed_form is not None
 
-    def hold(self, T_object_in_pinch: Array) -> None:
+    def set_held_frame(self, T_object_in_pinch: Array) -> None:
         """Set the held frame, for which later calls solve, to a pose (4, 4) in the pinch frame.
 
         Until the first call, the held frame is the pinch frame.
@@ -144,7 +144,7 @@ class IkSolver:
         exact = self._exact(T_tool_in_world, start)
         return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
 
-    def follow(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
+    def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
         """A solution for the next pose (4, 4) of the held frame on a path, on the same branch and without a jump.
 
         Args:
@@ -158,11 +158,11 @@ class IkSolver:
                 return exact
         return self._searched(T_tool_in_world, start, iterations)
 
-    def at(self, joints: Array) -> IkSolution:
+    def solution_at(self, joints: Array) -> IkSolution:
         """The solution at joints (dof,), for the pose of the held frame there."""
         return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
-    def reach(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
+    def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
         """Joints (dof,) that bring the held frame to a pose (4, 4); None if the arm does not reach the pose.
 
         Args:
@@ -171,22 +171,22 @@ class IkSolver:
         """
         if self._closed_form is not None:
             exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
-            if exact is None and tolerance.leans:
+            if exact is None and tolerance.allow_tilt:
                 exact = self._leaning(T_tool_in_world, starts[0], tolerance)
             return None if exact is None else exact.joints
         for start in starts:
             if (near := self._quick.solve(T_tool_in_world, start)) is not None:
                 solution = self._searched(T_tool_in_world, near, _REFINEMENTS)
-                if tolerance.admits(solution):
+                if tolerance.is_met_by(solution):
                     return solution.joints
         return None
 
-    def may_reach(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
+    def maybe_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
         """Which of many poses (n, 4, 4) `reach` may find joints for, (n,) bool; for the others it finds none."""
         if self._closed_form is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        return self._closed_form.may_reach(T_flange_in_base, tolerance.margin)
+        return self._closed_form.maybe_reachable(T_flange_in_base, tolerance.margin)
 
     def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
         """The exact solution nearest to joints `start` (dof,) with at least a margin, rad, from every stop."""
@@ -198,12 +198,12 @@ class IkSolver:
             found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
         if not len(found):
             return None
-        return self.at(found[0] if len(found) == 1 else self._closed_form.nearest(found, start))
+        return self.solution_at(found[0] if len(found) == 1 else self._closed_form.nearest(found, start))
 
     def _leaning(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
         """An exact solution for a pose (4, 4) turned by about the largest rotation error; None without one."""
-        T_leaning = T_tool_in_world @ _leans(_LEANING * tolerance.rotation)
-        for k in np.flatnonzero(self.may_reach(T_leaning, tolerance)):
+        T_leaning = T_tool_in_world @ _tilt_rotations(_LEANING * tolerance.rotation)
+        for k in np.flatnonzero(self.maybe_reachable(T_leaning, tolerance)):
             if (found := self._exact(T_leaning[k], start, tolerance.margin)) is not None:
                 return found
         return None
@@ -266,7 +266,7 @@ class IkSolver:
 
 
 @functools.cache
-def _leans(angle: float) -> Array:
+def _tilt_rotations(angle: float) -> Array:
     """Rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
     axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
     return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

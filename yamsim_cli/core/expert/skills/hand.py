@@ -9,22 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.se3 import Array, inverse
-from ...scene.compiled import SceneArm
+from ...scene.compiled import ArmAddresses
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver, Tolerance
 
-EXACT = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
-PASSING = Tolerance(4e-3, math.radians(6.0), leans=True)  # m and rad, at waypoints
+GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
+WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad, at waypoints
 
 # rad, distance from the stops that every joint keeps if some grip allows it. Tracking errors and a gripper's load move
 # joints by up to 0.05 rad, and a real arm differs from its model.
-RESERVE = 0.15
+PREFERRED_JOINT_MARGIN = 0.15
 
 _SAME_POSITION, _SAME_DIRECTION = 0.01, math.radians(20.0)  # m and rad; grips that differ by less reach the same places
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldObject:
     """A thing in a hand, with its pose (4, 4) in the pinch frame when last measured."""
 
     thing: str
@@ -55,7 +55,7 @@ class Hand:
         self,
         number: int,
         side: str,
-        arm: SceneArm,
+        arm: ArmAddresses,
         ik: IkSolver,
         dynamics: ArmDynamics,
         ready: Array,
@@ -63,14 +63,14 @@ class Hand:
     ) -> None:
         self.number, self.side, self.arm = number, side, arm
         self.ik, self.dynamics = ik, dynamics
-        self.ready = ready
-        self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
+        self.ready_joints = ready
+        self.joints, self.opening, self.grip_force = ready.copy(), opening, 0.0
         self.magnet = False
-        self.held: Held | None = None
-        self.failed_grasps: list[Held] = []
-        self.reserve, self.leans = 0.0, False
+        self.held: HeldObject | None = None
+        self.failed_grasps: list[HeldObject] = []
+        self.joint_margin, self.allow_tilt = 0.0, False
 
-    def failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
+    def has_failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
         """Return whether `failed_grasps` has a similar grasp of a thing, by the pinch frame (4, 4) in the thing's."""
         earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
@@ -86,22 +86,24 @@ class Hand:
         return float(self.arm.fingers.ctrl_range[1])
 
     @property
-    def welds(self) -> bool:
+    def grasps_by_weld(self) -> bool:
         """Whether the hand holds things by a weld instead of by friction."""
         return self.arm.weld is not None
 
-    def pinch_at(self, joints: Array) -> Array:
+    def pinch_pose(self, joints: Array) -> Array:
         """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,)."""
         return self.ik.pose_of(joints)
 
-    def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
+    def solve_ik(
+        self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = GRASP_TOLERANCE
+    ) -> Array | None:
         """Return joints (dof,) that bring the pinch frame to a pose (4, 4); None without any. See `IkSolver.reach`."""
-        return self.ik.reach(T_pinch_in_world, seeds, self._with_reserve(tolerance))
+        return self.ik.solve_from(T_pinch_in_world, seeds, self._with_reserve(tolerance))
 
-    def may_reach(self, T_pinch_in_world: Array, tolerance: Tolerance = EXACT) -> Array:
-        """Return for which of the poses (n, 4, 4) `reach` may find joints, see `IkSolver.may_reach`."""
-        return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
+    def maybe_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
+        """Return for which of the poses (n, 4, 4) `reach` may find joints, see `IkSolver.maybe_reachable`."""
+        return self.ik.maybe_reachable(T_pinch_in_world, self._with_reserve(tolerance))
 
     def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
-        margin, leans = max(tolerance.margin, self.reserve), tolerance.leans and self.leans
-        return Tolerance(tolerance.position, tolerance.rotation, margin, leans)
+        margin, allow_tilt = max(tolerance.margin, self.joint_margin), tolerance.allow_tilt and self.allow_tilt
+        return Tolerance(tolerance.position, tolerance.rotation, margin, allow_tilt)

@@ -12,17 +12,17 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.units import Distance
 from ...geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z
-from ...types import Cause
-from ..planning.obstacles import Load
-from .base import Skill, preferences, require_holder
-from .bench import Bench, CachedIterable, Fingers, Segment, SkillFailedError
-from .grips import Grip, can_point
-from .hand import PASSING, Hand, Held
-from .moves import let_go, rest, take_hold
+from ..planning.collision_checker import AttachedObject
+from .common_motions import close_fingers_on, release_and_retreat, rest_segment
+from .grasp_candidates import GraspCandidate, is_orientation_plausible
+from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
+from .planning_context import CachedIterable, FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from .skill import Skill, preference_levels, require_holding_hand
 
 _APPROACH = 0.08  # m, length of the straight approach of the taking hand
 
@@ -61,7 +61,7 @@ _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
-class _Meeting:
+class _HandoverPose:
     """Grip and joints of both hands at a handover.
 
     Attributes:
@@ -72,11 +72,11 @@ class _Meeting:
         taker_joints: of the taking arm at the thing (dof,), rad.
     """
 
-    grip: Grip
+    grip: GraspCandidate
     opening: float
     giver_joints: Array
     approach_joints: Array
-    taker_joints: Array
+    receiver_joints: Array
 
 
 class Handover(Skill):
@@ -91,96 +91,111 @@ class Handover(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = True
-    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _MEETINGS
+    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _MEETINGS
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        giver = require_holder(bench, thing, "handed over")
-        if bench.side_of(self.to) == giver.side:
+        thing = roles.object_of(self.thing)
+        giver = require_holding_hand(context, thing, "handed over")
+        if context.side_of(self.to) == giver.side:
             return
-        taker = next(hand for hand in bench.hands if hand is not giver)
-        meeting = self._meeting(bench, cast, giver, taker, ahead)
-        held = bench.update_held(giver)
-        load = Load(thing, held.T_thing_in_pinch)
-        yield bench.segment({giver: bench.free_path(giver, meeting.giver_joints, load=load)})
-        path = bench.free_path(taker, meeting.approach_joints, meeting.opening)
-        yield bench.segment({taker: path}, {taker: Fingers(meeting.opening)})
-        T_grip = bench.world.pose(thing) @ meeting.grip.T_pinch_in_thing
-        yield bench.segment({taker: bench.line(taker, T_grip)})
-        yield from take_hold(bench, taker, meeting.grip)
-        if taker.side not in bench.world.holders(thing):
-            yield from let_go(bench, taker, meeting.grip.clearance)
-            raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not between the {taker.side} hand's fingers")
-        taker.held = Held(thing, inverse(bench.T_pinch(taker)) @ bench.world.pose(thing))
-        yield from let_go(bench, giver, bench.clearance(thing))
-        yield rest(bench)
-        bench.update_held(taker)
+        taker = next(hand for hand in context.hands if hand is not giver)
+        meeting = self._meeting(context, roles, giver, taker, next_skills)
+        held = context.update_held(giver)
+        load = AttachedObject(thing, held.T_thing_in_pinch)
+        yield context.make_segment({giver: context.plan_free_path(giver, meeting.giver_joints, load=load)})
+        path = context.plan_free_path(taker, meeting.approach_joints, meeting.opening)
+        yield context.make_segment({taker: path}, {taker: FingerTarget(meeting.opening)})
+        T_grip = context.world.pose(thing) @ meeting.grip.T_pinch_in_thing
+        yield context.make_segment({taker: context.plan_line(taker, T_grip)})
+        yield from close_fingers_on(context, taker, meeting.grip)
+        if taker.side not in context.world.holding_sides(thing):
+            yield from release_and_retreat(context, taker, meeting.grip.clearance)
+            raise SkillFailedError(FailureCause.SLIPPED, f"the {thing} is not between the {taker.side} hand's fingers")
+        taker.held = HeldObject(thing, inverse(context.T_pinch(taker)) @ context.world.pose(thing))
+        yield from release_and_retreat(context, giver, context.release_clearance(thing))
+        yield rest_segment(context)
+        context.update_held(taker)
 
-    def fault(
+    def infeasibility(
         self,
-        bench: Bench,
-        cast: Cast,
+        context: PlanningContext,
+        roles: RoleAssignment,
         hand: Hand,
         thing: str,
         T_thing_in_pinch: Array,
         joints: Array,
-        ahead: Sequence[Skill] = (),
+        next_skills: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
-        if cast.one(self.thing) != thing or bench.side_of(self.to) == hand.side:
+        if roles.object_of(self.thing) != thing or context.side_of(self.to) == hand.side:
             return None
-        taker = next(other for other in bench.hands if other is not hand)
-        searches = bench.cached(("searches", self, hand.side, tuple(ahead)), lambda: itertools.count(1))
+        taker = next(other for other in context.hands if other is not hand)
+        searches = context.cached(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
         if next(searches) > _MAX_SEARCHES:
             return f"no place found where the {taker.side} hand can take it"
-        if self._meeting_before(bench, cast, hand, taker, Held(thing, T_thing_in_pinch), ahead) is not None:
+        if (
+            self._meeting_before(context, roles, hand, taker, HeldObject(thing, T_thing_in_pinch), next_skills)
+            is not None
+        ):
             return None
-        faults = list(_taking_grips(bench, cast, taker, thing, ahead).faults.values())
+        faults = list(_receiver_grasps(context, roles, taker, thing, next_skills).faults.values())
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
-    def relaxed(self, bench: Bench, cast: Cast) -> Handover:
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
         """See `Skill`: the line from hand to hand may be turned relative to the line between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
-    def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
+    def _meeting(
+        self, context: PlanningContext, roles: RoleAssignment, giver: Hand, receiver: Hand, next_skills: Sequence[Skill]
+    ) -> _HandoverPose:
         """Return the first meeting that leaves the next skills possible; else the first reachable meeting."""
-        held = bench.update_held(giver)
-        for following in (*preferences(ahead, bench, cast), ()):
-            for skill in (self, self.relaxed(bench, cast)):
-                if (found := skill._meeting_before(bench, cast, giver, taker, held, following)) is not None:
+        held = context.update_held(giver)
+        for following in (*preference_levels(next_skills, context, roles), ()):
+            for skill in (self, self.without_preferences(context, roles)):
+                if (found := skill._meeting_before(context, roles, giver, receiver, held, following)) is not None:
                     return found
-        raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
     def _meeting_before(
-        self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
-    ) -> _Meeting | None:
+        self,
+        context: PlanningContext,
+        roles: RoleAssignment,
+        giver: Hand,
+        receiver: Hand,
+        held: HeldObject,
+        next_skills: Sequence[Skill],
+    ) -> _HandoverPose | None:
         """Return the first meeting without contacts that both hands reach and that leaves skills possible."""
-        grips = _taking_grips(bench, cast, taker, held.thing, ahead)
+        grips = _receiver_grasps(context, roles, receiver, held.thing, next_skills)
         # The first search tests a grip only if hands can meet with it. Later searches profit from every tested grip.
         check_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
-        bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
+        bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, receiver)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
-        height = float(bench.world.bounds(TABLE)[1][2]) + self.height
-        attitude = functools.cache(lambda grip: _attitude(T_giving, grip.T_pinch_in_thing))
-        for least, most, lower, turn in self.MEETINGS:
+        height = float(context.world.aabb(TABLE)[1][2]) + self.height
+        attitude = functools.cache(lambda grip: _handover_orientation(T_giving, grip.T_pinch_in_thing))
+        for least, most, lower, turn in self.PLACES:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _MEETING_X]
-            poses = _Poses(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
-            for number, grip, T_things in _within_reach(giver, taker, T_giving, grips.open(), poses):
+            poses = _HandoverPoseSampler(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
+            for number, grip, T_things in _reachable_poses(giver, receiver, T_giving, grips.open(), poses):
                 if check_first and not grips.suits(number, grip):
                     continue
                 for T_thing in T_things:
-                    meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
+                    meeting = _solve_handover(
+                        giver, receiver, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip
+                    )
                     if meeting is None:
                         continue
                     if not grips.suits(number, grip):
                         break
-                    if _is_free(bench, giver, taker, held, meeting):
+                    if _is_free(context, giver, receiver, held, meeting):
                         return meeting
         return None
 
@@ -188,88 +203,108 @@ class Handover(Skill):
 class _TurnedHandover(Handover):
     """A handover in which the line from hand to hand may be turned."""
 
-    MEETINGS: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_MEETINGS
+    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_MEETINGS
 
-    def relaxed(self, bench: Bench, cast: Cast) -> Handover:
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
         """See `Skill`."""
         return self
 
 
-class _TakingGrips:
+class _ReceiverGrasps:
     """Grips by which a hand may take a thing, the most reliable first.
 
     Attributes:
         faults: number of each tested grip -> why the skills ahead would fail with it; None if they would not.
     """
 
-    def __init__(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> None:
-        self._bench, self._cast, self._taker, self._thing, self._ahead = bench, cast, taker, thing, ahead
-        self._grips = CachedIterable(bench.grips(thing, taker.max_opening))
+    def __init__(
+        self, context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
+    ) -> None:
+        self._context, self._roles, self._receiver, self._thing, self._next_skills = (
+            context,
+            roles,
+            receiver,
+            thing,
+            next_skills,
+        )
+        self._grips = CachedIterable(context.grasp_candidates(thing, receiver.max_opening))
         self.faults: dict[int, str | None] = {}
 
-    def open(self) -> Iterator[tuple[int, Grip]]:
+    def open(self) -> Iterator[tuple[int, GraspCandidate]]:
         """Yield the number and the grip of all that are untested or suitable."""
         return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
-    def suits(self, number: int, grip: Grip) -> bool:
+    def suits(self, number: int, grip: GraspCandidate) -> bool:
         """Return whether the skills ahead can continue with a grip; each grip is tested once."""
         if number not in self.faults:
             fault = None
-            if self._ahead:
-                grasp = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
-                fault = self._ahead[0].fault(self._bench, self._cast, *grasp, self._ahead[1:])
+            if self._next_skills:
+                grasp = self._receiver, self._thing, inverse(grip.T_pinch_in_thing), self._receiver.ready_joints
+                fault = self._next_skills[0].infeasibility(self._context, self._roles, *grasp, self._next_skills[1:])
             self.faults[number] = fault
         return self.faults[number] is None
 
 
-def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
+def _receiver_grasps(
+    context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
+) -> _ReceiverGrasps:
     """Return the taking grips, which all searches share while nothing moves: `faults` holds for every meeting."""
-    key = ("taking grips", taker.side, thing, tuple(ahead))
-    return bench.cached(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
+    key = ("taking grips", receiver.side, thing, tuple(next_skills))
+    return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 
 
-def _within_reach(
-    giver: Hand, taker: Hand, T_giving: Array, grips: Iterator[tuple[int, Grip]], poses: _Poses
-) -> Iterator[tuple[int, Grip, Array]]:
+def _reachable_poses(
+    giver: Hand,
+    receiver: Hand,
+    T_giving: Array,
+    grips: Iterator[tuple[int, GraspCandidate]],
+    poses: _HandoverPoseSampler,
+) -> Iterator[tuple[int, GraspCandidate, Array]]:
     """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T, k = poses.of([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
-        reached = taker.may_reach(T @ T_grips[k])
-        reached[reached] = giver.may_reach(T[reached] @ T_giving, PASSING)
+        reached = receiver.maybe_reachable(T @ T_grips[k])
+        reached[reached] = giver.maybe_reachable(T[reached] @ T_giving, WAYPOINT_TOLERANCE)
         T, k = T[reached], k[reached]
         for number in np.unique(k):
             yield *batch[number], T[k == number]
 
 
-def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
+def _solve_handover(
+    giver: Hand, receiver: Hand, T_giving: Array, T_taking: Array, grip: GraspCandidate
+) -> _HandoverPose | None:
     """Return the meeting with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
-    if not can_point(T_giving, giver.arm.T_base_in_world) or not can_point(T_taking, taker.arm.T_base_in_world):
+    if not is_orientation_plausible(T_giving, giver.arm.T_base_in_world) or not is_orientation_plausible(
+        T_taking, receiver.arm.T_base_in_world
+    ):
         return None
-    taking = taker.reach(T_taking, (taker.ready,))
+    taking = receiver.solve_ik(T_taking, (receiver.ready_joints,))
     if taking is None:
         return None
-    giving = giver.reach(T_giving, (giver.joints, giver.ready), PASSING)
+    giving = giver.solve_ik(T_giving, (giver.joints, giver.ready_joints), WAYPOINT_TOLERANCE)
     if giving is None:
         return None
-    before = taker.reach(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), PASSING)
+    before = receiver.solve_ik(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), WAYPOINT_TOLERANCE)
     if before is None:
         return None
-    return _Meeting(grip, min(grip.opening + grip.clearance, taker.max_opening), giving, before, taking)
+    return _HandoverPose(grip, min(grip.opening + grip.clearance, receiver.max_opening), giving, before, taking)
 
 
-def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeting) -> bool:
+def _is_free(context: PlanningContext, giver: Hand, receiver: Hand, held: HeldObject, meeting: _HandoverPose) -> bool:
     """Return whether the hands touch nothing at a meeting but the thing between their fingers."""
-    if bench.touched(giver, meeting.giver_joints, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
+    if context.find_contact(
+        giver, meeting.giver_joints, giver.opening, AttachedObject(held.thing, held.T_thing_in_pinch)
+    ):
         return False
-    qpos = bench.posed_qpos(giver, meeting.giver_joints, giver.opening, held)
-    touched, opening = bench.obstacles.touched, meeting.opening
-    blocked = touched(qpos, taker.number, meeting.taker_joints, opening, between=held.thing)
-    return not blocked and not touched(qpos, taker.number, meeting.approach_joints, opening)
+    qpos = context.qpos_with_hand(giver, meeting.giver_joints, giver.opening, held)
+    touched, opening = context.collision_checker.find_contact, meeting.opening
+    blocked = touched(qpos, receiver.number, meeting.receiver_joints, opening, grasped=held.thing)
+    return not blocked and not touched(qpos, receiver.number, meeting.approach_joints, opening)
 
 
 @dataclass(frozen=True)
-class _Attitude:
+class _HandoverOrientation:
     """Orientation of a thing in which two hands grasp it from their own sides.
 
     Attributes:
@@ -285,7 +320,7 @@ class _Attitude:
 
 
 @dataclass(frozen=True)
-class _Poses:
+class _HandoverPoseSampler:
     """Poses of a thing at which each hand comes from its own side, and both as steeply from above as possible.
 
     Attributes:
@@ -298,9 +333,9 @@ class _Poses:
     across: Array
     apart: tuple[float, float]
     places: Array
-    attitude: Callable[[Grip], _Attitude | None]
+    attitude: Callable[[GraspCandidate], _HandoverOrientation | None]
 
-    def of(self, grips: Sequence[Grip]) -> tuple[Array, NDArray[np.intp]]:
+    def of(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
         """Return the poses (n, 4, 4) in `world` for taking grips, in their order, and the number of each one's grip."""
         attitudes, (least, most) = [self.attitude(grip) for grip in grips], self.apart
         fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
@@ -318,7 +353,7 @@ class _Poses:
         return np.array([rotation_from_vector(self.across * roll) @ world for roll in _ROLLS])
 
 
-def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
+def _handover_orientation(T_giving: Array, T_taking: Array) -> _HandoverOrientation | None:
     """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
@@ -341,4 +376,4 @@ def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
     second = second / length
     (a, b, c), (x, y, z) = first.tolist(), second.tolist()
     R_thing = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
-    return _Attitude(R_thing, apart, angle > _FACING_ANGLE)
+    return _HandoverOrientation(R_thing, apart, angle > _FACING_ANGLE)

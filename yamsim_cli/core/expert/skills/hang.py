@@ -8,16 +8,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
 from ...config.goals.predicates import Hung
+from ...config.goals.role_assignment import RoleAssignment
 from ...geometry.se3 import Array, inverse, pose, rotation_z
-from ...types import Cause
-from ..planning.joint_motion import clear, straight
-from ..planning.obstacles import Load
-from .base import Skill, require_holder
-from .bench import Bench, Segment, SkillFailedError
-from .hand import PASSING, Hand
-from .moves import bring, let_go, park_free, rest
+from ..planning.collision_checker import AttachedObject
+from ..planning.trajectory import cartesian_line, is_collision_free
+from .common_motions import park_free_hands, plan_held_object_line, release_and_retreat, rest_segment
+from .hand import WAYPOINT_TOLERANCE, Hand
+from .planning_context import MotionSegment, PlanningContext, SkillFailedError
+from .skill import Skill, require_holding_hand
 
 _DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
 _APPROACH = 0.04  # m, of the thing before the peg's tip when the straight approach starts
@@ -45,86 +45,103 @@ class Hang(Skill):
     thing: str
     onto: str
 
-    def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
+    def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [bench.world.mark(cast.one(self.onto), "peg")[:2, 3]]
+        return [context.world.handle_pose(roles.object_of(self.onto), "peg")[:2, 3]]
 
-    def fault(
+    def infeasibility(
         self,
-        bench: Bench,
-        cast: Cast,
+        context: PlanningContext,
+        roles: RoleAssignment,
         hand: Hand,
         thing: str,
         T_thing_in_pinch: Array,
         joints: Array,
-        ahead: Sequence[Skill] = (),
+        next_skills: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
         fault = f"the {hand.side} arm does not reach the peg with it"
-        load = Load(thing, T_thing_in_pinch)
-        for before, T_on in self._candidates(bench, cast, hand, thing, T_thing_in_pinch, (joints, hand.ready)):
-            at_peg = hand.reach(T_on @ inverse(T_thing_in_pinch), (before,), PASSING)
+        load = AttachedObject(thing, T_thing_in_pinch)
+        for before, T_on in self._candidates(
+            context, roles, hand, thing, T_thing_in_pinch, (joints, hand.ready_joints)
+        ):
+            at_peg = hand.solve_ik(T_on @ inverse(T_thing_in_pinch), (before,), WAYPOINT_TOLERANCE)
             if at_peg is None:
                 continue
-            blocked = bench.touched(hand, at_peg, hand.opening, load) or bench.touched(hand, before, hand.opening, load)
+            blocked = context.find_contact(hand, at_peg, hand.opening, load) or context.find_contact(
+                hand, before, hand.opening, load
+            )
             if blocked is None:
                 return None
             fault = f"{blocked} at the peg"
         return fault
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        hand = require_holder(bench, thing, "hung up")
-        held = bench.update_held(hand)
-        yield from park_free(bench, hand)
-        load = Load(thing, held.T_thing_in_pinch)
+        thing = roles.object_of(self.thing)
+        hand = require_holding_hand(context, thing, "hung up")
+        held = context.update_held(hand)
+        yield from park_free_hands(context, hand)
+        load = AttachedObject(thing, held.T_thing_in_pinch)
         fault = f"the {hand.side} arm does not reach the peg with the {thing}"
-        candidates = self._candidates(bench, cast, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready))
+        candidates = self._candidates(
+            context, roles, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready_joints)
+        )
         for before, T_on in candidates:
-            onto = straight(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), bench.tick, _SPEED)
-            if onto is None or not clear(onto, lambda joints: bench.touched(hand, joints, hand.opening, load)):
+            onto = cartesian_line(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), context.tick, _SPEED)
+            if onto is None or not is_collision_free(
+                onto, lambda joints: context.find_contact(hand, joints, hand.opening, load)
+            ):
                 continue
             try:
-                path = bench.free_path(hand, before, load=load)
+                path = context.plan_free_path(hand, before, load=load)
             except SkillFailedError as error:
                 fault = str(error)
                 continue
-            yield bench.segment({hand: path})
-            yield bench.segment({hand: bring(bench, hand, T_on, _SPEED)})
-            T_down = bench.world.pose(thing)
+            yield context.make_segment({hand: path})
+            yield context.make_segment({hand: plan_held_object_line(context, hand, T_on, _SPEED)})
+            T_down = context.world.pose(thing)
             T_down[2, 3] = (
-                bench.obstacles.rest_height(bench.qpos, thing, T_down, T_down[2, 3] - _APPROACH) + _RELEASE_GAP
+                context.collision_checker.rest_height(context.qpos, thing, T_down, T_down[2, 3] - _APPROACH)
+                + _RELEASE_GAP
             )
-            yield bench.segment({hand: bring(bench, hand, T_down, _SPEED)})
-            yield from let_go(bench, hand, bench.clearance(thing))
-            yield bench.wait(_SWING_TICKS)
-            yield rest(bench)
-            self._check(bench, cast)
+            yield context.make_segment({hand: plan_held_object_line(context, hand, T_down, _SPEED)})
+            yield from release_and_retreat(context, hand, context.release_clearance(thing))
+            yield context.wait_segment(_SWING_TICKS)
+            yield rest_segment(context)
+            self._check(context, roles)
             return
-        raise SkillFailedError(Cause.UNREACHABLE, fault)
+        raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _candidates(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, seeds: Sequence[Array]
+        self,
+        context: PlanningContext,
+        roles: RoleAssignment,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        seeds: Sequence[Array],
     ) -> Iterator[tuple[Array, Array]]:
         """Yield joints (dof,) of a hand that holds a thing before the peg, with the thing's pose (4, 4) on the peg."""
-        T_peg = bench.world.mark(cast.one(self.onto), "peg")
-        T_eye_in_thing = inverse(bench.world.pose(thing)) @ bench.world.mark(thing, "eye")
-        for T_eye in _eyes(T_peg):
+        T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
+        T_eye_in_thing = inverse(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
+        for T_eye in _eye_poses(T_peg):
             T_on = T_eye @ inverse(T_eye_in_thing)
             T_before = T_on.copy()
             T_before[:3, 3] -= T_peg[:3, 2] * (_APPROACH + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
-            before = hand.reach(T_before @ inverse(T_thing_in_pinch), seeds, PASSING)
+            before = hand.solve_ik(T_before @ inverse(T_thing_in_pinch), seeds, WAYPOINT_TOLERANCE)
             if before is not None:
                 yield before, T_on
 
-    def _check(self, bench: Bench, cast: Cast) -> None:
-        for measure in Hung(thing=self.thing, onto=self.onto).measures(bench.world, cast):
+    def _check(self, context: PlanningContext, roles: RoleAssignment) -> None:
+        for measure in Hung(thing=self.thing, onto=self.onto).measures(context.world, roles):
             if not measure.holds:
-                raise SkillFailedError(Cause.OFF_TARGET, f"{measure.what}: {measure.detail}")
+                raise SkillFailedError(FailureCause.OFF_TARGET, f"{measure.what}: {measure.detail}")
 
 
-def _eyes(T_peg: Array) -> Iterator[Array]:
+def _eye_poses(T_peg: Array) -> Iterator[Array]:
     """Yield candidate poses (4, 4) of an eye on a peg, in `world`, y up; those that lean least first."""
     along = T_peg[:3, 2]
     level = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])

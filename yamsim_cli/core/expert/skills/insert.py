@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...config.goals.role_assignment import RoleAssignment
 from ...geometry.se3 import Array, pose, rotation_z, yaw
-from .bench import Bench
-from .place import Placing
+from .place import PlaceSkill
+from .planning_context import PlanningContext
 
 # m, between the places in a container that are tried; the finer step is for a container in which no place of the
 # coarse grid is free down to the floor
@@ -34,7 +34,7 @@ _MAX_LEAN = math.radians(3.0)  # rad, a thing that leans more may also be put in
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
-class Insert(Placing):
+class Insert(PlaceSkill):
     """Put a thing where it rests lowest in a container, near the container's middle.
 
     Attributes:
@@ -45,59 +45,61 @@ class Insert(Placing):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     into: str
 
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return cast.one(self.into)
+    def support(self, roles: RoleAssignment) -> str:
+        """See `PlaceSkill`."""
+        return roles.object_of(self.into)
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`: upright ones first; for a thing that leans, then those with the present lean."""
-        container = cast.one(self.into)
-        bottom, floor = bench.world.block(thing)[0][2], bench.world.bounds(container)[0][2] + _FLOOR
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`: upright ones first; for a thing that leans, then those with the present lean."""
+        container = roles.object_of(self.into)
+        bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR
         upright = list[Array]()
         for step in _GRID_STEPS:
-            upright = self._upright_goals(bench, container, thing, step)
+            upright = self._upright_goals(context, container, thing, step)
             if any(T_goal[2, 3] + bottom < floor for T_goal in upright):
                 break
-        return upright + _leaning(bench, thing, container, upright)
+        return upright + _tilted_goals(context, thing, container, upright)
 
-    def _upright_goals(self, bench: Bench, container: str, thing: str, step: float) -> list[Array]:
+    def _upright_goals(self, context: PlanningContext, container: str, thing: str, step: float) -> list[Array]:
         """Return upright goals (4, 4) on a grid in the container, those that are lowest and most central first."""
-        T, (low, high) = bench.world.pose(container), bench.world.block(container)
+        T, (low, high) = context.world.pose(container), context.world.local_box(container)
         heights = low[2] + np.array(_HEIGHTS) * (high - low)[2]
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
-            half = bench.half_outline(thing, turn)
+            half = context.half_footprint(thing, turn)
             ranges = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]
             if any(first > last for first, last in ranges):
                 continue
             middles = [(first + last) / 2 for first, last in ranges]
             for x, y in itertools.product(*(_grid(first, last, step) for first, last in ranges)):
-                if not bench.world.inside(container, np.array([(T @ (x, y, z, 1.0))[:3] for z in heights])).any():
+                if not context.world.points_inside(
+                    container, np.array([(T @ (x, y, z, 1.0))[:3] for z in heights])
+                ).any():
                     continue
                 place = (T @ (x, y, 0.0, 1.0))[:2]
-                height = bench.height_on(thing, place, container, heading)
+                height = context.rest_height_over(thing, place, container, heading)
                 offset = float(np.hypot(x - middles[0], y - middles[1]))
                 found.append((round(height / _HEIGHT_STEP), offset, pose((*place, height), rotation_z(heading))))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
-    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
-        if bench.world.share_inside(thing, onto) < _MIN_SHARE_INSIDE:
-            super()._check(bench, thing, onto, T_goal)
+    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
+        if context.world.volume_fraction_inside(thing, onto) < _MIN_SHARE_INSIDE:
+            super()._check(context, thing, onto, T_goal)
 
 
 def _grid(first: float, last: float, step: float) -> Array:
     return np.linspace(first, last, max(1, math.ceil((last - first) / step)) + 1)
 
 
-def _leaning(bench: Bench, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
+def _tilted_goals(context: PlanningContext, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
     """Return upright goals (4, 4) changed to a thing's present lean; none if the thing hardly leans."""
-    T_now = bench.world.pose(thing)
+    T_now = context.world.pose(thing)
     if T_now[2, 2] > math.cos(_MAX_LEAN):
         return []
     goals = []
     for T_upright in upright:
         T_goal = pose(T_upright[:3, 3], rotation_z(yaw(T_upright) - yaw(T_now)) @ T_now[:3, :3])
-        T_goal[2, 3] = bench.height_of(thing, T_goal, container)
+        T_goal[2, 3] = context.rest_height_of(thing, T_goal, container)
         goals.append(T_goal)
     return goals

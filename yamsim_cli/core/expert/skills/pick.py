@@ -9,27 +9,27 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.units import Distance
 from ...geometry.se3 import Array, inverse, pose
-from ...types import Cause
-from ..planning.obstacles import Load
-from .base import Side, Skill, holder_of, preferences
-from .bench import Bench, Fingers, Segment, SkillFailedError
-from .grips import Grip, can_point
-from .hand import PASSING, RESERVE, Hand, Held
-from .moves import let_go, park_free, take_hold
+from ..planning.collision_checker import AttachedObject
+from .common_motions import close_fingers_on, park_free_hands, release_and_retreat
+from .grasp_candidates import GraspCandidate, is_orientation_plausible
+from .hand import PREFERRED_JOINT_MARGIN, WAYPOINT_TOLERANCE, Hand, HeldObject
+from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from .skill import ArmSelector, Skill, holding_hand, preference_levels
 
 # m, lengths of the straight approach; the shorter one is for tight places
 _APPROACHES = (0.09, 0.05)
 
 # Arguments of `Bench.reserve` in the order tried.
-_REACHES = ((RESERVE, False), (0.0, False), (0.0, True))
+_REACHES = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 
 @dataclass(frozen=True)
-class Reach:
+class ReachableGrasp:
     """A grip that a hand can take now.
 
     Attributes:
@@ -39,7 +39,7 @@ class Reach:
         opening: of each finger during the approach, m.
     """
 
-    grip: Grip
+    grip: GraspCandidate
     before: Array
     at: Array
     opening: float
@@ -58,30 +58,32 @@ class Pick(Skill):
     NEEDS_HELD: ClassVar[bool | None] = False
     LEAVES_HELD: ClassVar[bool | None] = True
     # Whether each motion waits until the arm has reached the end of the previous motion.
-    WAITS: ClassVar[bool] = True
+    WAIT_FOR_REST: ClassVar[bool] = True
     thing: str
-    arm: Side = "any"
+    arm: ArmSelector = "any"
     lift: Distance = 0.06
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        if holder_of(bench, thing) is not None:
+        thing = roles.object_of(self.thing)
+        if holding_hand(context, thing) is not None:
             return
-        places = ahead[0].places(bench, cast, thing) if ahead else ()
+        places = next_skills[0].approximate_targets(context, roles, thing) if next_skills else ()
         reasons: dict[str, int] = {}
-        for following, (reserve, leans) in itertools.product(preferences(ahead, bench, cast), _REACHES):
+        for following, (reserve, leans) in itertools.product(preference_levels(next_skills, context, roles), _REACHES):
             reasons.clear()
-            for hand in self._hands(bench, thing, places):
-                with bench.reserve(reserve, leans):
-                    found = self._reached(bench, cast, hand, thing, following, reasons)
+            for hand in self._hands(context, thing, places):
+                with context.planning_limits(reserve, leans):
+                    found = self._reached(context, roles, hand, thing, following, reasons)
                 if found is not None:
-                    yield from park_free(bench, hand)
-                    yield from self._take(bench, hand, thing, found)
+                    yield from park_free_hands(context, hand)
+                    yield from self._take(context, hand, thing, found)
                     return
         if not reasons:
-            low, high = bench.world.block(thing)
-            stroke = f"{2000 * max(hand.max_opening for hand in bench.acting):.0f} mm"
+            low, high = context.world.local_box(thing)
+            stroke = f"{2000 * max(hand.max_opening for hand in context.acting_hands):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
                 f"it is {size} mm and has no two opposite faces less than {stroke} apart, as wide as a hand opens"
@@ -89,12 +91,12 @@ class Pick(Skill):
         summary = "; ".join(
             f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
         )
-        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {summary}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
-    def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
+    def _hands(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """Return the hands that may pick, those nearest to the thing and to its goals first."""
-        places = [bench.world.pose(thing)[:2, 3], *goals]
-        hands = bench.free_hands(self.arm)
+        places = [context.world.pose(thing)[:2, 3], *goals]
+        hands = context.free_hands(self.arm)
 
         def distance(hand: Hand) -> float:
             base = hand.arm.T_base_in_world[:2, 3]
@@ -102,35 +104,47 @@ class Pick(Skill):
 
         return sorted(hands, key=distance)
 
-    def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
+    def _take(self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp) -> Iterator[MotionSegment]:
         grip = found.grip
-        path = bench.free_path(hand, found.before, found.opening)
-        yield bench.segment({hand: path}, {hand: Fingers(found.opening)}, arrives=self.WAITS)
-        path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
-        yield bench.segment({hand: path}, arrives=self.WAITS)
-        yield from take_hold(bench, hand, grip)
-        if hand.side not in bench.world.holders(thing):
-            yield from let_go(bench, hand, grip.clearance)
-            raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not between the {hand.side} hand's fingers")
-        hand.held = Held(thing, inverse(bench.T_pinch(hand)) @ bench.world.pose(thing))
-        T_up = hand.pinch_at(hand.joints)
+        path = context.plan_free_path(hand, found.before, found.opening)
+        yield context.make_segment(
+            {hand: path}, {hand: FingerTarget(found.opening)}, wait_for_arrival=self.WAIT_FOR_REST
+        )
+        path = context.plan_line(hand, context.world.pose(thing) @ grip.T_pinch_in_thing)
+        yield context.make_segment({hand: path}, wait_for_arrival=self.WAIT_FOR_REST)
+        yield from close_fingers_on(context, hand, grip)
+        if hand.side not in context.world.holding_sides(thing):
+            yield from release_and_retreat(context, hand, grip.clearance)
+            raise SkillFailedError(FailureCause.SLIPPED, f"the {thing} is not between the {hand.side} hand's fingers")
+        hand.held = HeldObject(thing, inverse(context.T_pinch(hand)) @ context.world.pose(thing))
+        T_up = hand.pinch_pose(hand.joints)
         T_up[2, 3] += self.lift
-        yield bench.segment({hand: bench.line(hand, T_up)}, arrives=self.WAITS)
+        yield context.make_segment({hand: context.plan_line(hand, T_up)}, wait_for_arrival=self.WAIT_FOR_REST)
         try:
-            bench.update_held(hand)
+            context.update_held(hand)
         except SkillFailedError:
-            yield from let_go(bench, hand, grip.clearance)
+            yield from release_and_retreat(context, hand, grip.clearance)
             raise
 
     def _reached(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
-    ) -> Reach | None:
+        self,
+        context: PlanningContext,
+        roles: RoleAssignment,
+        hand: Hand,
+        thing: str,
+        next_skills: Sequence[Skill],
+        reasons: dict[str, int],
+    ) -> ReachableGrasp | None:
         """Return the first grip that a hand can take now and that leaves the skills ahead possible; else None."""
-        for grip in bench.grips(thing, hand.max_opening):
-            found = self.reach(bench, hand, thing, grip)
-            if isinstance(found, Reach):
+        for grip in context.grasp_candidates(thing, hand.max_opening):
+            found = self.find_reachable_grasp(context, hand, thing, grip)
+            if isinstance(found, ReachableGrasp):
                 T = inverse(grip.T_pinch_in_thing)
-                fault = ahead[0].fault(bench, cast, hand, thing, T, found.at, ahead[1:]) if ahead else None
+                fault = (
+                    next_skills[0].infeasibility(context, roles, hand, thing, T, found.at, next_skills[1:])
+                    if next_skills
+                    else None
+                )
                 if fault is None:
                     return found
                 found = fault
@@ -138,7 +152,9 @@ class Pick(Skill):
                 reasons[found] = reasons.get(found, 0) + 1
         return None
 
-    def reach(self, bench: Bench, hand: Hand, thing: str, grip: Grip) -> Reach | str | None:
+    def find_reachable_grasp(
+        self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate
+    ) -> ReachableGrasp | str | None:
         """Return how a hand can take a thing by a grip now; else why not, for a person.
 
         Returns:
@@ -149,41 +165,51 @@ class Pick(Skill):
                 f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
                 f"{2000 * hand.max_opening:.1f} mm"
             )
-        T_at = bench.world.pose(thing) @ grip.T_pinch_in_thing
-        if hand.failed_with(thing, grip.T_pinch_in_thing) or not can_point(T_at, hand.arm.T_base_in_world):
+        T_at = context.world.pose(thing) @ grip.T_pinch_in_thing
+        if hand.has_failed_with(thing, grip.T_pinch_in_thing) or not is_orientation_plausible(
+            T_at, hand.arm.T_base_in_world
+        ):
             return None
-        at = hand.reach(T_at, (hand.joints, hand.ready))
+        at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None:
             return f"the {hand.side} arm does not reach it so"
         opening = min(grip.opening + grip.clearance, hand.max_opening)
-        before, why = _before(bench, hand, thing, T_at, at, opening, grip.finger_distance)
+        before, why = _approach_joints(context, hand, thing, T_at, at, opening, grip.finger_distance)
         if before is None:
             return why
-        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, opening)
+        return self._blocked(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
 
-    def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
+    def _blocked(
+        self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate, T_at: Array, at: Array
+    ) -> str | None:
         """Return what prevents a hand from lifting a thing grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
-        up = hand.reach(T_up, (at,))
+        up = hand.solve_ik(T_up, (at,))
         if up is None:
             return f"the {hand.side} arm cannot lift it so"
-        load = Load(thing, inverse(grip.T_pinch_in_thing), (TABLE, *bench.world.things))
-        return bench.touched(hand, up, grip.opening, load)
+        load = AttachedObject(thing, inverse(grip.T_pinch_in_thing), (TABLE, *context.world.things))
+        return context.find_contact(hand, up, grip.opening, load)
 
 
-def _before(
-    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, opening: float, finger_distance: float | None
+def _approach_joints(
+    context: PlanningContext,
+    hand: Hand,
+    thing: str,
+    T_at: Array,
+    at: Array,
+    opening: float,
+    finger_distance: float | None,
 ) -> tuple[Array | None, str]:
     """Return joints (dof,) before the straight approach to a thing; else None, and why there are none."""
-    why = bench.touched(hand, at, opening, between=thing, beside=finger_distance)
+    why = context.find_contact(hand, at, opening, between=thing, beside=finger_distance)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"
     for distance in _APPROACHES:
-        before = hand.reach(T_at @ pose((0.0, 0.0, -distance)), (at,), PASSING)
+        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -distance)), (at,), WAYPOINT_TOLERANCE)
         if before is not None:
-            blocked = bench.touched(hand, before, opening)
+            blocked = context.find_contact(hand, before, opening)
             if blocked is None:
                 return before, ""
             why = blocked

@@ -11,17 +11,17 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
-from ...files.documents.units import Reach, Within
+from ...files.documents.units import QuantityBounds, Reach
 from ...geometry.se3 import Array, inverse, pose, rotation_z, yaw
-from ...types import Cause
-from ..planning.obstacles import Load
-from .base import Skill, require_holder
-from .bench import Bench, CachedIterable, Segment, SkillFailedError
-from .grips import can_point
-from .hand import PASSING, Hand
-from .moves import bring, let_go, rest
+from ..planning.collision_checker import AttachedObject
+from .common_motions import plan_held_object_line, release_and_retreat, rest_segment
+from .grasp_candidates import is_orientation_plausible
+from .hand import WAYPOINT_TOLERANCE, Hand
+from .planning_context import CachedIterable, MotionSegment, PlanningContext, SkillFailedError
+from .skill import Skill, require_holding_hand
 
 HOVER_HEIGHT = 0.07  # m, a thing comes straight down from this height over its goal
 _RELEASE_GAP = 0.002  # m, a thing is released this high over its goal
@@ -35,7 +35,7 @@ _MAX_UPWARD = 0.1
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 
-class Placing(Skill):
+class PlaceSkill(Skill):
     """Base class of the skills that put down a held thing; they differ in the goal.
 
     Attributes:
@@ -49,120 +49,132 @@ class Placing(Skill):
     # m/s, speed at which a thing comes down
     LOWERING: ClassVar[float] = 0.15
     thing: str
-    drop: Annotated[FiniteFloat, Within("m", 0, 0.05)] = 0.0
+    drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
-    def support(self, cast: Cast) -> str:
+    def support(self, roles: RoleAssignment) -> str:
         """Return the name of what the thing is put onto or into: a thing or `table`."""
         return TABLE
 
     @abstractmethod
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
         """Return candidate poses (4, 4) of the thing in `world`, the best first."""
 
-    def _goals_once(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
+    def _cached_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
         """Return `goals`, computed once while nothing moves, because `fault` needs them for every grip."""
-        return bench.cached((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
+        return context.cached((self, thing), lambda: CachedIterable(self.goals(context, roles, thing)))
 
-    def relaxed(self, bench: Bench, cast: Cast) -> Placing:
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> PlaceSkill:
         """See `Skill`."""
         return self
 
-    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
+    def _ordered_goals(
+        self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
+    ) -> Iterable[Array]:
         """Return the goals in the order in which they are tried for a pose (4, 4) of the thing in the hand."""
-        return self._goals_once(bench, cast, thing)
+        return self._cached_goals(context, roles, thing)
 
-    def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
+    def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [T[:2, 3] for T in itertools.islice(self._goals_once(bench, cast, thing), 1)]
+        return [T[:2, 3] for T in itertools.islice(self._cached_goals(context, roles, thing), 1)]
 
-    def fault(
+    def infeasibility(
         self,
-        bench: Bench,
-        cast: Cast,
+        context: PlanningContext,
+        roles: RoleAssignment,
         hand: Hand,
         thing: str,
         T_thing_in_pinch: Array,
         joints: Array,
-        ahead: Sequence[Skill] = (),
+        next_skills: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
-        fault = f"there is no room for it on or in the {self.support(cast)}"
-        load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_lying in self._ordered_goals(bench, cast, thing, T_thing_in_pinch):
-            T_goal = raised(T_lying, self.drop)
+        fault = f"there is no room for it on or in the {self.support(roles)}"
+        load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.things))
+        for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
+            T_goal = pose_raised_by(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
-            can_point_there = can_point(T_pinch, hand.arm.T_base_in_world)
-            goal_joints = hand.reach(T_pinch, (joints, hand.ready)) if can_point_there else None
+            can_point_there = is_orientation_plausible(T_pinch, hand.arm.T_base_in_world)
+            goal_joints = hand.solve_ik(T_pinch, (joints, hand.ready_joints)) if can_point_there else None
             if goal_joints is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
-            hover_joints = hand.reach(raised(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (goal_joints,), PASSING)
+            hover_joints = hand.solve_ik(
+                pose_raised_by(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (goal_joints,), WAYPOINT_TOLERANCE
+            )
             if hover_joints is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
-            elif blocked := bench.touched(hand, goal_joints, hand.opening, load):
+            elif blocked := context.find_contact(hand, goal_joints, hand.opening, load):
                 fault = f"{blocked} at its goal"
-            elif blocked := bench.touched(hand, hover_joints, hand.opening, Load(thing, T_thing_in_pinch)):
+            elif blocked := context.find_contact(
+                hand, hover_joints, hand.opening, AttachedObject(thing, T_thing_in_pinch)
+            ):
                 fault = f"{blocked} over its goal"
             else:
                 return None
         return fault
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        hand = require_holder(bench, thing, "put down")
-        held = bench.update_held(hand)
-        fault = f"there is no room for the {thing} on or in the {self.support(cast)}"
-        placing = self.relaxed(bench, cast)
+        thing = roles.object_of(self.thing)
+        hand = require_holding_hand(context, thing, "put down")
+        held = context.update_held(hand)
+        fault = f"there is no room for the {thing} on or in the {self.support(roles)}"
+        placing = self.without_preferences(context, roles)
         candidates = (
             (leans, T_lying)
             for leans in (False, True)
-            for T_lying in placing._ordered_goals(bench, cast, thing, held.T_thing_in_pinch)
+            for T_lying in placing._ordered_goals(context, roles, thing, held.T_thing_in_pinch)
         )
         for leans, T_lying in candidates:
             fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-            T_goal = raised(T_lying, self.drop)
+            T_goal = pose_raised_by(T_lying, self.drop)
             T_pinch = T_goal @ inverse(held.T_thing_in_pinch)
-            with bench.reserve(0.0, leans):
-                joints = self._over(hand, T_pinch)
-                if joints is None or hand.reach(T_pinch, (joints,), PASSING) is None:
+            with context.planning_limits(0.0, leans):
+                joints = self._hover_joints(hand, T_pinch)
+                if joints is None or hand.solve_ik(T_pinch, (joints,), WAYPOINT_TOLERANCE) is None:
                     continue
             try:
-                path = bench.free_path(hand, joints, load=Load(thing, held.T_thing_in_pinch))
+                path = context.plan_free_path(hand, joints, load=AttachedObject(thing, held.T_thing_in_pinch))
             except SkillFailedError as error:
                 fault = str(error)
                 continue
-            yield bench.segment({hand: path})
-            yield from self._lower(bench, hand, thing, T_goal)
-            self._check(bench, thing, self.support(cast), T_lying)
+            yield context.make_segment({hand: path})
+            yield from self._lower(context, hand, thing, T_goal)
+            self._check(context, thing, self.support(roles), T_lying)
             return
-        raise SkillFailedError(Cause.UNREACHABLE, fault)
+        raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
-    def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
+    def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
         """Return joints (dof,) of a hand at `HOVER_HEIGHT` over a pose (4, 4) of its pinch frame; None without any."""
-        return hand.reach(raised(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready), PASSING)
+        return hand.solve_ik(
+            pose_raised_by(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE
+        )
 
-    def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
-        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _RELEASE_GAP), self.LOWERING)})
-        yield rest(bench)
-        yield from let_go(bench, hand, bench.clearance(thing))
-        yield rest(bench)
+    def _lower(self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array) -> Iterator[MotionSegment]:
+        yield context.make_segment(
+            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING)}
+        )
+        yield rest_segment(context)
+        yield from release_and_retreat(context, hand, context.release_clearance(thing))
+        yield rest_segment(context)
 
-    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
         """Check that the thing lies at its goal.
 
         Raises:
             SkillFailedError: it does not.
         """
-        T = bench.world.pose(thing)
+        T = context.world.pose(thing)
         offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
         if offset > _MAX_OFFSET or T[2, 3] < T_goal[2, 3] - _MAX_OFFSET:
             raise SkillFailedError(
-                Cause.OFF_TARGET, f"the {thing} lies {offset * 1000:.0f} mm beside its place on the {onto}"
+                FailureCause.OFF_TARGET, f"the {thing} lies {offset * 1000:.0f} mm beside its place on the {onto}"
             )
 
 
-class Place(Placing):
+class Place(PlaceSkill):
     """Put a thing down, upright and with the heading that suits the arm. If no grasp allows that, a thing whose config
     has `rests` may be put down in another stable attitude.
 
@@ -188,54 +200,56 @@ class Place(Placing):
     upright: bool = False
 
     @model_validator(mode="after")
-    def _somewhere(self) -> Place:
+    def _has_explicit_place(self) -> Place:
         if self.on == TABLE and self.at is None and self.start_of is None:
             raise ValueError("`on: table` needs `at` or `start_of`: where on it")
         return self
 
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return TABLE if self.on == TABLE else cast.one(self.on)
+    def support(self, roles: RoleAssignment) -> str:
+        """See `PlaceSkill`."""
+        return TABLE if self.on == TABLE else roles.object_of(self.on)
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterator[Array]:
-        """See `Placing`."""
-        onto = self.support(cast)
-        place, T_onto = self._place(bench, cast)
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
+        """See `PlaceSkill`."""
+        onto = self.support(roles)
+        place, T_onto = self._place(context, roles)
         if self.heading_deg is not None:
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
         else:
-            headings = [yaw(bench.world.pose(thing)) + turn for turn in _TURNS]
+            headings = [yaw(context.world.pose(thing)) + turn for turn in _TURNS]
         for heading in headings:
-            yield pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading))
+            yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
-    def relaxed(self, bench: Bench, cast: Cast) -> Place:
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
         """See `Skill`: the thing may be put down in another attitude than upright."""
         fixed = self.upright or self.heading_deg is not None
-        if fixed or not bench.items[cast.one(self.thing)].rests_any_way:
+        if fixed or not context.object_configs[roles.object_of(self.thing)].rests_in_any_pose:
             return self
         return _PlaceInAnyAttitude.model_construct(**dict(self))
 
-    def _place(self, bench: Bench, cast: Cast) -> tuple[Array, Array]:
+    def _place(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
         """Return the goal's point (2,) and the pose (4, 4) of the support, in `world`."""
-        onto = self.support(cast)
-        T_onto = pose() if onto == TABLE else bench.world.pose(onto)
+        onto = self.support(roles)
+        T_onto = pose() if onto == TABLE else context.world.pose(onto)
         x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
         if self.start_of is not None:
-            return bench.world.start(cast.one(self.start_of))[:2, 3], T_onto
+            return context.world.start_pose(roles.object_of(self.start_of))[:2, 3], T_onto
         return (T_onto @ (x, y, 0.0, 1.0))[:2], T_onto
 
 
 class _PlaceInAnyAttitude(Place):
     """Put a thing down in any stable attitude, upright if the hand reaches that."""
 
-    def relaxed(self, bench: Bench, cast: Cast) -> Place:
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
         """See `Skill`."""
         return self
 
-    def _ordered_goals(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
-        """See `Placing`. Upright goals come first, then those at which the hand comes most steeply from above."""
-        yield from self._goals_once(bench, cast, thing)
-        lying = bench.cached((self, "others", thing), lambda: self._lying_goals(bench, cast, thing))
+    def _ordered_goals(
+        self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
+    ) -> Iterator[Array]:
+        """See `PlaceSkill`. Upright goals come first, then those at which the hand comes most steeply from above."""
+        yield from self._cached_goals(context, roles, thing)
+        lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
 
         def forward(T: Array) -> Array:
@@ -245,22 +259,22 @@ class _PlaceInAnyAttitude(Place):
         reachable = [T for T in lying if forward(T)[2] < _MAX_UPWARD]
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
-    def _lying_goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+    def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the point."""
-        place, _ = self._place(bench, cast)
-        centre = np.array(bench.items[thing].inertia.centre)
-        heading = yaw(bench.world.pose(thing))
+        place, _ = self._place(context, roles)
+        centre = np.array(context.object_configs[thing].inertia.centre)
+        heading = yaw(context.world.pose(thing))
         found = []
-        for R in bench.steady_rotations(thing)[1:]:
+        for R in context.stable_rotations(thing)[1:]:
             for turn in _TURNS:
                 turned = rotation_z(heading + turn) @ R
                 T = pose((*(place - (turned @ centre)[:2]), 0.0), turned)
-                T[2, 3] = bench.height_of(thing, T, self.support(cast))
+                T[2, 3] = context.rest_height_of(thing, T, self.support(roles))
                 found.append(T)
         return found
 
 
-def raised(T: Array, height: float) -> Array:
+def pose_raised_by(T: Array, height: float) -> Array:
     """Return a pose (4, 4) moved up by a height, m."""
     higher = T.copy()
     higher[2, 3] += height

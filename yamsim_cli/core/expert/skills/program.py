@@ -10,26 +10,26 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ...config.goals.cast import Cast
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.program_task import ProgramTask
 from ...errors import ConfigError, suggest
-from ...files.documents.base import ConflictError
-from ...files.documents.explain import dotted
-from .base import Skill, holder_of
-from .bench import Bench, Segment, SkillFailedError
+from ...files.documents.config_base import ConflictError
+from ...files.documents.validation_messages import format_key_path
 from .cloth.flatten import Flatten
 from .cloth.fold import Fold
+from .common_motions import open_and_park_hands
 from .handover import Handover
 from .hang import Hang
 from .insert import Insert
 from .lift import Lift
-from .moves import recover
 from .operate import Operate
 from .pick import Pick
-from .place import Place, Placing
+from .place import Place, PlaceSkill
+from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .push import Push
-from .put_aside import PutAside, Regrasp, put_back
+from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, Turn
+from .skill import Skill, holding_hand
 
 # The skills of programs. A new skill is a module in this package, and an entry here.
 SKILLS: Mapping[str, type[Skill]] = {
@@ -57,7 +57,7 @@ _MAX_TRIES, _TRIES_WITH_SAME_GRASP = 3, 2
 
 
 @dataclass(frozen=True)
-class Recovery:
+class SkillRetry:
     """A skill that failed and was tried again.
 
     Attributes:
@@ -75,22 +75,24 @@ class Recovery:
 class RecoveryLog:
     """The skills that failed and were tried again while a program ran."""
 
-    recoveries: list[Recovery] = field(default_factory=list)
+    recoveries: list[SkillRetry] = field(default_factory=list)
 
 
-def program_of(task: ProgramTask, cast: Cast) -> list[Skill]:
+def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
     """Return the skills of a task's expert, with loops unrolled for a cast.
 
     Raises:
         ConfigError: the program is not valid, which only an unchecked config such as a dataset's can be.
     """
     try:
-        return read_program(task.expert, cast)
+        return parse_program(task.expert, roles)
     except ConflictError as error:
-        raise ConfigError(f"task {task.name!r}: expert{dotted(error.paths[0])}: {error}") from error
+        raise ConfigError(f"task {task.name!r}: expert{format_key_path(error.paths[0])}: {error}") from error
 
 
-def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()) -> list[Skill]:
+def parse_program(
+    steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
+) -> list[Skill]:
     """Return the skills of a program, with loops unrolled for a cast.
 
     Args:
@@ -100,34 +102,34 @@ def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str
     Raises:
         ConflictError: a step is not valid; the path leads to the step.
     """
-    return [skill for _, skill in read_steps(steps, cast, path)]
+    return [skill for _, skill in parse_steps(steps, roles, path)]
 
 
-def read_steps(
-    steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()
+def parse_steps(
+    steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """Yield each skill of a program with its path in the config; see `read_program`."""
+    """Yield each skill of a program with its path in the config; see `parse_program`."""
     for k, step in enumerate(steps):
-        yield from _read_step(step, cast, (*path, k), {})
+        yield from _read_step(step, roles, (*path, k), {})
 
 
 def _read_step(
-    step: Mapping[str, Any], cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+    step: Mapping[str, Any], roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     if len(step) != 1:
         known = ", ".join((_EACH, *SKILLS))
         raise ConflictError(f"a step of a program has one key; give one of {known}", path)
     key, given = next(iter(step.items()))
     if key == _EACH:
-        yield from _read_each(given, cast, (*path, key), names)
+        yield from _read_each(given, roles, (*path, key), names)
     elif key not in SKILLS:
         raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
     else:
-        yield (*path, key), _read_skill(key, given, cast, (*path, key), names)
+        yield (*path, key), _read_skill(key, given, roles, (*path, key), names)
 
 
 def _read_each(
-    given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+    given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     """Yield the steps of a loop, once for each thing of a role.
 
@@ -139,15 +141,18 @@ def _read_each(
         raise ConflictError(
             "`each` has the keys `of`, a role, `do`, a list of steps, and perhaps `skip` and `order`", path
         )
-    if given["of"] not in cast.things:
-        raise ConflictError(f"unknown role {given['of']!r}; {suggest(str(given['of']), cast.things)}", (*path, "of"))
+    if given["of"] not in roles.objects_by_role:
+        raise ConflictError(
+            f"unknown role {given['of']!r}; {suggest(str(given['of']), roles.objects_by_role)}", (*path, "of")
+        )
     if not isinstance(given["do"], list | tuple) or not given["do"]:
         raise ConflictError("`do` is a list of steps", (*path, "do"))
-    things = list(cast.of(given["of"]))
+    things = list(roles.objects_of(given["of"]))
     order = list(given.get("order", ()))
     if order:
         things = sorted(
-            (name for name in things if cast.kinds[name] in order), key=lambda name: order.index(cast.kinds[name])
+            (name for name in things if roles.config_names[name] in order),
+            key=lambda name: order.index(roles.config_names[name]),
         )
     skip = given.get("skip", 0)
     if not isinstance(skip, int) or skip < 0:
@@ -155,10 +160,12 @@ def _read_each(
     for number in range(skip, len(things)):
         inner = {**names, "it": things[number], "number": number} | ({"previous": things[number - 1]} if number else {})
         for k, step in enumerate(given["do"]):
-            yield from _read_step(step, cast, (*path, "do", k), inner)
+            yield from _read_step(step, roles, (*path, "do", k), inner)
 
 
-def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]) -> Skill:
+def _read_skill(
+    key: str, given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
+) -> Skill:
     if not isinstance(given, Mapping):
         raise ConflictError(f"`{key}` has keys of its own: {', '.join(SKILLS[key].model_fields)}", path)
     filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
@@ -175,14 +182,16 @@ def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], n
         elif first["type"] == "missing":
             message = "missing; add it"
         raise ConflictError(message, (*path, *first["loc"])) from error
-    known = {*cast.things, *(name for things in cast.things.values() for name in things), "table"}
+    known = {*roles.objects_by_role, *(name for things in roles.objects_by_role.values() for name in things), "table"}
     for argument, role in skill.roles():
         if role not in known:
             raise ConflictError(f"unknown role {role!r}; {suggest(role, sorted(known))}", (*path, argument))
     return skill
 
 
-def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: RecoveryLog) -> Iterator[Segment]:
+def run_program(
+    program: Sequence[Skill], context: PlanningContext, roles: RoleAssignment, log: RecoveryLog
+) -> Iterator[MotionSegment]:
     """Yield the segments of skills that run one after the other; a skill that fails is retried from the present state.
 
     Raises:
@@ -193,28 +202,28 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: Recover
     while number < len(program):
         skill = program[number]
         try:
-            yield from skill.run(bench, cast, program[number + 1 :])
+            yield from skill.run(context, roles, program[number + 1 :])
         except SkillFailedError as error:
             tries[number] = tries.get(number, 0) + 1
             if tries[number] >= _MAX_TRIES:
                 raise
-            log.recoveries.append(Recovery(number, _name(skill), str(error)))
+            log.recoveries.append(SkillRetry(number, _skill_name(skill), str(error)))
             # Arms without a free path stay where they are.
             with suppress(SkillFailedError):
-                yield from recover(bench)
+                yield from open_and_park_hands(context)
             if (
                 tries[number] == _TRIES_WITH_SAME_GRASP
-                and isinstance(skill, Placing)
+                and isinstance(skill, PlaceSkill)
                 and _last_picked(program[:number]) == skill.thing
             ):
                 with suppress(SkillFailedError):
-                    yield from put_back(bench, cast, skill.thing)
-            number = _retry_from(program, number, bench, cast)
+                    yield from put_down_failed_object(context, roles, skill.thing)
+            number = _retry_from(program, number, context, roles)
         else:
             number += 1
 
 
-def _name(skill: Skill) -> str:
+def _skill_name(skill: Skill) -> str:
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
@@ -223,7 +232,7 @@ def _last_picked(program: Sequence[Skill]) -> str | None:
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
-def _retry_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
+def _retry_from(program: Sequence[Skill], number: int, context: PlanningContext, roles: RoleAssignment) -> int:
     """Return the number of the step from which to continue after step `number` failed.
 
     If a step needs its thing in a hand and no hand holds the thing, the nearest earlier step that picks up the thing is
@@ -231,16 +240,16 @@ def _retry_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast)
     """
     if not program[number].NEEDS_HELD:
         return number
-    thing = _thing(program[number], cast)
-    if holder_of(bench, thing) is not None:
+    thing = _skill_object(program[number], roles)
+    if holding_hand(context, thing) is not None:
         return number
     takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
-    return next((k for k in takes if _thing(program[k], cast) == thing), number)
+    return next((k for k in takes if _skill_object(program[k], roles) == thing), number)
 
 
-def _thing(skill: Skill, cast: Cast) -> str:
+def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
     """Return the thing of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
-    return cast.one(skill.roles()[0][1])
+    return roles.object_of(skill.roles()[0][1])
 
 
 # s, typical simulated duration of each skill. Source: means of successful attempts at the shipped tasks. No shipped
@@ -272,10 +281,10 @@ def typical_ticks(task: ProgramTask) -> int:
     Raises:
         ConfigError: the task's program is not valid.
     """
-    seconds = sum(_seconds(skill) for skill in program_of(task, task.typical_cast))
-    return min(task.most_ticks, math.ceil(seconds / task.timing.tick))
+    seconds = sum(_typical_seconds(skill) for skill in build_program(task, task.typical_roles))
+    return min(task.max_ticks, math.ceil(seconds / task.timing.tick))
 
 
-def _seconds(skill: Skill) -> float:
+def _typical_seconds(skill: Skill) -> float:
     (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
     return SKILL_SECONDS[name] * (_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

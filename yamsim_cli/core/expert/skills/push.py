@@ -9,16 +9,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
-from ...files.documents.base import Positive
+from ...files.documents.config_base import Positive
 from ...files.documents.units import Reach
 from ...geometry.se3 import Array, pose, rotation_z
-from ...types import Cause
-from .base import Side, Skill
-from .bench import Bench, Fingers, Segment, SkillFailedError
-from .hand import PASSING, Hand
-from .moves import GRIP_TICKS, park_free, rest
+from .common_motions import GRIP_TICKS, park_free_hands, rest_segment
+from .hand import WAYPOINT_TOLERANCE, Hand
+from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from .skill import ArmSelector, Skill
 
 _START_GAP = 0.03  # m, between the thing and the fingers where they come down behind it
 _APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
@@ -48,57 +48,59 @@ class Push(Skill):
     thing: str
     to: tuple[Reach, Reach]
     radius: Positive = 0.02
-    arm: Side = "any"
+    arm: ArmSelector = "any"
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
+        thing = roles.object_of(self.thing)
         for _ in range(_MAX_PUSHES):
-            if self._distance(bench, thing) <= self.radius:
+            if self._distance(context, thing) <= self.radius:
                 return
-            yield from self._push(bench, thing)
-            yield rest(bench)
-        if (distance := self._distance(bench, thing)) > self.radius:
+            yield from self._push(context, thing)
+            yield rest_segment(context)
+        if (distance := self._distance(context, thing)) > self.radius:
             raise SkillFailedError(
-                Cause.OFF_TARGET, f"the {thing} was pushed to {distance * 1000:.0f} mm from its place"
+                FailureCause.OFF_TARGET, f"the {thing} was pushed to {distance * 1000:.0f} mm from its place"
             )
 
-    def _distance(self, bench: Bench, thing: str) -> float:
-        return float(np.linalg.norm(bench.world.pose(thing)[:2, 3] - self.to))
+    def _distance(self, context: PlanningContext, thing: str) -> float:
+        return float(np.linalg.norm(context.world.pose(thing)[:2, 3] - self.to))
 
-    def _push(self, bench: Bench, thing: str) -> Iterator[Segment]:
-        start = bench.world.pose(thing)[:2, 3]
+    def _push(self, context: PlanningContext, thing: str) -> Iterator[MotionSegment]:
+        start = context.world.pose(thing)[:2, 3]
         displacement = np.array(self.to) - start
         heading = math.atan2(displacement[1], displacement[0])
-        half = float(bench.half_outline(thing, -heading)[0])
+        half = float(context.half_footprint(thing, -heading)[0])
         direction = displacement / np.linalg.norm(displacement)
         first, last = start - direction * (half + _START_GAP), np.array(self.to) - direction * half
-        hands = bench.free_hands(self.arm)
+        hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
             for lean, turn in itertools.product(_LEANS, _TURNS):
-                found = self._reach(bench, hand, first, last, heading + turn, lean)
+                found = self._reach(context, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue
-                yield from park_free(bench, hand)
+                yield from park_free_hands(context, hand)
                 joints, T_first, T_last = found
-                closed = Fingers(0.0)
-                yield bench.segment({hand: bench.free_path(hand, joints)}, {hand: closed})
-                yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closed})
-                yield bench.segment({hand: bench.line(hand, T_first)})
-                yield bench.segment({hand: bench.line(hand, T_last, _PUSH_SPEED)})
+                closed = FingerTarget(0.0)
+                yield context.make_segment({hand: context.plan_free_path(hand, joints)}, {hand: closed})
+                yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closed})
+                yield context.make_segment({hand: context.plan_line(hand, T_first)})
+                yield context.make_segment({hand: context.plan_line(hand, T_last, _PUSH_SPEED)})
                 T_back = T_last.copy()
                 T_back[:2, 3] -= direction * _START_GAP
-                yield bench.segment({hand: bench.line(hand, T_back)})
+                yield context.make_segment({hand: context.plan_line(hand, T_back)})
                 T_back[2, 3] += _APPROACH_HEIGHT
-                yield bench.segment({hand: bench.line(hand, T_back)})
+                yield context.make_segment({hand: context.plan_line(hand, T_back)})
                 return
-        raise SkillFailedError(Cause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
 
     def _reach(
-        self, bench: Bench, hand: Hand, first: Array, last: Array, heading: float, lean: float
+        self, context: PlanningContext, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
         """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at start and end; else None."""
-        height = float(bench.world.bounds(TABLE)[1][2]) + _PUSH_HEIGHT
+        height = float(context.world.aabb(TABLE)[1][2]) + _PUSH_HEIGHT
         # Fingers down, the closing axis across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         c, s = math.cos(lean), math.sin(lean)
@@ -106,10 +108,14 @@ class Push(Skill):
         T_first, T_last = pose((*first, height), R), pose((*last, height), R)
         T_over = T_first.copy()
         T_over[2, 3] += _APPROACH_HEIGHT
-        over = hand.reach(T_over, (hand.joints, hand.ready), PASSING)
-        if over is None or bench.touched(hand, over, 0.0):
+        over = hand.solve_ik(T_over, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)
+        if over is None or context.find_contact(hand, over, 0.0):
             return None
-        begun = hand.reach(T_first, (over,), PASSING)
-        if begun is None or bench.touched(hand, begun, 0.0) or hand.reach(T_last, (begun,), PASSING) is None:
+        begun = hand.solve_ik(T_first, (over,), WAYPOINT_TOLERANCE)
+        if (
+            begun is None
+            or context.find_contact(hand, begun, 0.0)
+            or hand.solve_ik(T_last, (begun,), WAYPOINT_TOLERANCE) is None
+        ):
             return None
         return over, T_first, T_last

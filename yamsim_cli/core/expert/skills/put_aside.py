@@ -8,15 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...geometry.se3 import Array, pose, rotation_z, yaw
-from .base import Side, Skill, require_holder
-from .bench import Bench, Segment, SkillFailedError
+from .common_motions import release_and_retreat
 from .hand import Hand
-from .moves import let_go
 from .pick import Pick
-from .place import Placing
+from .place import PlaceSkill
+from .planning_context import MotionSegment, PlanningContext, SkillFailedError
+from .skill import ArmSelector, Skill, require_holding_hand
 
 # rad, headings relative to the present heading, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
@@ -25,7 +25,7 @@ _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 _RINGS, _DIRECTIONS = (0.0, 0.06, 0.12, 0.18), 8
 
 
-class PutAside(Placing):
+class PutAside(PlaceSkill):
     """Put a thing down on a free place of the table where no thing started: about as near to all acting arms, or if all
     such places are taken, near to where the hand holds the thing.
 
@@ -33,35 +33,37 @@ class PutAside(Placing):
         thing: a role; it is in a hand.
     """
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`."""
-        places = self._free_places(bench, thing, bench.middle_places())
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`."""
+        places = self._free_places(context, thing, context.central_places())
         if not places:
-            places = self._free_places(bench, thing, _ring_places(bench.world.pose(thing)[:2, 3]))
-        heading = yaw(bench.world.pose(thing))
+            places = self._free_places(context, thing, _places_in_rings(context.world.pose(thing)[:2, 3]))
+        heading = yaw(context.world.pose(thing))
         return [
-            pose((*place, bench.height_on(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
+            pose((*place, context.rest_height_over(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
             for place in places
             for turn in _TURNS
         ]
 
-    def _free_places(self, bench: Bench, thing: str, places: Sequence[Array]) -> list[Array]:
+    def _free_places(self, context: PlanningContext, thing: str, places: Sequence[Array]) -> list[Array]:
         return [
-            place for place in places if bench.is_free(thing, place) and not self._blocks_a_start(bench, thing, place)
+            place
+            for place in places
+            if context.is_place_free(thing, place) and not self._blocks_a_start(context, thing, place)
         ]
 
     @staticmethod
-    def _blocks_a_start(bench: Bench, thing: str, place: Array) -> bool:
+    def _blocks_a_start(context: PlanningContext, thing: str, place: Array) -> bool:
         """Return whether a thing at a point (2,) would overlap a start, to which a thing may have to return."""
-        radius = float(np.hypot(*bench.half_outline(thing, 0.0)))
+        radius = float(np.hypot(*context.half_footprint(thing, 0.0)))
         return any(
-            float(np.linalg.norm(bench.world.start(other)[:2, 3] - place))
-            < radius + float(np.hypot(*bench.half_outline(other, 0.0)))
-            for other in bench.world.things
+            float(np.linalg.norm(context.world.start_pose(other)[:2, 3] - place))
+            < radius + float(np.hypot(*context.half_footprint(other, 0.0)))
+            for other in context.world.things
         )
 
 
-def _ring_places(place: Array) -> list[Array]:
+def _places_in_rings(place: Array) -> list[Array]:
     """Return points (2,) in rings around a point, the nearest first, m."""
     angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     return [
@@ -71,28 +73,28 @@ def _ring_places(place: Array) -> list[Array]:
     ]
 
 
-def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
+def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
     """Put a thing down where there is room, else straight below, and add its grasp to the hand's `failed_grasps`.
 
     Raises:
         SkillFailedError: no hand holds the thing any more, or it cannot be lowered.
     """
-    hand = require_holder(bench, cast.one(role), "taken another way")
-    hand.failed_grasps.append(bench.update_held(hand))
+    hand = require_holding_hand(context, roles.object_of(role), "taken another way")
+    hand.failed_grasps.append(context.update_held(hand))
     try:
-        yield from PutAside(thing=role).run(bench, cast, ())
+        yield from PutAside(thing=role).run(context, roles, ())
     except SkillFailedError:
         if hand.held is None:
             raise
-        yield from _lower_straight(bench, hand, hand.held.thing)
+        yield from _lower_straight(context, hand, hand.held.thing)
 
 
-def _lower_straight(bench: Bench, hand: Hand, thing: str) -> Iterator[Segment]:
-    T, T_pinch = bench.world.pose(thing), hand.pinch_at(hand.joints)
-    table = float(bench.world.bounds(TABLE)[0][2])
-    T_pinch[2, 3] -= T[2, 3] - bench.obstacles.rest_height(bench.qpos, thing, T, table)
-    yield bench.segment({hand: bench.line(hand, T_pinch)})
-    yield from let_go(bench, hand, bench.clearance(thing))
+def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterator[MotionSegment]:
+    T, T_pinch = context.world.pose(thing), hand.pinch_pose(hand.joints)
+    table = float(context.world.aabb(TABLE)[0][2])
+    T_pinch[2, 3] -= T[2, 3] - context.collision_checker.rest_height(context.qpos, thing, T, table)
+    yield context.make_segment({hand: context.plan_line(hand, T_pinch)})
+    yield from release_and_retreat(context, hand, context.release_clearance(thing))
 
 
 class Regrasp(Skill):
@@ -107,9 +109,11 @@ class Regrasp(Skill):
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = True
     thing: str
-    arm: Side = "any"
+    arm: ArmSelector = "any"
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        yield from PutAside(thing=self.thing).run(bench, cast, ())
-        yield from Pick(thing=self.thing, arm=self.arm).run(bench, cast, ahead)
+        yield from PutAside(thing=self.thing).run(context, roles, ())
+        yield from Pick(thing=self.thing, arm=self.arm).run(context, roles, next_skills)

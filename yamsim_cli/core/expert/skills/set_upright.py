@@ -8,14 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...config.goals.cast import Cast
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...geometry.se3 import Array, pose, rotation_z, tilt
-from ...types import Cause
-from .base import Skill, holder_of
-from .bench import Bench, Segment, SkillFailedError
 from .pick import Pick
-from .place import Placing
+from .place import PlaceSkill
+from .planning_context import MotionSegment, PlanningContext, SkillFailedError
+from .skill import Skill, holding_hand
 
 _RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around where the thing lies
 _PLACES_PER_RING = 8  # count
@@ -25,7 +25,7 @@ _HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 _MAX_TILT = math.radians(10)  # rad, a thing that leans more has fallen over again
 
 
-class SetUpright(Placing):
+class SetUpright(PlaceSkill):
     """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp
     allows that, the thing is turned before.
 
@@ -35,39 +35,41 @@ class SetUpright(Placing):
 
     NEEDS_HELD: ClassVar[bool | None] = None
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing, pick = cast.one(self.thing), Pick(thing=self.thing)
-        if holder_of(bench, thing) is None:
+        thing, pick = roles.object_of(self.thing), Pick(thing=self.thing)
+        if holding_hand(context, thing) is None:
             try:
-                yield from pick.run(bench, cast, (self,))
+                yield from pick.run(context, roles, (self,))
             except SkillFailedError as error:
-                if error.cause is not Cause.UNREACHABLE or holder_of(bench, thing) is not None:
+                if error.cause is not FailureCause.UNREACHABLE or holding_hand(context, thing) is not None:
                     raise
                 turn_skill = Turn(thing=self.thing)
-                yield from pick.run(bench, cast, (turn_skill,))
-                yield from turn_skill.run(bench, cast, (pick,))
-                yield from pick.run(bench, cast, (self,))
-        yield from super().run(bench, cast, ahead)
+                yield from pick.run(context, roles, (turn_skill,))
+                yield from turn_skill.run(context, roles, (pick,))
+                yield from pick.run(context, roles, (self,))
+        yield from super().run(context, roles, next_skills)
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`."""
-        low, high = bench.world.bounds(thing)
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`."""
+        low, high = context.world.aabb(thing)
         middle = (low[:2] + high[:2]) / 2
         found = []
         for ring in _RINGS:
             for k in range(_PLACES_PER_RING if ring else 1):
                 angle = 2 * math.pi * k / _PLACES_PER_RING
                 place = middle + ring * np.array((math.cos(angle), math.sin(angle)))
-                if bench.is_free(thing, place):
-                    height = bench.height_on(thing, place, TABLE, 0.0)
+                if context.is_place_free(thing, place):
+                    height = context.rest_height_over(thing, place, TABLE, 0.0)
                     found += [pose((*place, height), rotation_z(heading)) for heading in _HEADINGS]
         return found
 
-    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
-        super()._check(bench, thing, onto, T_goal)
-        if (leans := tilt(bench.world.pose(thing)[:3, :3])) > _MAX_TILT:
-            raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
+    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
+        super()._check(context, thing, onto, T_goal)
+        if (leans := tilt(context.world.pose(thing)[:3, :3])) > _MAX_TILT:
+            raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
 # rad, deviations of the upper end from the direction towards the arms, in the order tried
@@ -77,19 +79,19 @@ _SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer pl
 _DROP_FROM = 0.2  # m over the table, from which the resting height is searched
 
 
-class Turn(Placing):
+class Turn(PlaceSkill):
     """Put a lying thing down in the same attitude, with its z axis towards the arms.
 
     Attributes:
         thing: a role; it is in a hand.
     """
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """See `Placing`."""
-        T, table = bench.world.pose(thing), float(bench.world.bounds(TABLE)[1][2])
-        low, high = bench.world.bounds(thing)
+    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+        """See `PlaceSkill`."""
+        T, table = context.world.pose(thing), float(context.world.aabb(TABLE)[1][2])
+        low, high = context.world.aabb(thing)
         middle = (low + high) / 2
-        towards = bench.middle - middle[:2]
+        towards = context.base_midpoint - middle[:2]
         towards /= np.linalg.norm(towards)
         found = []
         for shift in _SHIFTS:
@@ -99,6 +101,6 @@ class Turn(Placing):
                 origin = middle + R @ (T[:3, 3] - middle)
                 origin[:2] += shift * towards
                 T_goal = pose((*origin[:2], table + _DROP_FROM), R @ T[:3, :3])
-                T_goal[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_goal, table - _DROP_FROM)
+                T_goal[2, 3] = context.collision_checker.rest_height(context.qpos, thing, T_goal, table - _DROP_FROM)
                 found.append(T_goal)
         return found

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, FiniteFloat, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
-from .base import ordered
+from .config_base import require_ordered
 
 # The validation context of a recorded dataset's config, whose values stay valid when bounds change.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
@@ -33,7 +33,7 @@ _MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
 
 
 @dataclass(frozen=True)
-class Within:
+class QuantityBounds:
     """Marks a number as a quantity in `unit` between two bounds; with `or_zero`, it may also be 0."""
 
     unit: str
@@ -47,7 +47,7 @@ class Within:
         Raises:
             ValueError: the value is out of bounds; the text names the unit that was probably given.
         """
-        if self._holds(value) or as_recorded(info):
+        if self._holds(value) or is_recorded_config(info):
             return value
         raise ValueError(f"must lie in {self.low:.6g}..{self.high:.6g} {self.unit}{self._meant(value)}")
 
@@ -67,16 +67,16 @@ class Within:
         return handler(schema) | bounds | {"description": f"in {self.unit}"}
 
 
-def as_recorded(info: ValidationInfo | None) -> bool:
+def is_recorded_config(info: ValidationInfo | None) -> bool:
     """Whether the config of a recorded dataset is being validated."""
     return info is not None and info.context == AS_RECORDED
 
 
-def _not_in_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
     """Refuse a range whose ends are an eighth, a quarter, half or all of a turn in radians."""
     turns = [2 * math.pi / k for k in (1, 2, 4, 8)]
     ends = [abs(end) for end in value if end]
-    if not ends or as_recorded(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
+    if not ends or is_recorded_config(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
         return value
     low, high = (round(math.degrees(end)) for end in value)
     raise ValueError(
@@ -84,17 +84,21 @@ def _not_in_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-Place = Annotated[FiniteFloat, Within("m", -10, 10)]  # a coordinate in a station
-Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]  # of something in a station
-Offset = Annotated[FiniteFloat, Within("m", -1, 1)]  # a coordinate in the frame of a thing
-Distance = Annotated[FiniteFloat, Within("m", 0, 1)]  # a gap, or a height above something
-Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
-Heading = Annotated[FiniteFloat, Within("degrees", -360, 360)]
-FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]  # vertical; every value in radians is below the bound
-JointAngle = Annotated[FiniteFloat, Within("rad", -2 * math.pi, 2 * math.pi)]
-Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]  # a coordinate in the reach of an arm, relative to its place
+Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # a coordinate in a station
+Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # of something in a station
+Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # a coordinate in the frame of a thing
+Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # a gap, or a height above something
+Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
+Heading = Annotated[FiniteFloat, QuantityBounds("degrees", -360, 360)]
+FieldOfView = Annotated[
+    FiniteFloat, QuantityBounds("degrees", 4, 179)
+]  # vertical; every value in radians is below the bound
+JointAngle = Annotated[FiniteFloat, QuantityBounds("rad", -2 * math.pi, 2 * math.pi)]
+Reach = Annotated[
+    FiniteFloat, QuantityBounds("m", -2.5, 2.5)
+]  # a coordinate in the reach of an arm, relative to its place
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]
-ReachRange = Annotated[tuple[Reach, Reach], AfterValidator(ordered)]
-HeadingRange = Annotated[tuple[Heading, Heading], AfterValidator(ordered), AfterValidator(_not_in_radians)]
+ReachRange = Annotated[tuple[Reach, Reach], AfterValidator(require_ordered)]
+HeadingRange = Annotated[tuple[Heading, Heading], AfterValidator(require_ordered), AfterValidator(_refuse_radians)]

@@ -13,13 +13,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...files.documents.base import Config, ConflictError
-from ...files.documents.units import Within
+from ...files.documents.config_base import Config, ConflictError
+from ...files.documents.units import QuantityBounds
 from ...geometry.se3 import Array
 
-_Length = Annotated[FiniteFloat, Within("mm", 20, 300)]
-_Across = Annotated[FiniteFloat, Within("mm", 2, 100)]
-_Thickness = Annotated[FiniteFloat, Within("mm", 0.2, 10)]
+_Length = Annotated[FiniteFloat, QuantityBounds("mm", 20, 300)]
+_Across = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
+_Thickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.2, 10)]
 
 _SLENDER = 0.5  # largest thickness of a beam, as a share of the distance between two stations
 _TIP_STIFFNESS = 1e3  # stiffness of the solid tip in units of the walls' stretch: rigid in comparison
@@ -51,9 +51,9 @@ class FinRay(Config):
     wall_mm: _Thickness
     rib_mm: _Thickness
     ribs: int = Field(ge=2, le=16)
-    modulus_mpa: Annotated[FiniteFloat, Within("MPa", 1, 5000)]
-    density_kg_m3: Annotated[FiniteFloat, Within("kg/m3", 100, 3000)]
-    relaxation_ms: Annotated[FiniteFloat, Within("ms", 1, 100)]
+    modulus_mpa: Annotated[FiniteFloat, QuantityBounds("MPa", 1, 5000)]
+    density_kg_m3: Annotated[FiniteFloat, QuantityBounds("kg/m3", 100, 3000)]
+    relaxation_ms: Annotated[FiniteFloat, QuantityBounds("ms", 1, 100)]
 
     @model_validator(mode="after")
     def _has_valid_dimensions(self) -> FinRay:

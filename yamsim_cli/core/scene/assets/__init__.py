@@ -3,11 +3,11 @@
 Only `fetch` and `fetch_missing` use the network; `load_lock` and `AssetStore.resolve` read files.
 """
 
+from .asset_lock import AssetLock, AssetSet, LockedFile, Reduction, load_lock
+from .asset_store import AssetStore, FileStatus, is_user_set, publish_user_set, resolve_user_set
 from .fetch import FetchReport, default_sources, fetch, fetch_missing
-from .lock import AssetLock, AssetSet, LockedFile, Reduction, load_lock
-from .reduction import ReducedSet, find_reduced, make_reduced
+from .mesh_reduction import ReducedSet, find_reduced, make_reduced
 from .sources import FetchProgress, SourceError
-from .store import AssetStore, FileStatus, is_own, publish_own, resolve_own
 
 __all__ = [
     "AssetLock",
@@ -24,9 +24,9 @@ __all__ = [
     "fetch",
     "fetch_missing",
     "find_reduced",
-    "is_own",
+    "is_user_set",
     "load_lock",
     "make_reduced",
-    "publish_own",
-    "resolve_own",
+    "publish_user_set",
+    "resolve_user_set",
 ]

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import IO
 
 from ...files.writing import sha256_file
-from .child import ChildResult, run_child
-from .lock import Archive, AssetSet, is_contained
+from .asset_lock import Archive, AssetSet, is_contained
+from .asset_store import FileStatus, check_file
+from .child_process import ChildResult, run_child
 from .sources import FetchProgress, SourceError
-from .store import FileStatus, check_file
 
 
 @dataclass(frozen=True)
-class MadeHere:
+class GeneratedMeshes:
     """Generated meshes, which need no download: set -> file -> bytes."""
 
     made: Mapping[str, Mapping[str, bytes]]
@@ -34,7 +34,7 @@ class MadeHere:
         """The source's name in reports and errors."""
         return "made here"
 
-    def offers(self, assets: AssetSet) -> bool:
+    def has_set(self, assets: AssetSet) -> bool:
         """Whether the set is generated."""
         return assets.name in self.made
 
@@ -63,7 +63,7 @@ class Menagerie:
         """The source's name in reports and errors."""
         return "mujoco-menagerie"
 
-    def offers(self, assets: AssetSet) -> bool:
+    def has_set(self, assets: AssetSet) -> bool:
         """Whether Menagerie has the model of these meshes."""
         return assets.menagerie is not None
 
@@ -82,7 +82,7 @@ class Menagerie:
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
         if result.returncode != 0:
             raise SourceError((result.stderr.strip().splitlines() or ["failed without a word"])[-1][:300])
-        found = _pick(assets, Path(result.stdout.strip()))
+        found = _find_by_content(assets, Path(result.stdout.strip()))
         progress(label, assets.size, assets.size)
         return found
 
@@ -121,7 +121,7 @@ def _answers(host: tuple[str, int], timeout_s: float) -> bool:
     return connected.is_set()
 
 
-def _pick(assets: AssetSet, tree: Path) -> dict[str, bytes]:
+def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
     """The locked files of a folder tree, found by content, since Menagerie renames files and folders."""
     by_size: dict[int, list[Path]] = {}
     for path in sorted(tree.rglob("*")):
@@ -157,7 +157,7 @@ class PinnedArchives:
         """The source's name in reports and errors."""
         return "pip download"
 
-    def offers(self, assets: AssetSet) -> bool:
+    def has_set(self, assets: AssetSet) -> bool:
         """Whether the set is in one of the archives."""
         return assets.archive in self.archives
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from ...errors import ResourceError
 from ...files.writing import exclusive_lock
-from .downloads import MadeHere, Menagerie, PinnedArchives
-from .lock import AssetLock, AssetSet
+from .asset_lock import AssetLock, AssetSet
+from .asset_store import AssetStore, MismatchError
+from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 from .sources import AssetSource, FetchProgress, SourceError, no_progress
-from .store import AssetStore, MismatchError
 
 STORE = "store"  # the source, in a report, of a set that was in the store before
 
@@ -37,7 +37,7 @@ class FetchReport:
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
     """The sources, the most official first."""
-    return MadeHere(lock.made), Menagerie(), PinnedArchives(lock.archives)
+    return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
 def fetch(
@@ -68,7 +68,7 @@ def fetch(
     missing = [assets for assets in wanted if assets.name not in sets]
     failures = []
     if missing:
-        with store.writing() as staging:
+        with store.write_lock() as staging:
             for assets in missing:
                 try:
                     sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
@@ -100,7 +100,7 @@ def _obtain(
         return FetchedSet(assets.name, STORE, present)
     reasons = []
     for source in sources:
-        if not source.offers(assets):
+        if not source.has_set(assets):
             continue
         try:
             files = _read(source, assets, staging / uuid.uuid4().hex, progress)
@@ -142,7 +142,7 @@ def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, pr
         store.root.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(store.root / _LOCK):
             if made := [name for name in names if name in lock.made]:
-                fetch(lock, made, store, (MadeHere(lock.made),))
+                fetch(lock, made, store, (GeneratedMeshes(lock.made),))
             if downloaded := [name for name in names if name not in lock.made]:
                 _download(lock, downloaded, store, progress)
     except OSError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from .lock import AssetSet
+from .asset_lock import AssetSet
 
 
 class SourceError(Exception):
@@ -30,7 +30,7 @@ class AssetSource(Protocol):
     def name(self) -> str:
         """The source's name in reports and errors."""
 
-    def offers(self, assets: AssetSet) -> bool:
+    def has_set(self, assets: AssetSet) -> bool:
         """Whether the source may have the set; without I/O."""
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:

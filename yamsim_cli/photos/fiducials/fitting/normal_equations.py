@@ -11,11 +11,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, descend
+from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
 
-from .print_view import Drawing, PrintView, draw_print
-from .smear import Smear, slopes_of
+from .blur_kernel import BlurKernel, picture_gradients
+from .print_view import PhotoRegion, RenderedPrint, draw_print
 
 _MIN_TILE_PIXELS = 12  # fewest pixels of a tile that is compared
 _LEAST_BESIDE = 1e-4  # sum of squared shares smeared in from beside the print, below which a tile is unaffected
@@ -31,22 +31,22 @@ _NOT_WORTH_A_TRY = 1.0  # standard deviations: where only the cost is wanted, a 
 
 
 @dataclass(frozen=True)
-class Tile:
+class MarkerTile:
     """A marker and half the gap around it.
 
     Attributes:
         correlation: of drawing and photo, -1..1.
         shift: offset (px, right and down) of the photo from the drawing.
-        unexplained: mean squared residual after that shift, grey levels squared.
+        residual_variance: mean squared residual after that shift, grey levels squared.
     """
 
     correlation: float
     shift: tuple[float, float]
-    unexplained: float
+    residual_variance: float
 
 
 @dataclass(frozen=True)
-class Pixels:
+class PixelDerivatives:
     """The compared pixels, and the derivatives of the drawn print there.
 
     Attributes:
@@ -61,64 +61,64 @@ class Pixels:
     by_shift: Array
 
 
-def linearized(
-    view: PrintView, plane: Array, smear: Smear, columns: Callable[[Pixels], Array]
-) -> tuple[Array, Array, dict[int, Tile]] | None:
+def linearize_print(
+    view: PhotoRegion, plane: Array, blur: BlurKernel, columns: Callable[[PixelDerivatives], Array]
+) -> tuple[Array, Array, dict[int, MarkerTile]] | None:
     """Residuals and their Jacobian without each tile's brightness and contrast, and the tiles.
 
     Args:
         plane: where the print lies, as for `draw_print`.
-        smear: in the photo's pixels.
+        blur: in the photo's pixels.
         columns: the drawing's derivatives (n, k) by the parameters that move the print.
 
     Returns:
         Residuals (n,), Jacobian (n, 3 + k) by blur, motion and these parameters, and marker -> tile; None where too few
         pixels show the print.
     """
-    smear = smear.in_larger_pixels(view.coarser)
-    drawing = draw_print(view, plane, smear)
+    blur = blur.in_larger_pixels(view.coarser)
+    drawing = draw_print(view, plane, blur)
     tile = _tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
         return None
     seen, drawn = view.photo.ravel()[use], drawing.grey.ravel()[use]
     beside = np.zeros((len(seen), 0), np.float32)
-    slopes, by_blur, by_motion = _changes(drawing.sharp, drawing.grey, smear, use)
+    slopes, by_blur, by_motion = _picture_derivatives(drawing.sharp, drawing.grey, blur, use)
     if drawing.beside is not None and drawing.outside is not None:
         beside = drawing.beside.reshape(-1, 2)[use]
         # The surroundings are smeared into the print by the same lens, and move with the print.
-        for side, strength in enumerate(_strengths(seen, drawn, beside, tile[use]).T):
+        for side, strength in enumerate(_surroundings_brightness(seen, drawn, beside, tile[use]).T):
             outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
-            more = _changes(outside, smeared, smear, use)
+            more = _picture_derivatives(outside, smeared, blur, use)
             slopes, by_blur, by_motion = (
                 of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
                 for of_print, of_side in zip((slopes, by_blur, by_motion), more, strict=True)
             )
     by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
-    pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
+    pixels = PixelDerivatives(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
     by_all = np.column_stack([by_blur / view.coarser, by_motion / view.coarser, columns(pixels), pixels.by_shift])
-    return _without_light(seen, drawn, beside, by_all, tile[use])
+    return _project_out_light(seen, drawn, beside, by_all, tile[use])
 
 
-def _changes(
-    sharp: NDArray[np.float32], smeared: NDArray[np.float32], smear: Smear, use: NDArray[np.bool_]
+def _picture_derivatives(
+    sharp: NDArray[np.float32], smeared: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
     """Derivatives of a picture's used pixels: slopes (n, 2), by the blur (n,) and by the motion (n, 2)."""
-    slopes = np.stack([slope.ravel()[use] for slope in slopes_of(smeared)], axis=-1).astype(np.float64)
-    by_blur = smear.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
+    slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(smeared)], axis=-1).astype(np.float64)
+    by_blur = blur.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
-    if smear.length:
-        by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(sharp)], axis=-1)
+    if blur.length:
+        by_motion[:] = np.stack([by.ravel()[use] for by in blur.by_motion(sharp)], axis=-1)
     return slopes, by_blur, by_motion
 
 
-def _strengths(
-    photo: NDArray[np.float32], drawn: NDArray[np.float32], beside: NDArray[np.float32], tile: NDArray[np.int_]
+def _surroundings_brightness(
+    photo: NDArray[np.float32], drawn: NDArray[np.float32], predicted_poses: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
     """Brightness (n, sides) of the surroundings at each pixel's tile, in units of the print's contrast."""
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
-    every = np.column_stack([drawn, beside, photo])[order].astype(np.float64)
+    every = np.column_stack([drawn, predicted_poses, photo])[order].astype(np.float64)
     every -= (np.add.reduceat(every, starts) / np.bincount(which)[:, None])[which]
     shapes = every.shape[1] - 1
     first, second = np.tril_indices(shapes + 1)
@@ -133,12 +133,12 @@ def _strengths(
     found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
     contrast = found[:, :1]
     of_tile = np.where(contrast > _LEAST_CONTRAST, found[:, 1:] / np.maximum(contrast, _LEAST_CONTRAST), 0.0)
-    strengths = np.empty(beside.shape)
+    strengths = np.empty(predicted_poses.shape)
     strengths[order] = of_tile[which]
     return strengths
 
 
-def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
+def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
     """The marker (n,) at each pixel, -1 for none and for markers of too few pixels."""
     board, marker = view.piece.board, drawing.marker.copy()
     counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
@@ -146,13 +146,13 @@ def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
     return marker
 
 
-def _without_light(
+def _project_out_light(
     photo: NDArray[np.float32],
     drawn: NDArray[np.float32],
-    beside: NDArray[np.float32],
+    predicted_poses: NDArray[np.float32],
     columns: Array,
     tile: NDArray[np.int_],
-) -> tuple[Array, Array, dict[int, Tile]]:
+) -> tuple[Array, Array, dict[int, MarkerTile]]:
     """Residuals and Jacobian with each tile's light projected out (variable projection).
 
     The light is the tile's brightness, its contrast, and what is smeared in from beside the print. The last two columns
@@ -166,9 +166,9 @@ def _without_light(
         return np.add.reduceat(values, starts, axis=0)
 
     # Photo, drawing and derivatives, less each tile's mean and the surroundings.
-    every = np.column_stack([beside, photo, drawn, columns])[order].astype(np.float64)
+    every = np.column_stack([predicted_poses, photo, drawn, columns])[order].astype(np.float64)
     every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
-    sides = beside.shape[1]
+    sides = predicted_poses.shape[1]
     for side in range(sides):
         strange = every[:, side].copy()
         power = of_tiles(strange**2)
@@ -190,18 +190,18 @@ def _without_light(
     shifted = shifts[:, 0] * xr + shifts[:, 1] * yr
     unexplained = (of_tiles(residual**2) - shifted) / of_tiles(np.ones(len(residual)))
     tiles = {
-        int(number): Tile(float(alike), (float(right), float(down)), float(left))
+        int(number): MarkerTile(float(alike), (float(right), float(down)), float(left))
         for number, alike, (right, down), left in zip(numbers, correlation, shifts, unexplained, strict=True)
     }
     return residual, slopes[:, :-2], tiles
 
 
-Part = tuple[Array, Array, dict[int, Tile]]
+Part = tuple[Array, Array, dict[int, MarkerTile]]
 S = TypeVar("S")
 
 
 @dataclass(frozen=True)
-class System:
+class NormalEquations:
     """Normal equations over all parameters, and measures of the residuals.
 
     Attributes:
@@ -217,7 +217,7 @@ class System:
     weight: float
     pixels: int
     noise: float
-    tiles: tuple[dict[int, Tile], ...]
+    tiles: tuple[dict[int, MarkerTile], ...]
     free: tuple[int, ...]
 
     @property
@@ -236,21 +236,21 @@ class System:
         return self.misfit / self.weight
 
 
-class PrintProblem(LeastSquares[S, System]):
+class PrintProblem(LeastSquares[S, NormalEquations]):
     """Least squares over the pixels of prints; `roughly` where only the cost is wanted."""
 
     def __init__(self, roughly: bool = False) -> None:
         self._roughly = roughly
 
     @abstractmethod
-    def system(self, state: S, noise: float | None) -> System | None:
+    def system(self, state: S, noise: float | None) -> NormalEquations | None:
         """Normal equations at a state; residuals are weighted for a given noise, or for the noise found."""
 
     @abstractmethod
     def moved_px(self, state: S, step: Array) -> float:
         """The approximate shift of the print in the picture by a step (f,), px."""
 
-    def linearized(self, state: S, before: System | None) -> System | None:
+    def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
         """The system at a state, weighted for the noise known before."""
         if before is None:
             return self.system(state, None)
@@ -260,7 +260,7 @@ class PrintProblem(LeastSquares[S, System]):
         # Weights change only with the next state, so that both costs of a step are weighted alike.
         return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
 
-    def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: S, known: NormalEquations, step: Array, gain: Array) -> bool:
         """Whether the last step hardly moved the print."""
         px, sigmas = _NEARLY if self._roughly else _CONVERGED
         of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _LEAST_NOISE)
@@ -268,12 +268,14 @@ class PrintProblem(LeastSquares[S, System]):
             return True
         return of_noise < sigmas or self.moved_px(state, step) < px
 
-    def solve(self, start: S) -> tuple[S, System] | None:
+    def solve(self, start: S) -> tuple[S, NormalEquations] | None:
         """The best state near a start, and the equations there; None where the photo does not show the print."""
-        return descend(self, start, _MOST_STEPS)
+        return solve_least_squares(self, start, _MOST_STEPS)
 
 
-def weighed(parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]) -> System | None:
+def combine_equations(
+    parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]
+) -> NormalEquations | None:
     """Normal equations of all parts together; None where a part shows nothing."""
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
@@ -285,7 +287,7 @@ def weighed(parts: Sequence[Part | None], noise: float | None, free: tuple[int, 
     noise = max(noise, _LEAST_NOISE)
     weight = np.minimum(1.0, _HUBER * noise / np.maximum(np.abs(residual), 1e-9))
     weighted = jacobian * weight[:, None]
-    return System(
+    return NormalEquations(
         weighted.T @ jacobian + 1e-12 * np.eye(jacobian.shape[1]),
         weighted.T @ residual,
         float(weight @ residual**2),

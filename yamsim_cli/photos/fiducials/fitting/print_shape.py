@@ -99,7 +99,7 @@ def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> lis
     return [(always, flat, 1 - _BENT_SHARE - creased), (always, bent, _BENT_SHARE), *folded]
 
 
-def marginalized(
+def marginalize_modes(
     normal: Array,
     gradient: Array,
     variance: float,

@@ -15,8 +15,8 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import board_image, marker_cells
 
-from ...lens import project_points, ray_field
-from .smear import Smear
+from ...lens_distortion import project_points, viewing_ray_grid
+from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]
 
@@ -41,13 +41,13 @@ class PrintPiece:
     markers: tuple[int, ...]
 
 
-def piece_of(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
+def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
     """A board alone, in its own frame, with some or all of its markers."""
     return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
-class PrintView:
+class PhotoRegion:
     """The part of the photo that shows a piece, and what stays the same while the pose moves.
 
     Attributes:
@@ -69,7 +69,7 @@ class PrintView:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class RenderedPrint:
     """The print as the camera sees it.
 
     Attributes:
@@ -91,13 +91,13 @@ class Drawing:
     marker: NDArray[np.int_]
 
 
-def plane_of(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
+def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
     """The matrix (3, 3) from a piece's print, (x, y, 1) in m, to the camera's frame, at a pose and a size of print."""
     plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
     return plane
 
 
-def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PrintView | None:
+def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
     """The part of a photo (height, width) in which a piece lies.
 
     Args:
@@ -128,14 +128,14 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
     rows, columns = crop.shape
     x = low[0] + (np.arange(columns * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
     y = low[1] + (np.arange(rows * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
-    field = ray_field(camera, x, y)
+    field = viewing_ray_grid(camera, x, y)
     pattern, pattern_px_per_metre = _pattern(board, px_per_metre / coarser * cell * _FINE)
     middle = slice(_FINE // 2, None, _FINE)
     span = (_FINE - 1) / _FINE
     by_x = (field[middle, _FINE - 1 :: _FINE] - field[middle, ::_FINE]) / span
     by_y = (field[_FINE - 1 :: _FINE, middle] - field[::_FINE, middle]) / span
     ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
-    return PrintView(
+    return PhotoRegion(
         piece,
         np.ascontiguousarray(crop, dtype=np.float32),
         coarser,
@@ -188,40 +188,40 @@ def _reduced(board: Board, coarser: int) -> Grey:
     return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
+def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
     """Draw a piece.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
-        smear: in the view's pixels.
+        blur: in the view's pixels.
     """
     onto_board: Array = np.linalg.inv(plane).astype(np.float64)
     board = view.piece.board
-    x, y = fine_places(view, onto_board)
+    x, y = fine_board_points(view, onto_board)
     scale = np.float32(view.px_per_metre)
     map_x = (x + np.float32(board.width / 2)) * scale - np.float32(0.5)
     map_y = (np.float32(board.height / 2) - y) * scale - np.float32(0.5)
     fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (view.photo.shape[1], view.photo.shape[0])
     outside = beside = None
-    if smear.reach < _SHARP_REACH:
+    if blur.radius < _SHARP_REACH:
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        grey = smear.of(sharp)
+        grey = blur.blurred(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
         # Past a corner, each side has half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
-        smeared = smear.of(every)
+        smeared = blur.blurred(every)
         sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(smeared[..., 0])
         outside, beside = every[..., 1:], smeared[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return Drawing(sharp, grey, outside, beside, at, _marker_at(view, at, smear))
+    return RenderedPrint(sharp, grey, outside, beside, at, _marker_at(view, at, blur))
 
 
-def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
+def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]:
     """The places on the board (m, right and up) of the points at which the print is drawn.
 
     Args:
@@ -236,7 +236,7 @@ def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
     return x, y
 
 
-def _marker_at(view: PrintView, at: Array, smear: Smear) -> NDArray[np.int_]:
+def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
     """The piece's marker, with half the gap around, that each pixel shows; -1 for none.
 
     Also -1 near other parts of the picture, such as the table or a hand, that may be blurred into the pixel.
@@ -250,7 +250,7 @@ def _marker_at(view: PrintView, at: Array, smear: Smear) -> NDArray[np.int_]:
     compared = np.zeros(board.rows * board.columns, dtype=bool)
     compared[list(view.piece.markers)] = True
     inside &= compared[marker]
-    reach = 1 + round(smear.reach)
+    reach = 1 + round(blur.radius)
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     mask = inside.reshape(view.photo.shape).astype(np.uint8)
     clear = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, descend
+from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
 
-from .outline import Outline
+from .board_outline import BoardOutline
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -26,7 +26,7 @@ _MOST_BEND = 3.0  # longer sides, shift by distortion with k1 = 1 above which ro
 _MOST_TURN = 0.5  # rad, longest turn of one step
 
 
-def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
+def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
     """The two poses that a flat board may have, for each focal length.
 
     Lengths in the picture are in its longer side, those on the board in its width.
@@ -38,7 +38,7 @@ def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[Boa
     return [BoardPoses(on_board, seen, whiten, spread, first) for first in _starts(on_board, seen, spread)]
 
 
-def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
+def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
     """Two sets of poses to start from, a pose for each focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
@@ -51,7 +51,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
     sizes = 1 / (shifts[..., 2] * spread)
-    return [Poses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
+    return [FocalPoses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
 
 
 def _flat_moves(points: Array) -> Array:
@@ -74,7 +74,7 @@ def _inverses(matrices: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Poses:
+class FocalPoses:
     """A pose of one board for each of n focal lengths.
 
     Attributes:
@@ -90,7 +90,7 @@ class Poses:
 R = TypeVar("R", bound="DataclassInstance")
 
 
-def choose(take: NDArray[np.bool_], one: R, other: R) -> R:
+def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
     """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
     arrays = zip(vars(one).items(), vars(other).values(), strict=True)
     return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
@@ -103,7 +103,7 @@ class BoardPoses:
     (middle + size y_xy) / (1 + spread size y_z), which stays regular for infinitely long lenses.
     """
 
-    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: Poses) -> None:
+    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
         self.first = first
         line = np.linspace(-0.5, 0.5, _GRID)
@@ -111,16 +111,16 @@ class BoardPoses:
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
-    def followed(self, poses: Poses, lens: Array) -> Poses:
+    def followed(self, poses: FocalPoses, lens: Array) -> FocalPoses:
         """The poses near given ones that explain the outline best, seen through a lens (n, 3)."""
         _, _, by_lens = self.equations(poses, lens)
         # The effect of distortion hardly changes during the steps.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
-        found = descend(_BoardPosesProblem(self, lens, bend), poses, _STEPS)
+        found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _STEPS)
         assert found is not None  # the equations exist at every state
         return found[0]
 
-    def _bend(self, poses: Poses, at: Array, w: Array) -> Array:
+    def _bend(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         """Shifts (n, 4, 2) of the four points of the outline by distortion with k1 = 1.
 
         The outline is the homography nearest to the whole board's picture, which distortion curves. So distortion is
@@ -138,14 +138,14 @@ class BoardPoses:
         possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
-    def _by_board(self, poses: Poses, at: Array, w: Array) -> Array:
+    def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
         axes = poses.turns[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
-    def equations(self, poses: Poses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
+    def equations(self, poses: FocalPoses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
         """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
 
         Args:
@@ -195,17 +195,17 @@ class _Linear:
         return gradient
 
 
-class _BoardPosesProblem(LeastSquares[Poses, _Linear]):
+class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
     """Least squares over the poses, separately at each focal length, with fixed shifts by distortion."""
 
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
         self._board, self._lens, self._bend = board, lens, bend
 
-    def linearized(self, state: Poses, before: _Linear | None) -> _Linear:
+    def linearize(self, state: FocalPoses, before: _Linear | None) -> _Linear:
         residual, by_pose, _ = self._board.equations(state, self._lens, self._bend)
         return _Linear(residual, by_pose)
 
-    def moved(self, state: Poses, step: Array) -> Poses:
+    def apply_step(self, state: FocalPoses, step: Array) -> FocalPoses:
         angle = np.linalg.norm(step[:, :3], axis=1)
         axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
         angle = np.minimum(angle, _MOST_TURN)
@@ -213,16 +213,16 @@ class _BoardPosesProblem(LeastSquares[Poses, _Linear]):
         cross[:, [2, 0, 1], [1, 2, 0]] = axis
         cross[:, [1, 2, 0], [2, 0, 1]] = -axis
         sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
-        return Poses(
+        return FocalPoses(
             (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.turns,
             state.middles + np.clip(step[:, 3:5], -1, 1),
             state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
         )
 
-    def settled(self, state: Poses, known: _Linear, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: FocalPoses, known: _Linear, step: Array, gain: Array) -> bool:
         return bool((gain < _NO_GAIN * (1 + known.cost)).all())
 
-    def better_of(
-        self, better: NDArray[np.bool_], there: tuple[Poses, _Linear], here: tuple[Poses, _Linear]
-    ) -> tuple[Poses, _Linear]:
-        return choose(better, there[0], here[0]), choose(better, there[1], here[1])
+    def select_better(
+        self, better: NDArray[np.bool_], there: tuple[FocalPoses, _Linear], here: tuple[FocalPoses, _Linear]
+    ) -> tuple[FocalPoses, _Linear]:
+        return select_rows(better, there[0], here[0]), select_rows(better, there[1], here[1])

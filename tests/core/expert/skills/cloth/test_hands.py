@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.programs import FOLD, first_attempt, session_of
-from yamsim_cli.core.episode.engine import demonstrate
+from yamsim_cli.core.episode.execution import demonstrate
 from yamsim_cli.core.episode.simulator import Simulators
-from yamsim_cli.core.expert.skills.cloth import hands, reach
+from yamsim_cli.core.expert.skills.cloth import cloth_motions as hands
+from yamsim_cli.core.expert.skills.cloth import point_grasps as reach
 
 
 @pytest.mark.slow

@@ -8,15 +8,15 @@ import numpy as np
 
 from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.episode.simulator import Simulators
-from yamsim_cli.core.expert.skills.cloth.reach import PointPlacement, at_place, reachable_grasps
+from yamsim_cli.core.expert.skills.cloth.point_grasps import PointPlacement, reachable_grasps, target_at_place
 
 
 def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         bench = bench_at_start(simulators)
-        flat = bench.world.points("napkin")
+        flat = bench.world.cloth_points("napkin")
         place, around = flat[4, 8], ([3, 3, 4, 5, 5], [8, 7, 7, 7, 8])
-        alone, all_of_it = (PointPlacement((4, 8), at_place(place), alone=alone) for alone in (True, False))
+        alone, all_of_it = (PointPlacement((4, 8), target_at_place(place), alone=alone) for alone in (True, False))
         assert reachable_grasps(bench, "napkin", [alone], flat) is not None
         # The next points come nearer, and up by 1 and then by 4 cm.
         standing = flat.copy()
@@ -26,4 +26,4 @@ def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_
         assert reachable_grasps(bench, "napkin", [alone], standing) is None
         # What is folded is taken with all that lies there.
         assert reachable_grasps(bench, "napkin", [all_of_it], standing) is not None
-        assert np.array_equal(bench.world.points("napkin"), flat)
+        assert np.array_equal(bench.world.cloth_points("napkin"), flat)

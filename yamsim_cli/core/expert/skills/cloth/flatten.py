@@ -8,24 +8,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.geometry.smoothing import (
+from yamsim_cli.core.attempt_data import FailureCause
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.geometry.cloth_flattening import (
+    ClothPull,
     Point,
-    Pull,
     candidate_pulls,
-    height,
+    height_range,
     max_displacement,
-    side_of,
+    square_side,
     unevenness,
 )
-from yamsim_cli.core.types import Cause
+from yamsim_cli.core.geometry.se3 import Array
 
-from ..base import Skill
-from ..bench import Bench, Segment, SkillFailedError
-from ..moves import recover
-from .hands import carry, predicted_points
-from .reach import PointGrasp, PointPlacement, at_place, reachable_grasps
+from ..common_motions import open_and_park_hands
+from ..planning_context import MotionSegment, PlanningContext, SkillFailedError
+from ..skill import Skill
+from .cloth_motions import carry_points, predicted_points
+from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
 FLAT_LAYERS = 3.5  # layers, largest height of cloth that counts as flat
 FLAT_DISPLACEMENT = 0.06  # share of the side, largest distance of a point from its place in flat cloth
@@ -49,8 +49,8 @@ class _PlannedPull:
     """A pull within reach, with its grasps and the predicted unevenness after it."""
 
     grasps: list[PointGrasp]
-    pull: Pull
-    uneven: float
+    pull: ClothPull
+    predicted_unevenness: float
 
 
 class Flatten(Skill):
@@ -65,22 +65,26 @@ class Flatten(Skill):
     OF_CLOTH: ClassVar[bool] = True
     thing: str
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        yield from flatten_cloth(bench, thing)
-        if not _is_flat(bench, thing, FLAT_LAYERS, FLAT_DISPLACEMENT):
-            high = 1000 * height(bench.world.points(thing))
-            raise SkillFailedError(Cause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high")
+        thing = roles.object_of(self.thing)
+        yield from flatten_cloth(context, thing)
+        if not _is_flat(context, thing, FLAT_LAYERS, FLAT_DISPLACEMENT):
+            high = 1000 * height_range(context.world.cloth_points(thing))
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high"
+            )
 
 
 def flatten_cloth(
-    bench: Bench,
+    context: PlanningContext,
     thing: str,
     layers: float = FLAT_LAYERS,
     displacement: float = FLAT_DISPLACEMENT,
     max_pulls: int = _MAX_PULLS,
-) -> Iterator[Segment]:
+) -> Iterator[MotionSegment]:
     """Pull a cloth until it lies flat, no pull makes it flatter, or `max_pulls` have been made.
 
     Args:
@@ -90,17 +94,17 @@ def flatten_cloth(
     Raises:
         SkillFailedError: hands missed the points of the last pull.
     """
-    cloth, missed = bench.world.cloth(thing), list[Array]()
+    cloth, missed = context.world.cloth_addresses(thing), list[Array]()
     miss: SkillFailedError | None = None
     for _ in range(max_pulls):
-        if _is_flat(bench, thing, layers, displacement):
+        if _is_flat(context, thing, layers, displacement):
             return
-        points = bench.world.points(thing)
-        planned = _best_pull(bench, thing, missed)
+        points = context.world.cloth_points(thing)
+        planned = _best_pull(context, thing, missed)
         if planned is None:
             # Hands that are still over the cloth block each other.
-            yield from recover(bench)
-            planned = _best_pull(bench, thing, missed, _RETRY_SCALE)
+            yield from open_and_park_hands(context)
+            planned = _best_pull(context, thing, missed, _RETRY_SCALE)
         if planned is None:
             break
         before, tried = (
@@ -108,34 +112,36 @@ def flatten_cloth(
             [points[point] for point in planned.pull.points],
         )
         try:
-            yield from carry(bench, thing, planned.grasps, planned.pull.arch, _PULL_SPEED)
+            yield from carry_points(context, thing, planned.grasps, planned.pull.arch_ratio, _PULL_SPEED)
             miss = None
         except SkillFailedError as error:
             miss = error
             missed += tried
-            yield from recover(bench)
-        if unevenness(bench.world.points(thing), cloth.rest, cloth.thickness) > (1 - _MIN_IMPROVEMENT) * before:
+            yield from open_and_park_hands(context)
+        if unevenness(context.world.cloth_points(thing), cloth.rest, cloth.thickness) > (1 - _MIN_IMPROVEMENT) * before:
             # A pull without effect would be planned again.
             missed += tried
-    if miss is not None and not _is_flat(bench, thing, layers, displacement):
+    if miss is not None and not _is_flat(context, thing, layers, displacement):
         raise miss
 
 
-def _is_flat(bench: Bench, thing: str, layers: float, displacement: float) -> bool:
+def _is_flat(context: PlanningContext, thing: str, layers: float, displacement: float) -> bool:
     """Whether a cloth lies flat; see `flatten_cloth`."""
-    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
-    level = height(points) + cloth.thickness <= layers * cloth.thickness
-    return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * side_of(cloth.rest)
+    cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
+    level = height_range(points) + cloth.thickness <= layers * cloth.thickness
+    return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * square_side(cloth.rest)
 
 
-def _best_pull(bench: Bench, thing: str, missed: Sequence[Array], scale: float = 1.0) -> _PlannedPull | None:
+def _best_pull(
+    context: PlanningContext, thing: str, missed: Sequence[Array], scale: float = 1.0
+) -> _PlannedPull | None:
     """The pull with the flattest simulated result; None if no pull makes the cloth flatter.
 
     Args:
         missed: places (3,) of missed points, near which no pull is tried.
         scale: see `candidate_pulls`.
     """
-    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
+    cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness
     best: _PlannedPull | None = None
     for pull in candidate_pulls(points, cloth.rest, thickness, cloth.spacing, scale):
@@ -144,26 +150,29 @@ def _best_pull(bench: Bench, thing: str, missed: Sequence[Array], scale: float =
         grasps = next(
             filter(
                 None,
-                (reachable_grasps(bench, thing, _placements(points, pull, share, thickness)) for share in _PULL_SHARES),
+                (
+                    reachable_grasps(context, thing, _point_placements(points, pull, share, thickness))
+                    for share in _PULL_SHARES
+                ),
             ),
             None,
         )
         if grasps is None:
             continue
-        after = predicted_points(bench, thing, grasps, pull.arch, _PULL_SPEED)
+        after = predicted_points(context, thing, grasps, pull.arch_ratio, _PULL_SPEED)
         uneven = unevenness(after, cloth.rest, thickness)
-        if best is None or uneven < best.uneven:
+        if best is None or uneven < best.predicted_unevenness:
             best = _PlannedPull(grasps, pull, uneven)
     now, improvement = unevenness(points, cloth.rest, thickness), scale * _MIN_IMPROVEMENT
-    return None if best is None or best.uneven > (1 - improvement) * now else best
+    return None if best is None or best.predicted_unevenness > (1 - improvement) * now else best
 
 
-def _placements(points: Array, pull: Pull, share: float, thickness: float) -> list[PointPlacement]:
+def _point_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
     """The points of a pull, each with the target at a share of its path."""
     placements = []
-    for point, to in zip(pull.points, pull.to, strict=True):
+    for point, to in zip(pull.points, pull.targets, strict=True):
         place = _on_cloth(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
-        placements.append(PointPlacement(point, at_place(place), alone=True))
+        placements.append(PointPlacement(point, target_at_place(place), alone=True))
     return placements
 
 

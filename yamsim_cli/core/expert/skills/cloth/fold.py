@@ -7,16 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from yamsim_cli.core.config.goals.cast import Cast
-from yamsim_cli.core.geometry.folding import Fold as FoldKind
-from yamsim_cli.core.geometry.folding import Move, fold_plans
+from yamsim_cli.core.attempt_data import FailureCause
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.geometry.cloth_folding import Fold as FoldKind
+from yamsim_cli.core.geometry.cloth_folding import Move, fold_plans
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.types import Cause
 
-from ..base import Skill
-from ..bench import Bench, Segment, SkillFailedError
-from .hands import SPEED, carry
-from .reach import PointGrasp, PointPlacement, onto_point, reachable_grasps
+from ..planning_context import MotionSegment, PlanningContext, SkillFailedError
+from ..skill import Skill
+from .cloth_motions import SPEED, carry_points
+from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_on_point
 
 _LAYERED_SPEED = 0.08  # m/s, of folds after the first: several layers come apart at a higher speed
 _PLACED = 0.02  # m, horizontal distance from its target below which a corner counts as placed already
@@ -39,40 +39,42 @@ class Fold(Skill):
     how: FoldKind = "half"
 
     @property
-    def hands(self) -> int:
+    def hand_count(self) -> int:
         """The number of hands that the fold needs."""
         return 1 if self.how == "diagonal" else 2
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """The kind of fold, as a phrase."""
         return {"half": "in half", "diagonal": "along a diagonal", "thirds": "in thirds"}[self.how]
 
-    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
         """See `Skill`."""
-        thing = cast.one(self.thing)
-        rows, columns = bench.world.points(thing).shape[:2]
+        thing = roles.object_of(self.thing)
+        rows, columns = context.world.cloth_points(thing).shape[:2]
         plans = [plan.moves for plan in fold_plans(self.how, rows, columns)]
         last = len(plans[0]) - 1
         for number in range(last + 1):
-            points = bench.world.points(thing)
-            plans = [moves for moves in plans if all(_is_done(points, move) for move in moves[:number])]
-            if number < last and any(_is_done(points, moves[number]) for moves in plans):
+            points = context.world.cloth_points(thing)
+            plans = [moves for moves in plans if all(_is_folded(points, move) for move in moves[:number])]
+            if number < last and any(_is_folded(points, moves[number]) for moves in plans):
                 continue
             # Plans whose later moves are within reach too come first: later corners hardly move before.
-            plans.sort(key=lambda moves: not all(_grasps(bench, thing, move) for move in moves[number + 1 :]))
-            grasps = next(filter(None, (_grasps(bench, thing, moves[number]) for moves in plans)), None)
+            plans.sort(key=lambda moves: not all(_grasps(context, thing, move) for move in moves[number + 1 :]))
+            grasps = next(filter(None, (_grasps(context, thing, moves[number]) for moves in plans)), None)
             if grasps is None:
                 raise SkillFailedError(
-                    Cause.UNREACHABLE, f"no hands reach corners of the {thing} and where they are to lie"
+                    FailureCause.UNREACHABLE, f"no hands reach corners of the {thing} and where they are to lie"
                 )
-            yield from carry(bench, thing, grasps, speed=_LAYERED_SPEED if number else SPEED)
+            yield from carry_points(context, thing, grasps, speed=_LAYERED_SPEED if number else SPEED)
 
 
-def _grasps(bench: Bench, thing: str, move: Move) -> list[PointGrasp] | None:
-    return reachable_grasps(bench, thing, [PointPlacement(one, onto_point(other)) for one, other in move])
+def _grasps(context: PlanningContext, thing: str, move: Move) -> list[PointGrasp] | None:
+    return reachable_grasps(context, thing, [PointPlacement(one, target_on_point(other)) for one, other in move])
 
 
-def _is_done(points: Array, move: Move) -> bool:
+def _is_folded(points: Array, move: Move) -> bool:
     """Whether every corner of a move lies on its target already."""
     return all(np.linalg.norm((points[one] - points[other])[:2]) < _PLACED for one, other in move)

@@ -1,0 +1,20 @@
+"""Base class of context managers that have a `close` method."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Self
+
+
+class Closable(ABC):
+    """Base of objects that own a resource, such as a renderer or workers: a `with` statement closes them."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what this object owns."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self.close()

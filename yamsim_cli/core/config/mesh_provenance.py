@@ -1,0 +1,46 @@
+"""Descriptions of the meshes that a dataset shows, one for each asset set.
+
+A description is `primitives`, or `full` or `reduced` with a hash over the files. Meshes do not change physics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+PRIMITIVES = "primitives"
+FULL = "full"
+REDUCED = "reduced"
+
+PATTERN = rf"^({PRIMITIVES}|({FULL}|{REDUCED}) [0-9a-f]{{64}})$"
+
+_DIGITS = 12  # of a hash in messages
+
+# Asset set -> description.
+ShownMeshes = Mapping[str, str]
+
+
+def describe(text: str | None) -> str:
+    """A description for messages; `text` is None for an unused set."""
+    if text is None:
+        return "not used"
+    kind, _, digest = text.partition(" ")
+    return f"{kind} {digest[:_DIGITS]}" if digest else kind
+
+
+def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
+    """`set: description there, description now` for every set whose descriptions differ."""
+    return [
+        f"{name}: {describe(one.get(name))} {places[0]}, {describe(other.get(name))} {places[1]}"
+        for name in sorted({*one, *other})
+        if one.get(name) != other.get(name)
+    ]
+
+
+def describe_remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
+    """How to get the meshes that a dataset was recorded with."""
+    changed = [name for name in recorded if recorded[name] != now.get(name)]
+    if any(now.get(name) == PRIMITIVES for name in changed):
+        return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"
+    if any(recorded[name] == PRIMITIVES for name in changed):
+        return "to go on with primitives, set YAMSIM_ASSETS to an empty folder"
+    return "set YAMSIM_ASSETS to the meshes that it was recorded with"

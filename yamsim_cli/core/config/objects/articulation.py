@@ -1,0 +1,163 @@
+"""Links, joints and handles of articulated things: drawers, doors, lids and screw caps."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from ...files.documents.config_base import Config, Name, Quaternion, require_ordered
+from ...files.documents.units import OffsetPoint, QuantityBounds
+from ...geometry.se3 import Array, pose, pose_from_quat
+from .object_part import Inertia, ObjectMesh
+from .primitives import CollisionPart, Primitive
+
+_Opening = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
+_Travel = Annotated[
+    FiniteFloat, QuantityBounds("m or degrees", -3600, 3600)
+]  # joint position: m, or degrees of a hinge
+_Damping = Annotated[FiniteFloat, QuantityBounds("N s/m or N m s/rad", 0, 1e4)]
+_Effort = Annotated[FiniteFloat, QuantityBounds("N or N m", 0, 500)]
+
+
+def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if math.hypot(*value) < 1e-6:
+        raise ValueError("a vector of no length has no direction")
+    return value
+
+
+Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_direction)]
+
+
+class Handle(Config):
+    """A grasp of one part of a thing.
+
+    Attributes:
+        position: of the pinch point in the part's frame, m.
+        approach: the hand's direction of approach in the part's frame; its length does not matter.
+        axis: along which the fingers close; its component along `approach` does not matter.
+        opening: of one finger when closed around the handle, m.
+    """
+
+    name: Name
+    position: OffsetPoint
+    approach: Direction
+    axis: Direction
+    opening: _Opening
+
+    @model_validator(mode="after")
+    def _axis_is_across(self) -> Handle:
+        lengths = math.hypot(*self.approach) * math.hypot(*self.axis)
+        if np.linalg.norm(np.cross(self.approach, self.axis)) < 1e-3 * lengths:
+            raise ValueError("the fingers have to close across `approach`: turn `axis`")
+        return self
+
+    @property
+    def T_pinch_in_part(self) -> Array:
+        """The pinch frame (4, 4) in the part's: z into it, y along the closing axis."""
+        z = np.array(self.approach) / np.linalg.norm(self.approach)
+        y = np.array(self.axis) - z * (z @ np.array(self.axis))
+        y /= np.linalg.norm(y)
+        return pose(self.position, np.column_stack([np.cross(y, z), y, z]))
+
+
+class Detent(Config):
+    """A ridge in a joint's force, as of a ball catch, which holds a drawer shut or a lid up.
+
+    Attributes:
+        at: joint position of the maximum: m, or degrees of a hinge.
+        width: of the whole ridge, in the same unit.
+        effort: largest force or torque: N, or N m of a hinge.
+    """
+
+    at: _Travel
+    width: Annotated[FiniteFloat, QuantityBounds("m or degrees", 1e-5, 360)]
+    effort: Annotated[FiniteFloat, QuantityBounds("N or N m", 1e-4, 500)]
+
+
+class LinkJoint(Config):
+    """The joint between a part and its parent.
+
+    Attributes:
+        type: "hinge" turns; "slide" moves straight; "screw" turns, and moves along its axis by `pitch` a turn.
+        axis: in the part's frame; its length does not matter.
+        position: of a point on the axis, in the part's frame, m.
+        range: from stop to stop: m, or degrees of a hinge or a screw. At 0 the part is where its frame is given.
+        start: initial position, in the same unit.
+        damping: N s/m, or N m s/rad.
+        friction: dry friction: N, or N m.
+        armature: kg, or kg m2.
+        pitch: of a screw, m a turn.
+    """
+
+    type: Literal["hinge", "slide", "screw"]
+    axis: Direction
+    position: OffsetPoint = (0.0, 0.0, 0.0)
+    range: Annotated[tuple[_Travel, _Travel], AfterValidator(require_ordered)]
+    start: _Travel = 0.0
+    damping: _Damping = 0.0
+    friction: _Effort = 0.0
+    armature: Annotated[FiniteFloat, QuantityBounds("kg or kg m2", 0, 100)] = 0.0
+    pitch: Annotated[FiniteFloat, QuantityBounds("m", -0.1, 0.1)] | None = None
+    detents: tuple[Detent, ...] = ()
+
+    @field_validator("range")
+    @classmethod
+    def _range_fits_the_type(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        if value[0] == value[1]:
+            raise ValueError("the ends of a joint's range must differ")
+        if info.data.get("type") == "slide":
+            for end in value:
+                QuantityBounds("m", -2, 2).check(end, info)
+        return value
+
+    @model_validator(mode="after")
+    def _positions_lie_in_range(self) -> LinkJoint:
+        if not self.range[0] <= self.start <= self.range[1]:
+            raise ValueError(f"start {self.start:g} lies outside its range {self.range[0]:g}..{self.range[1]:g}")
+        if (self.type == "screw") != bool(self.pitch):
+            raise ValueError("a screw needs a pitch, and no other joint has one")
+        for detent in self.detents:
+            if not self.range[0] <= detent.at <= self.range[1]:
+                raise ValueError(f"detent at {detent.at:g} lies outside the range")
+        return self
+
+    @property
+    def turns(self) -> bool:
+        """Whether positions are angles."""
+        return self.type != "slide"
+
+    def to_si(self, value: float) -> float:
+        """A position in the config's unit, converted to m or rad."""
+        return math.radians(value) if self.turns else value
+
+
+class Link(Config):
+    """A part that moves on another part of the same thing.
+
+    Attributes:
+        parent: name of the parent part; the base if left out.
+        position, quat: of the part's frame in its parent's, m, with the joint at 0.
+        meshes: visual meshes in the part's frame.
+        collision: collision geometry; neighbouring parts of one thing do not collide.
+        look: additional visual primitives.
+    """
+
+    name: Name
+    parent: Name | None = None
+    position: OffsetPoint = (0.0, 0.0, 0.0)
+    quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    joint: LinkJoint
+    inertia: Inertia
+    meshes: tuple[ObjectMesh, ...] = ()
+    collision: tuple[CollisionPart, ...] = Field(min_length=1)
+    look: tuple[Primitive, ...] = ()
+    handles: tuple[Handle, ...] = ()
+
+    @property
+    def T_in_parent(self) -> Array:
+        """Pose (4, 4) of the part's frame in its parent's, with the joint at 0."""
+        quat = np.array(self.quat) / np.linalg.norm(self.quat)
+        return pose_from_quat(self.position, quat)

@@ -1,0 +1,181 @@
+"""The config of an object made from sizes: meshes, primitives, mass and inertia, and grasps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from ...geometry.closed_surface import uniform_mass_properties
+from ...geometry.loft import concatenate_surfaces
+from ...geometry.se3 import Array, quat_from_rotation
+from ...geometry.shape_generators.generated_shape import GeneratedShape, ShapeGrasp
+from ...geometry.stl import stl_bytes
+from .shapes import DENSITY, Shape
+
+MADE = "made"  # the asset set of meshes that are generated whenever a scene is composed
+
+_BODY = "body"
+_POWERS = {"_mm": 1, "_g": 3}  # how a key of a shape ends -> power of the scale factor by which its value grows
+
+_SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
+
+_FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction
+_FLAT = 0.0005  # m, rolling friction of flat things
+_ROLLING = 0.05  # rolling friction of round things as a share of the radius: holds on a slope of 3 degrees
+_PUSH_OUT = 0.006  # s, below MuJoCo's 0.02: a thin thing that falls 10 cm would penetrate a table's top
+
+_G = 9.81  # m/s2
+_MIN_FORCE = 15.0  # N, of a pad
+_WEIGHTS = 8.0  # force of a pad in units of half the weight
+_LEVEL = 1.2  # force of a pad in units of what holds a thing level that is grasped beside its centre of mass
+_SLIDES = 3.0  # force of a pad, in units of half the weight, below which a thing slides out of the pads
+# Limits of a pad's force: the spring of the drive for both pads, N/m; how far its target lies behind closed fingers, m;
+# and the drive's limit, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
+_SPRING, _BEHIND, _MAX_FORCE = 1000.0, 0.005, 50.0
+_WALL_CLEARANCE = 0.006  # m, between a finger and a wall: the outer finger fits between a plate's rim and the table
+
+
+def generated_mesh_files(name: str, shape: Shape) -> dict[str, bytes]:
+    """File name -> binary STL (m) of all pieces of one role."""
+    return {_file(name, role): stl_bytes(*surface) for role, surface in _surfaces(shape.form()).items()}
+
+
+def keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys of an object's plain data that follow from its `shape`; empty without a valid one."""
+    if not isinstance(data.get("shape"), dict):
+        return {}
+    try:
+        shape = _SHAPE.validate_python(data["shape"])
+    except ValidationError:
+        return {}  # validating the whole config names the fault and its line
+    return object_from_shape(str(data.get("name")), shape)
+
+
+def scaled_shape(shape: Shape, factor: float) -> Shape:
+    """The shape with all lengths times a factor, and its mass times the cube of the factor.
+
+    Raises ValidationError if no thing can be made in these sizes.
+    """
+    data = shape.model_dump(mode="json", exclude_none=True)
+    return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})
+
+
+def _scaled(key: str, value: Any, factor: float) -> Any:
+    power = next((power for unit, power in _POWERS.items() if key.endswith(unit)), 0)
+    if not power:
+        return value
+    return [each * factor**power for each in value] if isinstance(value, list) else value * factor**power
+
+
+def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
+    """Keys of an object's plain data that follow from a shape."""
+    form = shape.form()
+    mass, centre, inertia = _mass_properties(shape, form)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    meshes = [_mesh(name, role, shape) for role in _surfaces(form)]
+    made: dict[str, Any] = {
+        "mesh": meshes[0],
+        "meshes": meshes[1:],
+        "inertia": {
+            "mass_g": round(mass * 1000, 2),
+            "centre": [round(float(x), 5) + 0.0 for x in centre],
+            "diagonal": [float(f"{moment:.4g}") for moment in moments],
+            "quat": [round(float(q), 5) + 0.0 for q in quat_from_rotation(axes)],
+        },
+        "contact": _contact(form),
+        "collision": [dict(part) for part in form.collision],
+        "rest_height": 0.0,
+        "support": form.support,
+        "preposition": form.carries,
+    }
+    if form.grasps:
+        made["grasp"] = _grasp(form, mass, centre)
+    return {key: value for key, value in made.items() if value not in (None, [])}
+
+
+def _surfaces(form: GeneratedShape) -> dict[str, Any]:
+    """Role -> the joined surface of its pieces; the body first."""
+    roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
+    return {role: concatenate_surfaces(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
+
+
+def _mesh(name: str, role: str, shape: Shape) -> dict[str, Any]:
+    material = shape.materials[role]
+    return {
+        "set": MADE,
+        "file": _file(name, role),
+        "origin": [0.0, 0.0, 0.0],
+        "rgba": list(material.rgba),
+        "specular": material.specular,
+        "shininess": material.shininess,
+    }
+
+
+def _file(name: str, role: str) -> str:
+    return f"{name}_{role}.stl"
+
+
+def _mass_properties(shape: Shape, form: GeneratedShape) -> tuple[float, Array, Array]:
+    """Mass (kg), centre of mass (3,) and inertia (3, 3) about it of all pieces."""
+    parts = [(uniform_mass_properties(*piece.surface), piece.role) for piece in form.pieces]
+    masses = [solid.volume * DENSITY[shape.materials[role].stuff] for solid, role in parts]
+    if shape.mass_g is not None:
+        masses = [mass * shape.mass_g / 1000 / sum(masses) for mass in masses]
+    total = float(sum(masses))
+    centre: Array = np.sum([m * solid.centre for m, (solid, _) in zip(masses, parts, strict=True)], axis=0) / total
+    inertia = np.zeros((3, 3))
+    for mass, (solid, _) in zip(masses, parts, strict=True):
+        off = solid.centre - centre
+        inertia += solid.inertia * (mass / solid.volume) + mass * (off @ off * np.eye(3) - np.outer(off, off))
+    return total, centre, inertia
+
+
+def _contact(form: GeneratedShape) -> dict[str, Any]:
+    if form.rolls:
+        return {"friction": [*_FRICTION, round(_ROLLING * form.rolls, 5)], "condim": 6, "push_out_s": _PUSH_OUT}
+    return {"friction": [*_FRICTION, _FLAT], "condim": 4, "push_out_s": _PUSH_OUT}
+
+
+def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
+    """The grasp by a weld, and by friction if pads can press hard enough."""
+    # A grasp near the centre of mass lets the thing turn less in the pads.
+    holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))
+    held = [hold for hold in holds if hold.has_flat_contact and _needed_force(hold, mass, centre) <= _max_force(hold)]
+    if form.turned:
+        held = [hold for hold in held if hold.where == held[0].where]
+    best = (held or holds)[0]
+    welded = _point(replace(best, tilt_deg=None))
+    if not held:
+        return welded
+    needed = max(_MIN_FORCE, _WEIGHTS * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
+    around = {"around": True} if form.turned and len(held) > 1 else {}
+    beside = {"clearance": _WALL_CLEARANCE} if held[0].tilt_deg is not None else {}
+    return {
+        **welded,
+        **beside,
+        "friction": {"force": round(min(needed, _MAX_FORCE), 1), "points": [_point(hold) for hold in held], **around},
+    }
+
+
+def _point(hold: ShapeGrasp) -> dict[str, Any]:
+    tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg is not None else {}
+    return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
+
+
+def _needed_force(hold: ShapeGrasp, mass: float, centre: Array) -> float:
+    """The force with which a pad has to press, N."""
+    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever_arm(hold, centre) / hold.depth)
+
+
+def _lever_arm(hold: ShapeGrasp, centre: Array) -> float:
+    """Horizontal distance of a grasp from the centre of mass (3,), m."""
+    return float(np.hypot(*(np.array(hold.position) - centre)[:2]))
+
+
+def _max_force(hold: ShapeGrasp) -> float:
+    return min(_MAX_FORCE, _SPRING * (hold.width / 2 + _BEHIND))

@@ -1,0 +1,294 @@
+"""Objects: look, collision geometry, inertia and grasps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, ValidationError, ValidationInfo, model_validator
+
+from ...files.documents.config_base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, omit_if_default
+from ...files.documents.units import Distance, Heading, OffsetPoint, QuantityBounds
+from ...files.documents.yaml_document import Document
+from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from .articulation import Handle, Link
+from .cloth import Cloth, cloth_object
+from .generated import MADE, keys_from_shape, object_from_shape, scaled_shape
+from .object_part import Contact as Contact
+from .object_part import Inertia as Inertia
+from .object_part import ObjectMesh as ObjectMesh
+from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
+from .shapes import Shape
+
+_PART = QuantityBounds("m", -1, 1)  # lengths of parts
+
+
+class GraspPoint(Config):
+    """A pinch point and the axis along which the fingers close.
+
+    Attributes:
+        position: of the pinch point in the object's frame, m.
+        axis_deg: direction in the object's xy plane along which the fingers close, degrees from +x.
+        opening: of one finger when closed around the object, m.
+        tilt_deg: of an inclined wall, degrees: the hand is tilted from straight down so that its fingers point along
+            `axis_deg` and both pads lie on the wall. If left out, the hand may be tilted as suits the arm.
+    """
+
+    position: OffsetPoint
+    axis_deg: Heading
+    opening: Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
+    tilt_deg: Annotated[Annotated[FiniteFloat, QuantityBounds("degrees", -90, 90)] | None, OMIT_NONE] = None
+
+    def T_pinch_in_object(self, flipped: bool) -> Array:
+        """The pinch frame (4, 4) in the object's: z into the object, y along the closing axis, or against it."""
+        down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+        heading = math.radians(self.axis_deg)
+        turn = heading + math.pi / 2 + (math.pi if flipped else 0.0)
+        T = pose(self.position, rotation_z(turn)) @ down
+        if self.tilt_deg:
+            tilt = math.radians(self.tilt_deg)
+            T[:3, :3] = rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ T[:3, :3]
+        return T
+
+
+class FrictionGrasp(Config):
+    """How two pads hold an object by friction alone.
+
+    Attributes:
+        force: of each pad, N.
+        points: possible grasps, the best first.
+        around: whether the points lie around the object and are equally good, so that the arm takes any of them.
+        hands: the number of hands that hold the object level.
+    """
+
+    force: Annotated[FiniteFloat, QuantityBounds("N", 0.05, 500)]
+    points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
+    around: Annotated[bool, OMIT_EMPTY] = False
+    hands: Annotated[Literal[1, 2], omit_if_default(1)] = 1
+
+
+class Grasp(GraspPoint):
+    """How the fingers grasp an object from above; the point is that of a grasp by a weld.
+
+    Attributes:
+        clearance: between each open finger and its closed position, m.
+        friction: grasps by friction; if left out, only a weld holds the object.
+    """
+
+    clearance: Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 0.1)] = 0.010
+    friction: FrictionGrasp | None = None
+
+
+# Families of shapes without an upper side.
+_SOLID = ("block", "fruit", "cutlery", "pasta")
+
+
+class ObjectConfig(Config):
+    """A thing: collision geometry, visual meshes, inertia, grasps, and the links of an articulated thing.
+
+    Of an articulated thing, these are the properties of its base.
+
+    Attributes:
+        shape: the sizes from which the thing is made. Keys that a file leaves out follow from them. The config of a
+            dataset has all keys, and only visual meshes are generated from the sizes again.
+        cloth: instead of `shape`, the fabric of a cloth, from which the other keys follow.
+        mesh, meshes: visual meshes, each with its own material.
+        rest_height: of the origin over the surface on which the thing lies, m.
+        support: height over the origin of the surface on which things placed in the middle come to lie, m; if left out,
+            it follows from the primitives.
+        preposition: how things are placed there: "on" a plate, "in" a bowl.
+        look: additional visual primitives, such as a banana's brown ends.
+        rests: how a hand may place the thing: "upright", or in "any" stable pose. If left out, hollow, hinged and sheet
+            things are placed upright, and all others in any stable pose.
+        base: "free", or "fixed" where an attempt places it.
+        links: the parts that move on the base and on each other, parents before children.
+        handles: grasps of the base.
+    """
+
+    name: Name
+    shape: Annotated[Shape | None, OMIT_NONE] = None
+    cloth: Annotated[Cloth | None, OMIT_NONE] = None
+    mesh: ObjectMesh
+    meshes: Annotated[tuple[ObjectMesh, ...], OMIT_EMPTY] = ()
+    inertia: Inertia
+    contact: Contact = Contact()
+    collision: tuple[CollisionPart, ...] = Field(min_length=1)
+    look: tuple[Primitive, ...] = ()
+    rest_height: Distance
+    support: Annotated[Distance | None, OMIT_NONE] = None
+    preposition: Literal["on", "in"] = "on"
+    grasp: Grasp | None = None
+    rests: Annotated[Literal["upright", "any"] | None, OMIT_NONE] = None
+    base: Annotated[Literal["free", "fixed"], omit_if_default("free")] = "free"
+    links: Annotated[tuple[Link, ...], OMIT_EMPTY] = ()
+    handles: Annotated[tuple[Handle, ...], OMIT_EMPTY] = ()
+
+    @classmethod
+    def read(cls, path: Path) -> Document:
+        """A file of an object, completed from its sizes. Raises as `load_yaml`."""
+        document = super().read(path)
+        document.data.setdefault("name", path.stem)
+        for source, made in (("shape", keys_from_shape(document.data)), ("cloth", cloth_object(document.data))):
+            for key, value in made.items():
+                if key not in document.data:
+                    document.set((key,), value, document.place((source,)))
+        return document
+
+    @model_validator(mode="after")
+    def _parts_are_of_plausible_size(self, info: ValidationInfo) -> ObjectConfig:
+        for path, part in (
+            *((("collision", k), part) for k, part in enumerate(self.collision)),
+            *((("look", k), part) for k, part in enumerate(self.look)),
+            *(
+                (("links", k, "collision", i), part)
+                for k, link in enumerate(self.links)
+                for i, part in enumerate(link.collision)
+            ),
+        ):
+            for name, value in part:
+                if name in ("type", "yaw_deg", "segments", "rgba", "file"):
+                    continue
+                for number in value if isinstance(value, tuple) else (value,):
+                    try:
+                        _PART.check(number, info)
+                    except ValueError as error:
+                        raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
+        return self
+
+    @model_validator(mode="after")
+    def _cloth_is_only_cloth(self) -> ObjectConfig:
+        if self.cloth is not None and (self.shape is not None or self.links or self.base == "fixed"):
+            raise ConflictError("cloth has no `shape`, no `links` and no fixed `base`; leave them out", ("cloth",))
+        return self
+
+    @model_validator(mode="after")
+    def _links_are_ordered(self) -> ObjectConfig:
+        known: set[str] = set()
+        for k, link in enumerate(self.links):
+            if link.name in known:
+                raise ConflictError(f"two links are called {link.name!r}", ("links", k, "name"))
+            if link.parent is not None and link.parent not in known:
+                raise ConflictError(
+                    f"parent {link.parent!r} of link {link.name!r} is no link before it; "
+                    f"leave it out for the base, or name one of: {', '.join(sorted(known)) or '(none)'}",
+                    ("links", k, "parent"),
+                )
+            known.add(link.name)
+        return self
+
+    def with_name(self, name: str) -> ObjectConfig:
+        """The thing under another name."""
+
+        def named(mesh: ObjectMesh) -> ObjectMesh:
+            made = mesh.set == MADE
+            return mesh.model_copy(update={"file": name + mesh.file.removeprefix(self.name)}) if made else mesh
+
+        meshes = {"mesh": named(self.mesh), "meshes": tuple(named(mesh) for mesh in self.meshes)}
+        return self.model_copy(update={"name": name, **meshes})
+
+    def scaled(self, factor: float) -> ObjectConfig:
+        """The thing with all lengths times a factor; its mass and its grasps follow.
+
+        Raises ValueError if the thing is not made from sizes alone, or cannot be made in these sizes.
+        """
+        if factor == 1.0:
+            return self
+        if self.shape is None:
+            raise ValueError(f"the {self.name} has no `shape`, and only what is made from its sizes has others")
+        given = self.model_dump(mode="json")
+        made = self._made_again(self.shape).model_dump(mode="json")
+        if own := sorted(key for key in given if given[key] != made.get(key)):
+            raise ValueError(f"the {self.name} has `{own[0]}` beside its `shape`, which does not grow with it")
+        try:
+            return self._made_again(scaled_shape(self.shape, factor))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            reason = first["msg"].removeprefix("Value error, ")
+            raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
+
+    def _made_again(self, shape: Shape) -> ObjectConfig:
+        """The thing with everything that follows from a shape replaced."""
+        made = object_from_shape(self.name, shape)
+        given = self.model_dump(mode="json")
+        kept = {key: value for key, value in given.items() if key not in made and key not in ("grasp", "support")}
+        return ObjectConfig.model_validate({**kept, "shape": shape.model_dump(mode="json", exclude_none=True), **made})
+
+    def with_grasp_points(self, points: Sequence[GraspPoint]) -> ObjectConfig:
+        """The thing with other friction grasps, the best first; it must have a friction grasp before."""
+        assert self.grasp is not None and self.grasp.friction is not None
+        friction = self.grasp.friction.model_copy(update={"points": tuple(points)})
+        at = {name: getattr(points[0], name) for name in GraspPoint.model_fields}
+        return self.model_copy(update={"grasp": self.grasp.model_copy(update={**at, "friction": friction})})
+
+    @property
+    def all_meshes(self) -> tuple[ObjectMesh, ...]:
+        """All visual meshes, including those of the links."""
+        return (self.mesh, *self.meshes, *(mesh for link in self.links for mesh in link.meshes))
+
+    @property
+    def rests_in_any_pose(self) -> bool:
+        """Whether a hand may place the thing in any stable pose, see `rests`."""
+        if self.rests is not None:
+            return self.rests == "any"
+        if self.shape is not None:
+            return self.shape.family in _SOLID
+        rings = any(isinstance(part, Ring) for part in self.collision)
+        hollow = rings or self.preposition == "in" or self.support is not None
+        return not hollow and self.cloth is None and not self.links and not self.handles
+
+    @property
+    def mesh_sets(self) -> tuple[str, ...]:
+        """The asset sets of all meshes, sorted. Collision meshes lie in the set of `mesh`."""
+        return tuple(sorted({mesh.set for mesh in self.all_meshes} - {MADE}))
+
+    @property
+    def needs_meshes(self) -> bool:
+        """Whether collision geometry needs mesh files, so that primitives cannot replace them."""
+        parts = (*self.collision, *(part for link in self.links for part in link.collision))
+        return any(isinstance(part, HullPart | SdfPart) for part in parts)
+
+    @property
+    def footprint(self) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius) in the object's frame that cover its collision geometry seen from above, m."""
+        discs: list[tuple[float, float, float]] = []
+        for part in self.collision:
+            match part:
+                case Capsule():
+                    for k in range(5):
+                        x, y = (part.start[i] + (part.end[i] - part.start[i]) * k / 4 for i in (0, 1))
+                        discs.append((x, y, part.radius))
+                case Cylinder() | Sphere():
+                    discs.append((part.centre[0], part.centre[1], part.radius))
+                case Box():
+                    discs.extend(part.discs)
+                case HullPart() | SdfPart():
+                    discs.extend(part.bounding_box.discs)
+                case Ring():
+                    discs.append((0.0, 0.0, max(part.inner[0], part.outer[0])))
+        return tuple(discs)
+
+    @property
+    def support_height(self) -> float:
+        """Height over the origin of the surface on which something put into the middle comes to lie, m."""
+        if self.support is not None:
+            return self.support
+        return max((top for part in self.collision if (top := _flat_top(part)) is not None), default=0.0)
+
+    @property
+    def can_support(self) -> bool:
+        """Whether something can be put onto it, or into it: it has a flat top, or a floor."""
+        return self.support is not None or any(_flat_top(part) is not None for part in self.collision)
+
+
+def _flat_top(part: CollisionPart) -> float | None:
+    """Height of a primitive's flat upper face over the object's origin, m; None if it has none."""
+    match part:
+        case Cylinder():
+            return part.centre[2] + part.half_height
+        case Box():
+            return part.centre[2] + part.half_size[2]
+        case _:
+            return None

@@ -1,0 +1,65 @@
+"""Contact parameters, visual meshes and inertia of a thing's parts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from ...files.documents.config_base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_if_default
+from ...files.documents.units import OffsetPoint, PlacePoint, QuantityBounds
+
+_Lever = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
+_Moment = Annotated[FiniteFloat, QuantityBounds("kg m2", 1e-12, 100)]
+
+_PUSH_OUT = 0.02  # s, MuJoCo's default
+
+
+class Contact(Config):
+    """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
+
+    Attributes:
+        push_out_s: time constant with which a contact resolves penetration, s. A small falling thing penetrates some
+            millimetres for each 0.01 s; a table's top is thin.
+    """
+
+    friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
+    condim: Literal[1, 3, 4, 6] = 3
+    push_out_s: Annotated[FiniteFloat, QuantityBounds("s", 0.004, 0.5), omit_if_default(_PUSH_OUT)] = _PUSH_OUT
+
+
+class ObjectMesh(Config):
+    """A visual mesh, such as a scan.
+
+    Attributes:
+        set: an asset set of the lock, or an own set, see `core.scene.assets.asset_store`.
+        file: STL, or OBJ for a mesh with a texture.
+        origin: the point of the mesh that becomes the part's origin, m.
+        rgba: the colour; a texture is multiplied by it.
+        texture: a PNG file of the same set for the OBJ's texture coordinates.
+        castshadow: whether the mesh casts a shadow. Grazing light speckles a shallow scan with its own shadow: then let
+            primitives of `look` just below its surface cast the shadow instead.
+    """
+
+    set: str
+    file: str
+    origin: PlacePoint
+    rgba: Rgba
+    texture: Annotated[str | None, OMIT_NONE] = None
+    specular: float = Field(default=0.2, ge=0, le=1)
+    shininess: float = Field(default=0.3, ge=0, le=1)
+    castshadow: Annotated[bool, omit_if_default(True)] = True
+
+
+class Inertia(Config):
+    """Mass (g), centre of mass (m) in the part's frame, principal moments (kg m2) and the quaternion of their axes."""
+
+    mass_g: Annotated[FiniteFloat, QuantityBounds("g", 0.5, 50_000)]
+    centre: OffsetPoint = (0.0, 0.0, 0.0)
+    diagonal: tuple[_Moment, _Moment, _Moment]
+    quat: Quaternion
+
+    @property
+    def mass(self) -> float:
+        """Mass, kg."""
+        return self.mass_g / 1000.0

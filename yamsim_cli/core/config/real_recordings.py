@@ -1,0 +1,85 @@
+"""Real recordings: the names of joints in other programs, and the config of a dataset of imported recordings."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ..files.documents.config_base import Config, ConfigReference, ConflictError, Name
+from .rig import RigConfig
+
+GripperUnit = Literal["metres", "share", "closed_share"]
+
+_Side = Annotated[str, Field(pattern="^(left|right|only)$")]
+_ForeignName = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class ArmNames(Config):
+    """Names of an arm's columns in another program.
+
+    Attributes:
+        joints: from the base to the flange, rad.
+        gripper: None for an arm without one.
+    """
+
+    joints: Annotated[tuple[_ForeignName, ...], Field(min_length=1)]
+    gripper: _ForeignName | None = None
+
+
+class ArmTopics(Config):
+    """Names of an arm's topics in another program's file of messages.
+
+    Attributes:
+        state, action: topics whose field `field` has the measured and the commanded joints, rad.
+        gripper_state, gripper_action: topics whose field `field` begins with the gripper.
+    """
+
+    state: _ForeignName
+    action: _ForeignName | None = None
+    gripper_state: _ForeignName | None = None
+    gripper_action: _ForeignName | None = None
+
+
+class RecordingNames(Config):
+    """Names in recordings of another program.
+
+    Attributes:
+        arms: `left` and `right`, or `only` for one arm -> names of its columns, measured and commanded alike.
+        topics: instead of `arms`, for files of messages: the same keys -> the arm's topics.
+        field: the field of a topic's messages with the numbers.
+        prompt_topic, prompt_field: topic and field of the prompt.
+        cameras: topic of compressed video -> name of the camera in yamsim.
+        gripper: `metres` of one finger, `share` 0 closed .. 1 open, or `closed_share` 0 open .. 1 closed.
+    """
+
+    name: Name
+    arms: dict[_Side, ArmNames] = Field(default_factory=dict)
+    topics: dict[_Side, ArmTopics] = Field(default_factory=dict)
+    field: _ForeignName = "position"
+    prompt_topic: _ForeignName | None = None
+    prompt_field: _ForeignName = "text"
+    cameras: dict[_ForeignName, Name] = Field(default_factory=dict)
+    gripper: GripperUnit = "share"
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> RecordingNames:
+        if bool(self.arms) == bool(self.topics):
+            raise ConflictError("give either the columns of arms or their topics", ("arms",), ("topics",))
+        return self
+
+
+class RealConfig(Config):
+    """`config.yaml` of a dataset of imported recordings.
+
+    Attributes:
+        source: `real`, for data that is not simulated.
+        rig: the recorded rig.
+        imported: the format of the recordings.
+        gripper: the unit of grippers in the recordings; the dataset has metres.
+    """
+
+    source: Literal["real"]
+    rig: Annotated[RigConfig, ConfigReference("rigs")]
+    imported: Name
+    gripper: GripperUnit

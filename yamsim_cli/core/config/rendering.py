@@ -1,0 +1,51 @@
+"""Size and rendering quality of recorded pictures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from ..files.documents.config_base import Config, Name, omit_if_default
+from ..files.documents.units import QuantityBounds
+
+
+class ImageConfig(Config):
+    """Size in pixels (width, height) and JPEG quality of recorded images."""
+
+    size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
+    jpeg_quality: int = Field(ge=1, le=100)
+
+
+SHADOW_REACH = 0.8  # m, default of `RenderConfig.shadow_reach_m`
+
+
+class RenderConfig(Config):
+    """Rendering quality.
+
+    Attributes:
+        multisamples: samples per pixel, which smooth edges on a GPU; 0 for none.
+        supersampling: factor by which pictures are rendered wider and higher, and then averaged. This also smooths
+            edges of shadows, and costs less without a GPU than 4 samples per pixel.
+        shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
+        shadow_lights: the number of the scene's lights that cast shadows. Each renders the scene twice more.
+        shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
+            smaller radius gives finer shadows.
+        reduced_meshes: whether meshes are shown with fewer faces, see `core.scene.assets.mesh_reduction`.
+        reflections: whether surfaces reflect, which renders the scene once more.
+        slices: faces around round primitives.
+    """
+
+    name: Name = "custom"
+    multisamples: Literal[0, 2, 4, 8]
+    supersampling: float = Field(ge=1, le=4)
+    shadow_map_px: int = Field(ge=0, le=8192)
+    shadow_lights: int = Field(ge=0, le=8)
+    shadow_reach_m: Annotated[FiniteFloat, QuantityBounds("m", 0.2, 5), omit_if_default(SHADOW_REACH)] = SHADOW_REACH
+    reduced_meshes: bool
+    reflections: bool
+    slices: int = Field(ge=8, le=128, multiple_of=4)
+
+    def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Width and height (px) of supersampled pictures."""
+        return round(size[0] * self.supersampling), round(size[1] * self.supersampling)

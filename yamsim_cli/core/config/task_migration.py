@@ -1,0 +1,92 @@
+"""Upgrades tasks of the former kinds `pickplace` and `handover` to the kind `program`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .program_task import PROGRAM
+
+_ROLES = ("object", "target")
+
+_HOLD_S = 0.25  # s, for which the object has to lie on its target
+
+# Former placeholder -> placeholder.
+_PLACEHOLDERS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
+
+# Keys without a counterpart: skills plan heights and the exchange.
+_DROPPED = ("heights", "exchange")
+
+# Kind -> keys of all its tasks, and steps between picking and placing.
+_KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
+    "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
+    "handover": (
+        {"rig": "bimanual", "held_at_the_end": True, "time_limit_s": 40.0},
+        [{"handover": {"thing": "object", "to": "second"}}],
+    ),
+}
+
+OLDER_KINDS = tuple(_KINDS)
+
+
+def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A task's mapping as the kind `program`; a task of any other kind than `OLDER_KINDS` is returned unchanged.
+
+    Things, regions and phrasings are kept. Dropped are the least distance between the two origins, the heights and
+    ticks of the plan, the points of the exchange, and the largest final height and speed of the object. Unknown keys
+    are kept, so that validation names them.
+
+    Args:
+        data: from a task's file, or from a dataset's config, where objects are mappings.
+    """
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        return dict(data)
+    common, between = _KINDS[kind]
+    old = {key: value for key, value in data.items() if key not in (*_DROPPED, "kind")}
+    objects = {role: old.pop(role) for role in _ROLES if role in old}
+    upgraded = {
+        "kind": PROGRAM,
+        **common,
+        "grasps": ["weld", "contact"],
+        "things": {role: {"of": item, "named": "object"} for role, item in objects.items()},
+        "starts": _starts(old.pop("sampling", {}), second=kind == "handover"),
+        "phrasings": {
+            "training": [_with_new_placeholders(old.pop("language_prompt"))] if "language_prompt" in old else []
+        },
+        "goal": {"on": _on_predicate(old.pop("success", {})), "for_s": _HOLD_S},
+        "expert": [
+            {"pick": {"thing": "object", "arm": "first"}},
+            *between,
+            {"place": {"thing": "object", "on": "target"}},
+        ],
+        "timing": {
+            key: value
+            for key, value in old.pop("timing", {}).items()
+            if key not in ("ticks_per_waypoint", "grip_ticks")
+        },
+    }
+    if "language_task" in old:
+        upgraded["language_task"] = _with_new_placeholders(old.pop("language_task"))
+    return upgraded | old
+
+
+def _starts(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
+    """Starts of object and target; with `second`, the target starts before the second arm."""
+    region = {key: box[key] for key in ("x", "y") if key in box}
+    if "clearance" in box:
+        region["apart"] = box["clearance"]
+    arms = {"object": "first", "target": "second" if second else "first"}
+    headings = {role: {"yaw_deg": box[f"{role}_yaw_deg"]} for role in _ROLES if f"{role}_yaw_deg" in box}
+    return {role: {"from_arm": arms[role], **region, **headings.get(role, {})} for role in _ROLES}
+
+
+def _on_predicate(success: Mapping[str, Any]) -> dict[str, Any]:
+    radius = {"radius": success["threshold"]} if "threshold" in success else {}
+    return {"thing": "object", "surface": "target", **radius}
+
+
+def _with_new_placeholders(text: str) -> str:
+    for old, new in _PLACEHOLDERS.items():
+        text = text.replace(old, new)
+    return text

@@ -1,0 +1,299 @@
+"""Opens a dataset's directory for a recorder: locks, refuses, resumes or moves aside what is there.
+
+The lock is an advisory lock of the kernel (flock) on a file in the directory. Such a lock ends with its process, so
+that the file of a killed process blocks nobody. On Linux the lock works between machines over NFS. On filesystems
+without locks, or with locks within one machine only, the process that the file names counts as the holder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import shutil
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from ...config.mesh_provenance import ShownMeshes, describe, describe_remedy, mesh_differences
+from ...errors import ConfigError, ResourceError, UsageError
+from ...files.documents.yaml_document import load_yaml
+from ...files.writing import move_to_backup, why_not_directory
+from ..dataset_paths import CONFIG, LOCK, STAGING, is_leftover
+
+_NO_FLOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)  # flock's errors on filesystems without locks
+MESHES = (
+    "meshes"  # key of a configuration that states the shown meshes, see `core.config.describe_meshes`; nobody sets it
+)
+_SHOWN_CHANGES = 5  # changes that a message names, so that its line stays readable
+
+
+class OpenMode(Enum):
+    """What to do if the dataset's directory is not empty."""
+
+    NEW = "new"
+    RESUME = "resume"
+    OVERWRITE = "overwrite"
+
+
+@dataclass(frozen=True)
+class ClaimedDirectory:
+    """A directory that this process may write.
+
+    Attributes:
+        lock: keeps other recorders out until it is released.
+        occupied: whether the directory holds a dataset to be resumed.
+        moved_aside: the new place of an earlier directory; None if there was none.
+    """
+
+    lock: DirectoryLock
+    occupied: bool
+    moved_aside: Path | None
+
+
+def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> ClaimedDirectory:
+    """Lock a directory, which is made if missing.
+
+    Raises:
+        UsageError: `path` is not empty, or no directory, and `mode` does not allow that.
+        ResourceError: another recorder holds the directory.
+        OSError: the directory cannot be made or written.
+    """
+    moved = None
+    if mode is OpenMode.OVERWRITE and _is_occupied(path):
+        moved = _move_to_backup(path, locks_reach_others)
+    if mode is OpenMode.NEW and _is_occupied(path):
+        # An error that names another recorder helps more than "is not empty".
+        if (path / LOCK).exists():
+            DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
+        raise _occupied_error(path)
+    if not path.is_dir() and _is_occupied(path):
+        raise UsageError(f"{path} is no dataset to resume: {why_not_directory(path)}; choose another --out")
+    path.mkdir(parents=True, exist_ok=True)
+    lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
+    try:
+        # Checked again, now that nobody else can write.
+        occupied = _is_occupied(path)
+        if occupied and mode is not OpenMode.RESUME:
+            raise _occupied_error(path)
+        _remove_litter(path)
+        return ClaimedDirectory(lock, occupied, moved)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _is_occupied(path: Path) -> bool:
+    """Whether `path` is anything but an empty directory; `is_leftover` files do not count."""
+    if not path.is_dir():
+        return path.exists() or path.is_symlink()
+    return any(not is_leftover(entry.name) for entry in path.iterdir())
+
+
+def _occupied_error(path: Path) -> UsageError:
+    if path.is_dir():
+        return UsageError(
+            f"{path} is not empty; continue it with --resume, move it aside with --overwrite, or choose another --out"
+        )
+    return UsageError(
+        f"{path} is not a directory: {why_not_directory(path)}; move it aside with --overwrite, or choose another --out"
+    )
+
+
+def _move_to_backup(path: Path, locks_reach_others: bool) -> Path:
+    """Move `path` aside unless somebody records into it; returns the new place."""
+    if not path.is_dir() or not os.access(path, os.W_OK):
+        # Nobody can record into this.
+        return move_to_backup(path)
+    lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
+    try:
+        moved = move_to_backup(path)
+        lock.note_rename(moved)
+        return moved
+    finally:
+        lock.release()
+
+
+def _remove_litter(path: Path) -> None:
+    for entry in path.iterdir():
+        if entry.name == STAGING:
+            shutil.rmtree(entry, ignore_errors=True)
+        elif is_leftover(entry.name) and entry.name != LOCK:
+            entry.unlink()
+
+
+@dataclass(frozen=True)
+class _LockHolder:
+    pid: int
+    host: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}"
+
+    @property
+    def is_local(self) -> bool:
+        return self.host == socket.gethostname()
+
+    @property
+    def may_be_alive(self) -> bool:
+        """Whether the process may still run; a process on another machine always may."""
+        if self.is_local:
+            try:
+                os.kill(self.pid, 0)
+            except ProcessLookupError:
+                return False
+            except PermissionError:
+                pass
+        return True
+
+
+class DirectoryLock:
+    """A lock on a directory, from `acquire` until `release` or the end of the process."""
+
+    def __init__(self, directory: Path, descriptor: int) -> None:
+        self._directory = directory
+        self._descriptor = descriptor
+
+    @classmethod
+    def acquire(cls, directory: Path, *, reaches_others: bool = True) -> DirectoryLock:
+        """Lock an existing directory for this process.
+
+        Args:
+            reaches_others: whether the filesystem's locks hold between machines. If not, a lock file of a process on
+                another machine counts as a lock.
+
+        Raises:
+            ResourceError: another recorder holds the lock; the message names its process and machine.
+            OSError: the directory cannot be written.
+        """
+        path = directory / LOCK
+        while True:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                taken, holder = _flock(descriptor), _read(descriptor)
+                if taken is False:
+                    raise ResourceError(
+                        f"{directory} is being recorded into by {holder or 'another process'}; wait for it, end it, or "
+                        "choose another --out"
+                    )
+                if holder and (holder.may_be_alive if taken is None else not holder.is_local and not reaches_others):
+                    raise ResourceError(
+                        f"{directory} is marked as being recorded into by {holder}, and this filesystem's locks do not "
+                        f"show whether it still is; if it has ended, delete {path}"
+                    )
+                if _is_at(descriptor, path):
+                    os.ftruncate(descriptor, 0)
+                    os.pwrite(descriptor, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
+                    return cls(directory, descriptor)
+            except BaseException:
+                os.close(descriptor)
+                raise
+            # The holder removed the file after this process opened it: the file is no longer the directory's lock.
+            os.close(descriptor)
+
+    def note_rename(self, directory: Path) -> None:
+        """Note that the directory was renamed to `directory`."""
+        self._directory = directory
+
+    def release(self) -> None:
+        """Release the lock, and remove its file."""
+        with contextlib.suppress(OSError):
+            (self._directory / LOCK).unlink(missing_ok=True)
+        os.close(self._descriptor)
+
+
+def _flock(descriptor: int) -> bool | None:
+    """Whether this process has taken the lock; None on a filesystem without locks."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno in _NO_FLOCK:
+            return None
+        raise
+    return True
+
+
+def _read(descriptor: int) -> _LockHolder | None:
+    """The process that a lock file names; None if the file is empty or incomplete."""
+    try:
+        data = json.loads(os.pread(descriptor, 4096, 0))
+        return _LockHolder(int(data["pid"]), str(data["host"]))
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a dataset's configuration, or its meshes, differ from those of a resumed recording."""
+    changed = _changes(recorded, wanted)
+    there, now = _stated_meshes(recorded), _stated_meshes(wanted)
+    meshes = mesh_differences(there, now)
+    if changed:
+        changed += [f"{MESHES}.{text}" for text in meshes]
+        more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
+        raise ConfigError(
+            f"{dataset} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
+            f"run with the same values (--config {dataset / CONFIG} has them), or record into another --out"
+        )
+    if meshes:
+        raise ConfigError(
+            f"{dataset} was recorded with other meshes: {'; '.join(meshes)}; {describe_remedy(there, now)}, or record into "
+            "another --out"
+        )
+
+
+def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
+    """A notice that a dataset does not state which meshes it shows, and how to find out."""
+    texts = ", ".join(f"{name}: {describe(text)}" for name, text in _stated_meshes(wanted).items())
+    return (
+        f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
+        f"show {texts}; `yamsim verify {dataset} --sample 1 --images` shows whether the meshes are the same."
+    )
+
+
+def recorded_meshes(dataset: Path) -> ShownMeshes:
+    """The meshes that a dataset's config states; empty without a readable config."""
+    try:
+        return _stated_meshes(load_yaml(dataset / CONFIG).data)
+    except ConfigError:
+        return {}
+
+
+def _stated_meshes(config: Mapping[str, Any]) -> ShownMeshes:
+    stated = config.get(MESHES)
+    return {str(name): str(text) for name, text in stated.items()} if isinstance(stated, Mapping) else {}
+
+
+def _changes(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """`key: recorded value, wanted value` for every value that differs, without meshes."""
+    old, new = (_flatten({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted))
+    return [
+        f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"
+        for key in dict.fromkeys([*old, *new])
+        if old.get(key) != new.get(key)
+    ]
+
+
+def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
+    if isinstance(data, dict):
+        return {
+            key: value
+            for name, inner in data.items()
+            for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()
+        }
+    if isinstance(data, list | tuple):
+        return {key: value for k, inner in enumerate(data) for key, value in _flatten(inner, f"{prefix}[{k}]").items()}
+    return {prefix: data}

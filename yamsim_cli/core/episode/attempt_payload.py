@@ -1,0 +1,223 @@
+"""The files of an attempt, as a worker returns them."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Iterator, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import __version__
+from ..attempt_data import Attempt, AttemptPayload, StepState
+from ..config.recording import RecordConfig
+from ..dataset.dataset_paths import TRUTH_LABELS, depth_name, image_name, lowdim_name, segmentation_name, truth_name
+from ..dataset.ground_truth_files import array_specs, dump_arrays, dump_depth
+from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
+from ..dataset.records import to_json
+from ..geometry.se3 import Array, inverse
+from ..images.image import Image
+from ..images.jpeg import encode_jpeg
+from ..images.png import encode_labels
+from ..rendering.frame_truth import depth_in_mm, measure_frame
+from ..rendering.renderer import SceneRenderer
+from ..rendering.scene_labels import SceneLabels
+from ..sim.encoder_readings import encoder_readings
+from .execution import SimulatedAttempt
+from .simulator import Simulator
+
+# Revision of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
+# shadows. A recording without a revision has `FIRST_LOOKS`.
+LOOKS, FIRST_LOOKS = "2", "1"
+
+# Revision of the engine, raised when the same config and seed give other actions: 2 since all tasks are programs of
+# skills and inverse kinematics is solved in closed form, 3 since waypoints may lean, containers take things beside each
+# other, and starts in which a thing still moves are drawn again. A recording without a revision has `FIRST_ENGINE`.
+ENGINE, FIRST_ENGINE = "3", "1"
+
+
+def library_versions() -> dict[str, str]:
+    """Return the versions on which an episode's bytes depend; `looks` affects only its images."""
+    packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
+    return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS, "engine": ENGINE} | {
+        key: version(name) for key, name in packages.items()
+    }
+
+
+def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptPayload:
+    """Return what is recorded of an attempt; a success has rendered files.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    if not simulated.outcome.success:
+        return payload_without_files(simulated)
+    recorded = frame_records(simulator, simulated.attempt, simulated.states)
+    files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(recorded)}
+    files |= encode_images(simulator, simulated.attempt, [state.qpos for state in simulated.states])
+    return AttemptPayload(
+        simulated.attempt,
+        simulated.outcome,
+        files,
+        len(recorded),
+        content_hash(recorded),
+        library_versions(),
+        simulator.renderer.description,
+    )
+
+
+def payload_without_files(simulated: SimulatedAttempt) -> AttemptPayload:
+    """Return the payload of an attempt without files."""
+    return AttemptPayload(simulated.attempt, simulated.outcome)
+
+
+def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
+    """Return what is recorded of each state, see `dataset.lowdim`; nothing is rendered."""
+    ticks_per_frame = simulator.config.task.timing.ticks_per_frame
+    return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
+
+
+def _joints(simulator: Simulator) -> dict[str, Array]:
+    """Return thing -> positions of its joints, of things that have some."""
+    return {item.name: simulator.replica.object_joints(item) for item in simulator.config.task.objects if item.links}
+
+
+def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
+    config, scene, replica = simulator.config, simulator.set_variation(attempt), simulator.replica
+    task, acting = config.task, state.actions
+    replica.show(state.qpos)
+    joints = replica.joints() if state.sensed is None else state.sensed
+    bases = [arm.T_base_in_world for arm in scene.arms]
+    return frame_data(
+        joints=encoder_readings(scene, joints, attempt.job, tick),
+        timestamp=state.time,
+        intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
+        extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
+        object_poses={item.name: replica.T_object_in_base(item.name) for item in task.objects},
+        object_joints=_joints(simulator),
+        cloth_points=replica.cloth_points(),
+        ee_pose=replica.T_grasp_in_base(),
+        ctrl=acting.ctrl[0][scene.drives],
+        action_joints=acting.joints[0],
+        magnet=acting.magnet[0],
+        language_task=task.language_task or task.name,
+        language_prompt=attempt.phrasing or task.language_prompt,
+        wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
+        T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,
+        full_openings=max_openings(config) if config.action == "joints" else None,
+        simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
+    )
+
+
+def max_openings(config: RecordConfig) -> list[float]:
+    """Return the largest opening in use of each arm's fingers, m, in the order of recordings."""
+    fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recording_order]
+    return [each.full_opening for each in fingers if each is not None]
+
+
+def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
+    """Return for each camera the RGB image (height, width, 3) at MuJoCo's positions (nq,), without picture noise.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    renderer = _renderer(simulator, attempt)
+    simulator.replica.show(qpos)
+    return {camera: renderer.render(simulator.replica.data, camera) for camera in cameras}
+
+
+def recorded_pictures(
+    simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
+) -> Iterator[tuple[int, str, Image]]:
+    """Yield frame, camera and RGB image (height, width, 3) as recorded, at each of MuJoCo's positions (nq,).
+
+    Each image reuses the memory of the previous one.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    width, height = simulator.config.image.size_px
+    image = np.empty((height, width, 3), np.uint8)
+    renderer = _renderer(simulator, attempt)
+    for k, qpos in enumerate(positions):
+        simulator.replica.show(qpos)
+        for number, camera in enumerate(simulator.scene.cameras):
+            renderer.render(simulator.replica.data, camera, image)
+            simulator.randomized.finish(attempt, image, k, number)
+            yield k, camera, image
+
+
+def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Array]) -> dict[str, bytes]:
+    """Return path in the episode -> content of each JPEG, and of the ground truth if the config has `truth`.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    files: dict[str, bytes] = {}
+    truth: GroundTruthCollector | None = None
+    if simulator.labels is not None:
+        truth = GroundTruthCollector(simulator.labels, simulator.scene.cameras, simulator.scene.T_base_in_world)
+    for k, camera, image in recorded_pictures(simulator, attempt, positions):
+        files[image_name(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
+        if truth:
+            truth.add(simulator.replica.data, camera, simulator.renderer)
+    return files | (truth.files if truth else {})
+
+
+def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> NDArray[np.uint16]:
+    """Return a depth image (height, width) in mm at MuJoCo's positions (nq,), for a config with `truth`.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    assert simulator.labels is not None, "depth is part of truth"
+    renderer = _renderer(simulator, attempt)
+    simulator.replica.show(qpos)
+    # Only labelled geoms have a depth, as in recorded ground truth: the sky has no label.
+    labels = simulator.labels
+    return depth_in_mm(renderer.label(simulator.replica.data, camera, labels.of_geom, labels.of_flex)[1])
+
+
+def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
+    """Return the renderer, updated to the attempt's variation."""
+    simulator.set_variation(attempt)
+    simulator.randomized.upload(simulator.renderer)
+    return simulator.renderer
+
+
+class GroundTruthCollector:
+    """Collects an episode's ground truth: `add` every frame of every camera in order, then read `files`."""
+
+    def __init__(self, labels: SceneLabels, cameras: Sequence[str], T_base_in_world: Array) -> None:
+        self._labels = labels
+        self._T_base_in_world = T_base_in_world
+        self._rows: dict[str, list[dict[str, NDArray[Any]]]] = {camera: [] for camera in cameras}
+        self._intrinsics: dict[str, Array] = {}
+        self._files: dict[str, bytes] = {}
+
+    def add(self, data: mujoco.MjData, camera: str, renderer: SceneRenderer) -> None:
+        """Measure the ground truth of a camera's present image."""
+        truth = measure_frame(data, camera, renderer, self._labels, self._T_base_in_world)
+        frame = len(self._rows[camera])
+        self._rows[camera].append(truth.arrays)
+        self._intrinsics[camera] = renderer.intrinsics(camera).K
+        self._files[depth_name(camera, frame)] = dump_depth(truth.depth_mm)
+        self._files[segmentation_name(camera, frame)] = encode_labels(truth.labels)
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """Path in the episode -> content."""
+        files = dict(self._files)
+        for camera, rows in self._rows.items():
+            forms = array_specs(self._labels.names, len(rows))
+            arrays = {"intrinsics": self._intrinsics[camera]} | {
+                key: np.stack([row[key] for row in rows]).astype(dtype)
+                for key, (dtype, _) in forms.items()
+                if key in rows[0]
+            }
+            files[truth_name(camera)] = dump_arrays(arrays)
+        files[TRUTH_LABELS] = to_json(self._labels.names, indent=1)
+        return files

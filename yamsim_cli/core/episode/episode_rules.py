@@ -1,0 +1,73 @@
+"""Which events end an episode, and which of them fail it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ..attempt_data import FailureCause
+
+MAGNET_REACH = 0.06  # m, from a hand's pinch point to a thing's surface; a magnet attracts nothing that is farther away
+
+
+class EndRule(StrEnum):
+    """Who ends an episode that neither fails nor runs out of time.
+
+    With `SUCCESS`, the episode ends at the first control tick at which the goal has held for its hold time. With
+    `ACTOR`, the actor ends it, and the goal has to hold at that moment.
+    """
+
+    SUCCESS = "success"
+    ACTOR = "actor"
+
+
+class EndReason(StrEnum):
+    """What ended an episode."""
+
+    SUCCESS = "success"
+    FORBIDDEN = "forbidden"
+    UNSTABLE = "unstable"
+    TIME_LIMIT = "time_limit"
+    ACTOR = "actor"
+
+
+@dataclass(frozen=True)
+class EpisodeRules:
+    """The rules of an episode.
+
+    Attributes:
+        end: who ends the episode.
+        strict: whether a forbidden contact or an exceeded joint limit fails the episode. Demonstrations are strict. The
+            arms of a person or a policy may touch the table.
+        max_ticks: control ticks after which the episode ends; None for no time limit.
+        magnet_reach: largest distance at which a magnet attracts a thing, m; None for any, as recorded actions need it.
+    """
+
+    end: EndRule = EndRule.ACTOR
+    strict: bool = False
+    max_ticks: int | None = None
+    magnet_reach: float | None = MAGNET_REACH
+
+
+#: The rules of demonstrations by a task's expert, and of their replays.
+EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, magnet_reach=None)
+
+#: The rules of replays of a person's recorded actions.
+REPLAY_RULES = EpisodeRules(EndRule.ACTOR, magnet_reach=None)
+
+
+@dataclass(frozen=True)
+class EpisodeEnd:
+    """How an episode ended.
+
+    Attributes:
+        reason: the event that ended the episode.
+        tick: control ticks that had passed.
+        cause: why the attempt failed; None if the end itself is no failure.
+        detail: the figures behind the cause, for a person.
+    """
+
+    reason: EndReason
+    tick: int
+    cause: FailureCause | None = None
+    detail: str = ""

@@ -1,0 +1,188 @@
+"""Execution of attempts: by a task's expert, or by given actions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..attempt_data import ActionSequence, Attempt, FailureCause, Outcome, Recovery, StepState
+from ..expert.planning.arm_solvers import start_postures
+from ..expert.skills.common_motions import park_free_hands
+from ..expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
+from ..expert.skills.program import RecoveryLog, build_program, run_program
+from ..scene.compiled import CompiledScene
+from ..scene.random_streams import Stream, random_generator
+from .commands import path_actions
+from .episode import Episode, EpisodeResult, OnStep
+from .episode_rules import EXPERT_RULES, EndReason, EpisodeRules
+from .sampling import describe_missing_start
+from .simulator import Simulator, open_episode
+
+
+@dataclass(frozen=True)
+class SimulatedAttempt:
+    """An attempt and its result.
+
+    Attributes:
+        attempt: as sampled, with the distractors that were placed later.
+        outcome: how it ended.
+        played: what happened; None if nothing moved.
+    """
+
+    attempt: Attempt
+    outcome: Outcome
+    played: EpisodeResult | None
+
+    @property
+    def states(self) -> tuple[StepState, ...]:
+        """The state of every recorded frame; none if nothing moved."""
+        return self.played.states if self.played else ()
+
+
+def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
+    """Return the attempt as performed by the task's expert, without rendering. A success gets its distractors.
+
+    Args:
+        grips: whether fingers close. Without, every task that needs a grasp fails.
+    """
+    if attempt.start is None:
+        return SimulatedAttempt(
+            attempt, Outcome(False, FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt)), None
+        )
+    task = simulator.config.task
+    episode = open_episode(simulator, attempt, EXPERT_RULES)
+    rng = random_generator(attempt.job, Stream.SEARCH)
+    bench = simulator.expert_tools.planning_context(episode.world, list(start_postures(simulator.config)), rng)
+    log, recoveries = RecoveryLog(), list[Recovery]()
+
+    def note_recoveries() -> None:
+        new = log.recoveries[len(recoveries) :]
+        recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frames) for entry in new)
+
+    failure: tuple[FailureCause, str] | None = None
+    # After the program, the arms wait until the hold time has passed.
+    max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
+    try:
+        for segment in _expert_motions(simulator, episode, bench, log):
+            note_recoveries()
+            if episode.ticks + segment.ticks > max_ticks:
+                failure = FailureCause.TIME, f"not done after {episode.seconds:.0f} s"
+                break
+            episode.act(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            if episode.end is not None:
+                break
+    except SkillFailedError as error:
+        failure = error.cause, str(error)
+    note_recoveries()
+    last = path_actions(episode.scene, bench.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
+    episode.act(_with_fingers(episode.scene, last, grips), until_success=True)
+    bench.clear_cache()
+    played = episode.finish()
+    outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
+    simulated = SimulatedAttempt(attempt, outcome, played)
+    return (
+        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.states))
+        if outcome.success
+        else simulated
+    )
+
+
+def _expert_motions(
+    simulator: Simulator, episode: Episode, context: PlanningContext, log: RecoveryLog
+) -> Iterator[MotionSegment]:
+    """Yield the motions of a task's expert. Hands are not parked once the goal is reached."""
+    task, cast = simulator.config.task, simulator.roles
+    yield from run_program(build_program(task, cast), context, cast, log)
+    if not episode.succeeds:
+        yield from park_free_hands(context)
+
+
+def run_actions(
+    simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
+) -> SimulatedAttempt:
+    """Return the attempt as performed by given actions, judged like any other.
+
+    Args:
+        rules: of the episode in which the actions were recorded; the verdict is then the same.
+        on_step: see `Episode`.
+    """
+    episode = open_episode(simulator, attempt, rules, on_step)
+    episode.act(actions)
+    played = episode.finish()
+    return SimulatedAttempt(attempt, build_outcome(simulator, played), played)
+
+
+def build_outcome(
+    simulator: Simulator, played: EpisodeResult, failure: tuple[FailureCause, str] | None = None
+) -> Outcome:
+    """Return the outcome of an episode.
+
+    Args:
+        failure: cause and details of an expert's failure; None without one.
+    """
+    end = played.end
+    cause, detail = end.cause, end.detail
+    if failure is not None and end.reason not in (EndReason.UNSTABLE, EndReason.FORBIDDEN):
+        cause, detail = failure
+    elif end.cause is FailureCause.GOAL and _misses_its_target(simulator, played):
+        cause = FailureCause.OFF_TARGET
+    dxy, dz, speed = _final_distances(simulator, played)
+    measures = played.verdict.measures if played.verdict else ()
+    return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=played.margins, measures=measures)
+
+
+def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
+    """Return the attempt with distractors placed where nothing comes near them; unchanged if the config has none.
+
+    Args:
+        states: of the whole attempt.
+    """
+    if simulator.placer is None:
+        return attempt
+    places = simulator.placer.places(attempt.job, [state.qpos for state in states])
+    return replace(attempt, variation=replace(attempt.variation, distractors=places))
+
+
+def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt:
+    """Return the attempt with distractors that leave room for its demonstration, for other actors.
+
+    Nothing is simulated if the config has no distractors. If the demonstration fails, none are placed.
+    """
+    return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
+
+
+def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
+    """Return whether the goal fails first at the distance by which the task is scored."""
+    target = simulator.config.task.target_predicate
+    if target is None or played.verdict is None or played.verdict.reached:
+        return False
+    worst, cast = played.verdict.worst, simulator.roles
+    return worst.unit == "m" and worst.what == f"on({cast.object_of(target.thing)}, {cast.object_of(target.surface)})"
+
+
+def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float | None, float | None, float | None]:
+    """Return a thing's distance from its target at the end, horizontal and vertical, m; and the thing's speed, m/s.
+
+    All are None for a goal without such a distance.
+    """
+    task, cast = simulator.config.task, simulator.roles
+    target = task.target_predicate
+    if target is None:
+        return None, None, None
+    thing, surface = cast.object_of(target.thing), cast.object_of(target.surface)
+    apart = played.T_at_end[thing][:3, 3] - played.T_at_end[surface][:3, 3]
+    return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
+
+
+def _with_fingers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
+    """Return the actions; without grips, with open fingers and magnets off."""
+    if grips:
+        return actions
+    ctrl = actions.ctrl.copy()
+    for arm in scene.arms:
+        if arm.fingers is not None:
+            ctrl[:, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
+    return replace(actions, ctrl=ctrl, magnet=np.zeros_like(actions.magnet))

@@ -1,0 +1,60 @@
+"""How far things slip and tilt in the hands that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..geometry.se3 import Array, inverse, pose, tilt
+from ..scene.compiled import CompiledScene
+from ..sim.sim_world import SimWorld
+
+SETTLED_TICKS = 8  # control ticks of holding after which a thing counts as settled in a hand; fingers close until then
+
+
+class HeldObjectMonitor:
+    """Measures how far things slip and tilt while they are held.
+
+    Attributes:
+        slip: largest distance that a settled thing moved in a hand, m.
+        tilt: largest angle between a held thing's vertical axis at its grasp and later, rad.
+
+    Args:
+        world: the state that is measured.
+    """
+
+    def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
+        self._scene, self._world = scene, world
+        self._ticks: dict[tuple[str, int], int] = {}
+        self._position_in_hand: dict[tuple[str, int], Array] = {}
+        self._T_when_grasped: dict[str, Array] = {}
+        self.slip = self.tilt = 0.0
+
+    def watch(self, holding_sides_by_object: Mapping[str, frozenset[str]]) -> None:
+        """Measure the state after a control tick.
+
+        Args:
+            holding: thing -> the sides of the hands that hold it.
+        """
+        for name, holders in holding_sides_by_object.items():
+            if name in self._scene.cloths:
+                continue
+            for k, side in enumerate(self._world.sides):
+                if side in holders:
+                    self._measure(name, k)
+                else:
+                    self._ticks.pop((name, k), None)
+            if not holders:
+                self._T_when_grasped.pop(name, None)
+
+    def _measure(self, name: str, arm: int) -> None:
+        key = (name, arm)
+        ticks = self._ticks[key] = self._ticks.get(key, 0) + 1
+        T = self._world.pose(name)
+        self.tilt = max(self.tilt, tilt(self._T_when_grasped.setdefault(name, T)[:3, :3].T @ T[:3, :3]))
+        flange = self._world.data.body(self._scene.arms[arm].flange)
+        position = (inverse(pose(flange.xpos, flange.xmat.reshape(3, 3))) @ T)[:3, 3]
+        if ticks <= SETTLED_TICKS:
+            self._position_in_hand[key] = position
+        self.slip = max(self.slip, float(np.linalg.norm(position - self._position_in_hand[key])))

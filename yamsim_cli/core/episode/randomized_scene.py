@@ -1,0 +1,62 @@
+"""Application of an attempt's variation to the scene, the renderer and the images."""
+
+from __future__ import annotations
+
+from ..attempt_data import Attempt
+from ..config.recording import RecordConfig
+from ..config.variation import Variation
+from ..images.image import Image
+from ..rendering.image_augmentation import PictureAugmenter
+from ..rendering.renderer import SceneRenderer
+from ..scene.compiled import CompiledScene
+from ..scene.randomized_model import RandomizedArms, RandomizedModel
+
+
+class RandomizedScene:
+    """A compiled scene with the variation of the last attempt given to `apply`; without randomization it never changes.
+
+    Args:
+        scene: as compiled.
+    """
+
+    def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
+        self._config = config
+        self._scene = scene
+        self._varied: RandomizedModel | None = None
+        if config.randomization.parts:
+            self._varied = RandomizedModel(scene.model, config.randomization, config.scene)
+        self._arms = RandomizedArms(scene) if config.randomization.arm_dynamics else None
+        # The variation that the model has now, and the variation that the renderer has.
+        self._applied: Variation | None = None
+        self._uploaded: Variation | None = None
+        self._augmenter: tuple[Attempt, PictureAugmenter] | None = None
+
+    def apply(self, attempt: Attempt) -> CompiledScene:
+        """Return the scene with an attempt's variation; valid until the next call."""
+        if self._varied and attempt.variation is not self._applied:
+            self._varied.apply(attempt.variation)
+            if self._arms:
+                self._scene = self._arms.apply(attempt.variation.arm_dynamics)
+            self._applied = attempt.variation
+        return self._scene
+
+    def upload(self, renderer: SceneRenderer) -> None:
+        """Upload the textures of the scene's variation to the renderer; needed before rendering."""
+        if self._varied and self._uploaded is not self._applied:
+            for texture in self._varied.textures:
+                renderer.upload_texture(texture)
+            self._uploaded = self._applied
+
+    def finish(self, attempt: Attempt, image: Image, frame: int, camera: int) -> None:
+        """Apply the noise of the camera and its cable to an attempt's image (height, width, 3), in place.
+
+        Args:
+            frame, camera: their numbers, from which the noise follows.
+        """
+        ranges = self._config.randomization.picture
+        if ranges is None:
+            return
+        if self._augmenter is None or self._augmenter[0] is not attempt:
+            size = self._config.image.size_px
+            self._augmenter = attempt, PictureAugmenter(ranges, attempt.variation, attempt.job, size)
+        self._augmenter[1].apply(image, frame, camera)

@@ -1,0 +1,277 @@
+"""Collision checks of an arm and the thing in its hand at given joints, in a scene that is otherwise still."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.goals.world import TABLE
+from ...geometry.se3 import Array, pose, quat_from_rotation
+from ...scene.compiled import ArmAddresses, Ids
+
+_ARM_DISTANCE = 0.004  # m, least distance of an arm from everything else
+_THING_DISTANCE = 0.003  # m, least distance of a carried thing from everything else
+_FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into the thing that they hold: contacts are soft in physics
+
+_DESCENT_STEP = 0.004  # m, of a search downwards
+_HALVINGS = 6  # bisections of the last step of a search downwards
+
+_LATERAL_STEP = 0.002  # m, of a search sideways
+_SUPPORT = 0.7  # vertical component of a contact's normal, above which the contact is with what the thing lies on
+
+# MuJoCo's masks: two geoms collide if one's type and the other's affinity have a common bit. Bodies have those of all
+# their geoms.
+_MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
+
+
+@dataclass(frozen=True)
+class AttachedObject:
+    """A carried thing.
+
+    Attributes:
+        thing: name.
+        T_thing_in_pinch: pose (4, 4) of the thing in the pinch frame.
+        may_touch: names of things, or `TABLE`, that the carried thing may touch.
+    """
+
+    thing: str
+    T_thing_in_pinch: Array
+    allowed_contacts: Collection[str] = field(default=())
+
+
+class CollisionChecker:
+    """Checks for contacts in a copy of a scene.
+
+    Args:
+        model: the compiled scene.
+        things: names of the things in the scene.
+        fingers: geoms of each arm's fingers, in the order of `arms`.
+        absent: names of bodies that are no obstacles: distractors, which are placed after planning.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        arms: Sequence[ArmAddresses],
+        things: Sequence[str],
+        fingers: Sequence[Ids],
+        absent: Sequence[str] = (),
+    ) -> None:
+        self._model = copy.copy(model)
+        self._data = mujoco.MjData(self._model)
+        self._arms, self._things = arms, tuple(things)
+        root = model.body_rootid[model.geom_bodyid]
+        self._arm_of = np.full(model.ngeom, -1)
+        for k, arm in enumerate(arms):
+            self._arm_of[root == model.body_rootid[model.body(arm.flange).id]] = k
+        self._thing_of = np.full(model.ngeom, -1)
+        for k, name in enumerate(things):
+            self._thing_of[root == model.body(name).id] = k
+        self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
+        self._table = np.arange(model.ngeom) == model.geom(TABLE).id
+        # Cloth is no obstacle.
+        self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
+        away = np.isin(root, [model.body(name).id for name in absent])
+        self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
+        self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
+        self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
+        self._solid = self._model.geom_contype != 0
+        # The arm and the thing that move in the model now, and the model's masks for all that moved so far.
+        self._moving: tuple[int | None, str | None] = (None, None)
+        self._masks: dict[tuple[int | None, str | None], list[NDArray[np.int_]]] = {
+            (None, None): [getattr(self._model, name).copy() for name in _MASKS]
+        }
+
+    def find_contact(
+        self,
+        qpos: Array,
+        arm: int,
+        joints: Array,
+        opening: float,
+        attached: AttachedObject | None = None,
+        grasped: str | None = None,
+        finger_clearance: float | None = None,
+    ) -> str | None:
+        """Names of two geoms that are too near to each other; None if there are none.
+
+        Args:
+            qpos: MuJoCo's positions (nq,) of everything else.
+            arm: number of the arm.
+            joints: joints (dof,) of the arm, rad.
+            opening: opening of one finger, m.
+            attached: the carried thing.
+            grasped: a thing between the fingers, which they may touch.
+            finger_clearance: least distance of the fingers from everything else, m; by default that of the arm.
+        """
+        data = self._pose(qpos, arm, joints, opening, attached)
+        self._collide(arm, None if attached is None else attached.thing)
+        if not data.ncon:
+            return None
+        geoms = data.contact.geom
+        near = self._forbidden(geoms, data.contact.dist, arm, attached, grasped, finger_clearance)
+        if not near.any():
+            return None
+        one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
+        return f"{one} and {other}"
+
+    def has_self_collision(self, arm: int, joints: Array) -> bool:
+        """Whether links of an arm collide with each other at given joints (dof,), rad."""
+        data = self._pose(self._data.qpos, arm, joints, 0.0, None)
+        self._collide(None, None)
+        of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
+        return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
+
+    def qpos_with_arm(
+        self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None = None
+    ) -> Array:
+        """MuJoCo's positions (nq,) with an arm and its load at other joints; see `touched`."""
+        positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
+        return positions
+
+    def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
+        """The height at which a thing that is lowered from a pose (4, 4) meets something, m.
+
+        Args:
+            lowest: limit of the search, m.
+        """
+        data, address = self._data, int(self._model.joint(thing).qposadr[0])
+        data.qpos[:] = qpos
+        data.qpos[address : address + 2] = T_in_world[:2, 3]
+        data.qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
+
+        def meets(height: float) -> bool:
+            data.qpos[address + 2] = height
+            mujoco.mj_kinematics(self._model, data)
+            self._collide(None, thing)
+            return bool((data.contact.dist < 0).any())
+
+        high = float(T_in_world[2, 3])
+        data.qpos[address + 2] = high
+        mujoco.mj_kinematics(self._model, data)
+        free = high - self._clearance_below(data, thing)
+        while high - _DESCENT_STEP > free or not meets(high - _DESCENT_STEP):
+            high -= _DESCENT_STEP
+            if high < lowest:
+                return lowest
+        low = high - _DESCENT_STEP
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if meets(middle) else (low, middle)
+        return high
+
+    def free_distance(self, qpos: Array, thing: str, direction: Array, maximum: float) -> float:
+        """How far a thing can move along a direction (2,), seen from above, before it meets something, m.
+
+        Args:
+            most: limit of the search, m.
+        """
+        data, address = self._data, int(self._model.joint(thing).qposadr[0])
+        step = direction / np.linalg.norm(direction) * _LATERAL_STEP
+        data.qpos[:] = qpos
+        for count in range(math.ceil(maximum / _LATERAL_STEP)):
+            data.qpos[address : address + 2] += step
+            mujoco.mj_kinematics(self._model, data)
+            self._collide(None, thing)
+            if ((data.contact.dist < 0) & (np.abs(data.contact.frame[:, 2]) < _SUPPORT)).any():
+                return count * _LATERAL_STEP
+        return maximum
+
+    def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
+        """A lower bound of the distance by which a thing can be lowered, from the geoms' bounding boxes, m."""
+        low, high = _bounding_boxes(self._model, data)
+        of_thing = self._thing_of == self._things.index(thing)
+        mine = np.flatnonzero(self._solid & of_thing)
+        others = np.flatnonzero(self._solid & ~of_thing & (self._arm_of < 0))
+        under = ((low[mine, None, :2] < high[None, others, :2]) & (high[mine, None, :2] > low[None, others, :2])).all(2)
+        gaps = low[mine, None, 2] - high[None, others, 2]
+        return float(gaps[under].min(initial=np.inf))
+
+    def _collide(self, arm: int | None, thing: str | None) -> None:
+        """Update the contacts between what moves and what stays. Contacts within either are left out.
+
+        Args:
+            arm: number of the arm that moves. None leaves out all arms, and without a thing it leaves out nothing.
+            thing: name of the thing that moves; None without one.
+        """
+        if self._moving != (arm, thing):
+            self._moving = arm, thing
+            if self._moving not in self._masks:
+                self._masks[self._moving] = self._masks_of(arm, thing)
+            for name, mask in zip(_MASKS, self._masks[self._moving], strict=True):
+                getattr(self._model, name)[:] = mask
+        mujoco.mj_collision(self._model, self._data)
+
+    def _masks_of(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
+        """The values of `_MASKS` for `_collide`: what moves has types alone, and what stays has affinities alone."""
+        moves = np.zeros(self._model.ngeom, bool)
+        if arm is not None:
+            moves |= self._arm_of == arm
+        if thing is not None:
+            moves |= self._thing_of == self._things.index(thing)
+        stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
+        # Geoms with the same masks in the scene are of one kind, which has a bit of its own.
+        masks = np.column_stack(self._masks[None, None][:2])
+        kinds, kind = np.unique(masks, axis=0, return_inverse=True)
+        bits = 1 << np.arange(len(kinds))
+        collide = ((kinds[:, :1] & kinds[:, 1]) | (kinds[:, 1:] & kinds[:, 0])) != 0
+        geoms = [np.where(moves, bits[kind.ravel()], 0), np.where(stays, (collide @ bits)[kind.ravel()], 0)]
+        bodies = [np.zeros(self._model.nbody, int) for _ in geoms]
+        for of_body, of_geom in zip(bodies, geoms, strict=True):
+            np.bitwise_or.at(of_body, self._model.geom_bodyid, of_geom)
+        return geoms + bodies
+
+    def _pose(self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None) -> mujoco.MjData:
+        data, moving = self._data, self._arms[arm]
+        data.qpos[:] = qpos
+        data.qpos[moving.joint_qpos] = joints
+        if moving.fingers is not None:
+            data.qpos[moving.fingers.qpos] = opening * moving.fingers.sign
+        mujoco.mj_kinematics(self._model, data)
+        if load is not None:
+            site = data.site(f"{moving.prefix}pinch_site")
+            T = pose(site.xpos, site.xmat.reshape(3, 3)) @ load.T_thing_in_pinch
+            address = self._model.joint(load.thing).qposadr[0]
+            data.qpos[address : address + 3] = T[:3, 3]
+            data.qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+            mujoco.mj_kinematics(self._model, data)
+        return data
+
+    def _forbidden(
+        self,
+        geoms: Array,
+        distances: Array,
+        arm: int,
+        load: AttachedObject | None,
+        between: str | None,
+        beside: float | None,
+    ) -> Array:
+        """Which contacts (n,) of the moving arm or its load with something else are forbidden."""
+        of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
+        of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
+        counts = np.ones(len(geoms), bool)
+        for name in load.allowed_contacts if load else ():
+            other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
+            counts &= ~(of_load.any(axis=1) & other.any(axis=1))
+        if between is not None or beside is not None:
+            fingers = (of_arm & self._finger[geoms]).any(axis=1)
+        if between is not None:
+            around = fingers & (of_thing == self._things.index(between)).any(axis=1)
+            counts &= ~(around & (distances > -_FINGER_DEPTH))
+        if beside is not None:
+            counts &= ~(fingers & (distances > beside))
+        found: Array = counts
+        return found
+
+
+def _bounding_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """The lowest and highest corners (ngeom, 3) of the geoms' bounding boxes along the axes of `world`, m."""
+    R = data.geom_xmat.reshape(-1, 3, 3)
+    middle = data.geom_xpos + np.einsum("gij,gj->gi", R, model.geom_aabb[:, :3])
+    reach = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[:, 3:])
+    return middle - reach, middle + reach

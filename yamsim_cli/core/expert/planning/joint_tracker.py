@@ -1,0 +1,55 @@
+"""Joint references that follow a moving goal with bounded speed and acceleration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...geometry.se3 import Array
+
+_MAX_SPEED_SHARE = 0.5  # of the motors' no-load speed; the rest overcomes load and friction
+_MAX_ACCELERATION = 12.0  # rad/s^2
+
+
+class JointTracker:
+    """A joint reference that follows a goal with bounded speed and acceleration, and stops on it.
+
+    Attributes:
+        joints: the present reference (dof,), rad.
+
+    Args:
+        motor_speed: no-load speed (dof,) of each joint's motor, rad/s.
+        joint_range: (dof, 2), rad.
+        tick: length of a control tick, s.
+    """
+
+    def __init__(self, motor_speed: Array, joint_range: Array, tick: float) -> None:
+        self._speed = _MAX_SPEED_SHARE * motor_speed
+        self._low, self._high = joint_range.T
+        self._tick = tick
+        self.joints: Array = np.zeros_like(motor_speed)
+        self._velocity: Array = np.zeros_like(motor_speed)
+
+    def reset(self, joints: Array) -> None:
+        """Set the reference to `joints` (dof,), at rest."""
+        self.joints, self._velocity = joints.copy(), np.zeros_like(joints)
+
+    def next_reference(self, goal: Array) -> Array:
+        """The reference (dof,) one tick later on the path to `goal` (dof,), within its range; `go` applies it."""
+        distance = np.clip(goal, self._low, self._high) - self.joints
+        # The speed from which braking ends at the goal. Another bound is the speed that reaches the goal in this tick.
+        braking = np.sqrt(2 * _MAX_ACCELERATION * np.abs(distance))
+        wanted = np.sign(distance) * np.minimum.reduce([self._speed, braking, np.abs(distance) / self._tick])
+        most = _MAX_ACCELERATION * self._tick
+        change: Array = np.clip(wanted - self._velocity, -most, most)
+        reached: Array = np.clip(self.joints + (self._velocity + change) * self._tick, self._low, self._high)
+        return reached
+
+    def apply_reference(self, joints: Array) -> Array:
+        """Set the next reference to `joints` (dof,), and return the velocity (dof,) of this tick, rad/s."""
+        self._velocity = (joints - self.joints) / self._tick
+        self.joints = joints.copy()
+        return self._velocity
+
+    def halt(self) -> None:
+        """Set the velocity to 0."""
+        self._velocity = np.zeros_like(self._velocity)

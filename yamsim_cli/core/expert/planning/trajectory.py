@@ -1,0 +1,126 @@
+"""Motions of one arm as joint references, one for each control tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
+from .ik import IkSolver
+
+_MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed, limit of a joint's speed
+_MAX_SPEED = 2.2  # rad/s, limit of a joint's speed
+
+_PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of the mean speed
+_PASSING_PEAK = 1.5  # peak speed of a motion that does not stop at all its points, as a multiple of the mean speed
+
+LINE_SPEED = 0.25  # m/s, mean speed of a hand on a straight line
+_LINE_TURN_SPEED = 1.2  # rad/s, mean turn of a hand on a straight line
+_MIN_TICKS = 6  # control ticks of the shortest motion
+
+_MAX_LINE_ERROR = 0.004  # m, from the curve, above which a pose counts as out of reach
+_MAX_JOINT_STEP = 0.35  # rad, change of a joint in a tick above which a pose counts as out of reach
+_LINE_ITERATIONS = 8  # limit of each search for joints on a curve
+
+
+def minimum_jerk(fraction: float) -> float:
+    """The position, 0..1, of a minimum-jerk motion at a fraction, 0..1, of its duration."""
+    return fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
+
+
+def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
+    """Joints (n + 1, dof) at the ticks' boundaries of a motion from rest through points to rest, within speed limits.
+
+    Args:
+        points: joints (dof,), the present ones first, rad.
+        motor_speed: no-load speed of each joint's motor (dof,), rad/s.
+        tick: length of a control tick, s.
+    """
+    limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
+    knots = np.asarray(points)
+    peak = _PEAK if len(knots) == 2 else _PASSING_PEAK
+    steps = np.diff(knots, axis=0)
+    ticks = [max(_MIN_TICKS, math.ceil(float((np.abs(step) / limit).max()) * peak / tick)) for step in steps]
+    velocities = [np.zeros(knots.shape[1])]
+    for k in range(1, len(steps)):
+        velocity = (knots[k + 1] - knots[k - 1]) / ((ticks[k - 1] + ticks[k]) * tick)
+        # A joint that reverses at a point has no speed there.
+        velocities.append(np.where(steps[k] * steps[k - 1] > 0, velocity, 0.0))
+    velocities.append(np.zeros(knots.shape[1]))
+    rows = [knots[0]]
+    for k, number in enumerate(ticks):
+        duration = number * tick
+        for step in range(1, number + 1):
+            u = step / number
+            leave = u - 6 * u**3 + 8 * u**4 - 3 * u**5
+            arrive = -4 * u**3 + 7 * u**4 - 3 * u**5
+            rows.append(
+                knots[k] + minimum_jerk(u) * steps[k] + duration * (leave * velocities[k] + arrive * velocities[k + 1])
+            )
+    return np.array(rows)
+
+
+def cartesian_line(
+    ik: IkSolver, start: Array, T_tool_in_world: Array, tick: float, speed: float = LINE_SPEED
+) -> Array | None:
+    """Joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
+
+    Args:
+        ik: solves for the held frame, see `IkSolver.hold`.
+        start: the present joints (dof,), rad.
+        speed: mean speed of the frame, m/s.
+
+    Returns:
+        The motion, or None if the line leaves the arm's reach.
+    """
+    T_start = ik.pose_of(start)
+    distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
+    turn = rotation_vector(T_start[:3, :3].T @ T_tool_in_world[:3, :3])
+
+    def on_line(share: float) -> Array:
+        position = T_start[:3, 3] + share * (T_tool_in_world[:3, 3] - T_start[:3, 3])
+        return pose(position, T_start[:3, :3] @ rotation_from_vector(share * turn))
+
+    seconds = max(distance / speed, float(np.linalg.norm(turn)) / _LINE_TURN_SPEED)
+    return cartesian_curve(ik, start, on_line, seconds, tick)
+
+
+def cartesian_curve(
+    ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float
+) -> Array | None:
+    """Joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
+
+    Args:
+        ik: solves for the held frame, see `IkSolver.hold`.
+        start: the present joints (dof,), rad.
+        pose_at: share of the curve, 0..1 -> the frame's pose (4, 4) in `world`.
+        seconds: duration at the mean speed.
+
+    Returns:
+        The motion, or None if the curve leaves the arm's reach.
+    """
+    number = max(_MIN_TICKS, math.ceil(seconds * _PEAK / tick))
+    rows, solution = [start], ik.solution_at(start)
+    for step in range(1, number + 1):
+        solution = ik.solve_next(pose_at(minimum_jerk(step / number)), solution, _LINE_ITERATIONS)
+        if (
+            solution.position_error > _MAX_LINE_ERROR
+            or float(np.abs(solution.joints - rows[-1]).max()) > _MAX_JOINT_STEP
+        ):
+            return None
+        rows.append(solution.joints)
+    return np.array(rows)
+
+
+def is_collision_free(path: Array, find_contact: Callable[[Array], str | None], step: float = 0.02) -> bool:
+    """Whether nothing is touched along a motion (n + 1, dof), checked every `step` rad."""
+    last = path[0]
+    for joints in (*path[1:-1], path[-1]):
+        if joints is not path[-1] and float(np.abs(joints - last).max()) < step:
+            continue
+        last = joints
+        if find_contact(joints):
+            return False
+    return True

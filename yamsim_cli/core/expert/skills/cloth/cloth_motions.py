@@ -1,0 +1,226 @@
+"""Motions of hands that grasp points of cloth, carry them to their targets on an arch, and release them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import FailureCause
+from yamsim_cli.core.geometry.se3 import Array, interpolate_rotation, pose
+from yamsim_cli.core.sim.cloth import points_between_pads, simulated_pull
+
+from ..common_motions import GRIP_TICKS, rest_segment, unparked_hands
+from ..hand import Hand
+from ..planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from .point_grasps import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, hands_clear
+
+SPEED = 0.12  # m/s, of a hand with cloth
+ARCH = 0.45  # height of the path of a fold, as a share of its length
+
+_FORCE = 20.0  # N, of closed fingers on cloth
+
+# m; depths of further grasps after a miss, each in steps of `_DEPTH_STEP`.
+_DEPTH_STEP = 0.002
+_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
+_OPEN_TICKS = 4  # control ticks in which fingers open before a further grasp
+
+_STUCK_OPENING = 2 * APPROACH_OPENING  # m, of a finger commanded to `APPROACH_OPENING`, above which it counts as stuck
+_CLOSED_OPENING = 0.006  # m, of a closed finger: more than cloth is thick, and far less than `APPROACH_OPENING`
+
+_WITHDRAWAL = 0.04  # m, of a hand out from under the cloth that it placed
+_DROP_HEIGHT = 0.002  # m, over the target, at which a folded point is released
+_PULL_HEIGHT = 0.006  # m, of a pull over the table: tips that rub on the table hold arms back by 2 to 4 cm
+
+
+def predicted_points(
+    context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
+) -> Array:
+    """A cloth's points (along y, along x, 3) in `world` after `carry` with the same arguments, m.
+
+    The points come from a simulation of the cloth without hands, in which the grasped points move on prescribed paths.
+    """
+    cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
+    patches = []
+    for grasp in grasps:
+        row, column = grasp.placement.point
+        between = points_between_pads(cloth, points.reshape(-1, 3), grasp.T_grasp)
+        patches.append(np.union1d(between, [row * points.shape[1] + column]))
+    paths = [grasp.placement.target(points) - points[grasp.placement.point] for grasp in grasps]
+    seconds = max(float(np.linalg.norm(path[:2])) for path in paths) / speed
+    return simulated_pull(context.world.data, context.model, cloth, patches, paths, arch, seconds)
+
+
+def carry_points(
+    context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
+) -> Iterator[MotionSegment]:
+    """Grasp points of a cloth, carry them to their targets, and release them.
+
+    Args:
+        arch: height of the path, as a share of its length.
+        speed: m/s.
+
+    Raises:
+        SkillFailedError: a hand missed its point, or its fingers do not close.
+    """
+    opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
+    yield from _approach(context, grasps)
+    _check_fingers(context, grasps)
+    yield context.make_segment({grasp.hand: context.plan_line(grasp.hand, grasp.T_grasp) for grasp in grasps})
+    yield from _grasp(context, thing, grasps)
+    missed = [grasp.hand for grasp in grasps if grasp.hand.side not in context.world.holding_sides(thing)]
+    if not missed:
+        yield context.make_segment(_arches(context, thing, grasps, arch, speed))
+        yield rest_segment(context)
+    yield context.make_segment(
+        {hand: context.hold_still(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
+    )
+    # A hand that pulled a single layer is above the cloth, unless a finger came to be under the edge.
+    beneath = context.world.hands_beneath(thing)
+    under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in beneath]
+    if under:
+        yield context.make_segment(
+            {grasp.hand: _retreat_path(context, grasp) for grasp in under}, wait_for_arrival=False
+        )
+    up = {}
+    for hand in opened:
+        T_up = hand.pinch_pose(hand.joints)
+        T_up[2, 3] += APPROACH
+        up[hand] = context.plan_line(hand, T_up)
+    yield context.make_segment(up, wait_for_arrival=False)
+    if missed:
+        sides = " and the ".join(sorted(hand.side for hand in missed))
+        raise SkillFailedError(FailureCause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
+
+
+def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+    """Move hands to the starts of their approaches, and idle hands out of the way: together, if their paths are clear
+    of each other.
+    """
+    opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
+    goals = {hand: hand.ready_joints for hand in unparked_hands(context) if hand not in opened}
+    goals |= {grasp.hand: grasp.before for grasp in grasps}
+    paths = {hand: context.plan_free_path(hand, goal, APPROACH_OPENING) for hand, goal in goals.items()}
+    if _free_together(context, paths):
+        yield context.make_segment(paths, opened, wait_for_arrival=False)
+        return
+    for hand, goal in goals.items():
+        fingers = {hand: opened[hand]} if hand in opened else {}
+        yield context.make_segment(
+            {hand: context.plan_free_path(hand, goal, APPROACH_OPENING)}, fingers, wait_for_arrival=False
+        )
+
+
+def _check_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> None:
+    """Raise `SkillFailedError` if fingers are stuck open.
+
+    Open fingers would push through cloth that stands up beside a point, and grasp it too.
+    """
+    for grasp in grasps:
+        if context.opening(grasp.hand) > _STUCK_OPENING:
+            raise SkillFailedError(FailureCause.SLIPPED, f"the {grasp.hand.side} hand's fingers do not close")
+
+
+def _free_together(context: PlanningContext, paths: Mapping[Hand, Array]) -> bool:
+    """Whether hands that move on their paths (n + 1, dof) at once do not touch each other."""
+    ticks = max(len(path) for path in paths.values())
+    for tick in range(ticks):
+        there = [(hand, path[min(tick, len(path) - 1)]) for hand, path in paths.items()]
+        if not all(hands_clear(context, one, other) for one, other in itertools.combinations(there, 2)):
+            return False
+    return True
+
+
+def _grasp(context: PlanningContext, thing: str, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+    """Close hands on their points; hands that miss try again at lower heights.
+
+    A hand misses because its arm comes to rest a little too high, or because hollow cloth gives way to its fingers.
+    """
+    yield from _close(context, grasps)
+    points = context.world.cloth_points(thing)
+    limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
+    for depth in _DEPTHS:
+        holders = context.world.holding_sides(thing)
+        retried = [
+            grasp
+            for grasp in grasps
+            if grasp.hand.side not in holders
+            and depth - _DEPTH_STEP < limits[grasp.hand]
+            and _fingers_closed(context, grasp.hand)
+        ]
+        if not retried:
+            return
+        opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in retried}
+        yield context.make_segment({hand: context.hold_still(hand, _OPEN_TICKS) for hand in opened}, opened)
+        lines = {}
+        for grasp in retried:
+            lower = grasp.T_grasp.copy()
+            lower[2, 3] -= min(depth, limits[grasp.hand])
+            lines[grasp.hand] = context.plan_line(grasp.hand, lower)
+        yield context.make_segment(lines)
+        yield from _close(context, retried)
+
+
+def _max_depth(points: Array, grasp: PointGrasp) -> float:
+    """The depth of a further grasp, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
+    hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.alone else 0.0
+    return hollow + TIP_CLEARANCE
+
+
+def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+    """Close hands on the cloth between their fingers."""
+    closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
+    yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS) for hand in closing}, closing)
+    yield rest_segment(context)
+
+
+def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
+    """Whether commanded fingers did close; others only press cloth down."""
+    return context.opening(hand) < _CLOSED_OPENING
+
+
+def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
+    """A hand's motion (n + 1, dof) out from under the cloth, laterally or forward; at rest if neither is reachable."""
+    for direction in (grasp.lateral, grasp.forward):
+        T = grasp.hand.pinch_pose(grasp.hand.joints)
+        T[:2, 3] += _WITHDRAWAL * direction
+        T[2, 3] += _WITHDRAWAL / 4
+        try:
+            return context.plan_line(grasp.hand, T)
+        except SkillFailedError:
+            continue
+    return context.hold_still(grasp.hand, 1)
+
+
+def _arches(
+    context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float, speed: float
+) -> dict[Hand, Array]:
+    """Every hand's motion (n + 1, dof) that carries its point from the present place to the target."""
+    points = context.world.cloth_points(thing)
+    low, high = context.world.local_box(thing)
+    ends = {}
+    for grasp in grasps:
+        T_now, point = grasp.hand.pinch_pose(grasp.hand.joints), points[grasp.placement.point]
+        in_pinch = T_now[:3, :3].T @ (point - T_now[:3, 3])
+        # A folded point comes down onto all layers at the target; a point that is pulled alone stays low.
+        over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.alone else high[2] - low[2] + _DROP_HEIGHT])
+        ends[grasp.hand] = (
+            T_now,
+            pose(grasp.placement.target(points) + over - grasp.R_end @ in_pinch, grasp.R_end),
+        )
+    length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
+    return {
+        hand: context.plan_curve(hand, partial(_arch, *both, arch * length), length / speed)
+        for hand, both in ends.items()
+    }
+
+
+def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
+    """The pose (4, 4) at a share, 0..1, of a path from one pose to another over an arch of a height in m."""
+    path, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
+    up = path[2] * share + height * math.sin(math.pi * share)
+    R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)
+    return pose(T_start[:3, 3] + [*(path[:2] * across), up], R)

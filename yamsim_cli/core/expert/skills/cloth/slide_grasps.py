@@ -1,0 +1,60 @@
+"""Grasps with which two hands slide a flat cloth to another place."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+from yamsim_cli.core.geometry.cloth_flattening import height_range
+from yamsim_cli.core.geometry.se3 import Array, rotation_z
+
+from ..planning_context import PlanningContext
+from .cloth_motions import predicted_points
+from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
+
+SLIDE_SPEED = 0.2  # m/s, of hands that slide cloth
+
+# m, lengths of slides towards the arms, in order of trial: cloth that is pulled by its nearer side follows straight.
+_TOWARDS_ARMS = (0.1, 0.15, 0.05, 0.0, -0.05)
+
+_MAX_HEIGHT = 0.02  # m, of the highest point over the lowest one after a slide
+_MAX_TRIALS = 8  # slides that are tried in a simulation, each of which takes long
+
+
+def slide_grasps(
+    context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
+) -> list[PointGrasp] | None:
+    """Grasps with which two hands slide a flat cloth until `wanted` is true; None if no slide does that.
+
+    Args:
+        turns: angles by which the cloth may be turned, rad.
+        wanted: whether points (along y, along x, 3) in `world`, m, are where the cloth is wanted.
+    """
+    points, trials = context.world.cloth_points(thing), 0
+    rows, columns = points.shape[:2]
+    corners = [(0, 0), (0, columns - 1), (rows - 1, columns - 1), (rows - 1, 0)]
+    pairs = sorted(itertools.combinations(corners, 2), key=lambda pair: sum(points[corner][0] for corner in pair))
+    for slide in _candidate_slides(points, turns):
+        if not wanted(slide):
+            continue
+        for pair in pairs:
+            placements = [PointPlacement(corner, target_at_place(slide[corner]), alone=True) for corner in pair]
+            if (grasps := reachable_grasps(context, thing, placements)) is None:
+                continue
+            after = predicted_points(context, thing, grasps, 0.0, SLIDE_SPEED)
+            if height_range(after) < _MAX_HEIGHT and wanted(after):
+                return grasps
+            trials += 1
+            if trials == _MAX_TRIALS:
+                return None
+    return None
+
+
+def _candidate_slides(points: Array, turns: Sequence[float]) -> list[Array]:
+    """The cloth's points (along y, along x, 3) after each slide, in order of preference, m."""
+    middle = points.reshape(-1, 3).mean(axis=0)
+    slides = []
+    for nearer, turn in itertools.product(_TOWARDS_ARMS, turns):
+        for lateral in (0.0, -float(middle[1])):
+            slides.append((points - middle) @ rotation_z(turn).T + middle + [-nearer, lateral, 0.0])
+    return slides

@@ -1,0 +1,126 @@
+"""Motions that several skills share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+from ...geometry.se3 import Array, inverse, pose
+from ..planning.trajectory import is_collision_free
+from .grasp_candidates import GraspCandidate
+from .hand import WAYPOINT_TOLERANCE, Hand
+from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+
+GRIP_TICKS = 10  # control ticks in which fingers close
+_OPEN_TICKS = 8  # control ticks in which fingers open
+_REST_TICKS = 4  # control ticks in which the arms and a released thing come to rest
+
+# m, how far a hand draws back from a released thing; the shorter one if the other ends near a joint's stop
+_RETREAT, _SHORT_RETREAT = 0.07, 0.04
+
+
+def close_fingers_on(context: PlanningContext, hand: Hand, grip: GraspCandidate) -> Iterator[MotionSegment]:
+    """Yield segments that close the fingers on the thing between them, and wait until everything rests.
+
+    Fingers close with the grip's force. A hand with a weld closes to the thing's width, and switches its magnet on.
+    """
+    closing = FingerTarget(grip.opening, 0.0 if hand.grasps_by_weld else grip.force)
+    yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
+    hand.magnet = hand.grasps_by_weld
+    yield rest_segment(context)
+
+
+def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) -> Iterator[MotionSegment]:
+    """Yield segments that open each finger by a clearance (m), and draw the hand back along its axis or up."""
+    opening = min(hand.opening + clearance, hand.max_opening)
+    hand.magnet = False
+    yield context.make_segment(
+        {hand: context.hold_still(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
+    )
+    thing, hand.held = None if hand.held is None else hand.held.thing, None
+    # Open fingers are still near to the thing. If no path is free of contacts, the first path is used.
+    retreat: Array | None = None
+    for path in _retreat_paths(context, hand):
+        if is_collision_free(path, lambda joints: context.find_contact(hand, joints, opening, between=thing)):
+            retreat = path
+            break
+        retreat = path if retreat is None else retreat
+    if retreat is not None:
+        yield context.make_segment({hand: retreat}, wait_for_arrival=False)
+
+
+def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
+    """Yield straight paths (n + 1, dof) away from a released thing, those that end away from stops first."""
+    T = hand.pinch_pose(hand.joints)
+    paths = []
+    for distance in (_RETREAT, _SHORT_RETREAT):
+        back, up = T @ pose((0.0, 0.0, -distance)), T.copy()
+        up[2, 3] += distance
+        for T_clear in (back, up):
+            with suppress(SkillFailedError):
+                path = context.plan_line(hand, T_clear)
+                if hand.ik.solution_at(path[-1]).margin >= WAYPOINT_TOLERANCE.margin:
+                    yield path
+                else:
+                    paths.append(path)
+    yield from paths
+
+
+def plan_held_object_line(context: PlanningContext, hand: Hand, T_thing: Array, speed: float) -> Array:
+    """Return a motion (n + 1, dof) that moves a held thing straight to a pose (4, 4) in `world`, at a speed in m/s.
+
+    Raises:
+        SkillFailedError: the hand no longer holds anything, or the line leaves the arm's reach.
+    """
+    held = context.update_held(hand)
+    # The arm sags under its load, so the measured pose differs from the commanded pose by this transform.
+    T_commanded_in_pinch = inverse(context.T_pinch(hand)) @ hand.pinch_pose(hand.joints)
+    return context.plan_line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
+
+
+def park(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
+    """Yield the motion of a hand that holds nothing to its ready posture, unless it is there."""
+    if not _parked(hand):
+        yield context.make_segment({hand: context.plan_free_path(hand, hand.ready_joints)}, wait_for_arrival=False)
+
+
+def unparked_hands(context: PlanningContext) -> list[Hand]:
+    """Return the hands that hold nothing and are not parked."""
+    return [hand for hand in context.free_hands("any") if not _parked(hand)]
+
+
+def _parked(hand: Hand) -> bool:
+    return bool(abs(hand.joints - hand.ready_joints).max() <= 1e-6)
+
+
+def park_free_hands(context: PlanningContext, except_hand: Hand | None = None) -> Iterator[MotionSegment]:
+    """Yield the motions that park all hands that hold nothing, except `except_hand`."""
+    for hand in context.hands:
+        if hand is not except_hand and hand.held is None:
+            yield from park(context, hand)
+
+
+def rest_segment(context: PlanningContext) -> MotionSegment:
+    """Return the segment in which everything comes to rest."""
+    return context.wait_segment(_REST_TICKS)
+
+
+def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:
+    """Yield motions that open and park all hands that hold nothing; a blocked hand waits until others are parked.
+
+    Raises:
+        SkillFailedError: none of the remaining hands has a free path.
+    """
+    waiting = context.free_hands("any")
+    while waiting:
+        before, faults = len(waiting), list[SkillFailedError]()
+        for hand in tuple(waiting):
+            try:
+                if hand.opening < hand.max_opening / 4:
+                    yield from release_and_retreat(context, hand, hand.max_opening / 2)
+                yield from park(context, hand)
+                waiting.remove(hand)
+            except SkillFailedError as fault:
+                faults.append(fault)
+        if len(waiting) == before:
+            raise faults[0]

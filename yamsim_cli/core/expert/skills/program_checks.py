@@ -1,0 +1,280 @@
+"""Checks of a config's task: its program, and whether the places in it can be reached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from ...config.goals.goal_consistency import find_contradiction
+from ...config.goals.predicates import HandedOver, Hung, On, Predicate, WasHandedOver
+from ...config.goals.role_assignment import RoleAssignment
+from ...config.goals.world import TABLE
+from ...config.objects.object_config import ObjectConfig
+from ...config.program_task import ProgramTask
+from ...config.recording import RecordConfig, check_fingers
+from ...files.documents.config_base import Config, ConflictError
+from ...geometry.cloth_folding import fold_plans
+from ...geometry.se3 import Array
+from ...scene.arm_model import kinematic_model
+from .cloth.fold import Fold
+from .handover import Handover
+from .hang import Hang
+from .lift import Lift
+from .operate import Operate
+from .pick import Pick
+from .place import Place
+from .program import parse_program, parse_steps
+from .push import Push
+from .skill import Skill
+
+# How a cloth's grid has to be divided for each fold that needs more than a grid.
+_GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
+
+
+def check_task_config(config: Config) -> None:
+    """Check that a config's task can be performed, if the config is a task or a recording.
+
+    Raises:
+        ConflictError: it cannot; the path leads from the config's root.
+    """
+    if isinstance(config, ProgramTask):
+        check_program(config)
+    elif isinstance(config, RecordConfig):
+        sides = [config.rig.arms[k].side for k in config.acting_indices]
+        # A fault that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
+        for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
+            try:
+                check_program(config.task, known_sides)
+            except ConflictError as error:
+                raise ConflictError(str(error), *(("task", *path) for path in error.paths), *blamed) from error
+        if config.grasp == "weld":
+            _check_openings(config, config.task)
+        _check_reach(config)
+        _check_places(config, config.task)
+
+
+def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
+    """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
+
+    Args:
+        sides: of the arms that act; None if unknown.
+
+    Raises:
+        ConflictError: the program is impossible; the path leads from the task's root.
+    """
+    cast = task.typical_roles
+    arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
+    held: set[str] = set()
+    for path, skill in parse_steps(task.expert, cast, ("expert",)):
+        thing = cast.object_of(skill.roles()[0][1])
+        _check_arms(skill, sides, arms, path)
+        if skill.NEEDS_HELD and thing not in held:
+            raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
+        if skill.NEEDS_HELD is False and thing not in held and len(held) >= arms:
+            others = " and the ".join(sorted(held))
+            raise ConflictError(f"no hand is free for the {thing}: the {others} is held; put it down first", path)
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
+        if isinstance(skill, Operate):
+            _check_part(task, cast, skill, path)
+        if isinstance(skill, Hang):
+            _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
+        for argument, role in skill.roles():
+            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
+                problem = (
+                    "is no cloth; give a role that cloth plays"
+                    if skill.OF_CLOTH
+                    else "is cloth; it can only be folded, or have things placed onto it"
+                )
+                raise ConflictError(f"the {role} {problem}", (*path, argument))
+        if isinstance(skill, Place) and skill.on != TABLE:
+            _check_support(task, cast, skill, path)
+        if isinstance(skill, Fold):
+            _check_fold(task, cast, skill, arms, path)
+    if (found := find_contradiction(task.goal)) is not None:
+        raise ConflictError(found[1], ("goal", *found[0]))
+    for path, predicate in task.goal.predicates():
+        if isinstance(predicate, Hung):
+            _check_hung(task, cast, predicate, ("goal", *path))
+
+
+def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
+    """Check that the arms exist that a step names or needs."""
+    if isinstance(skill, Handover | Lift) and arms < 2:
+        raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
+    for argument in ("arm", "to"):
+        named = getattr(skill, argument, None)
+        missing = sides is not None and named in ("left", "right") and named not in sides
+        if missing or (named == "second" and arms < 2):
+            only = sides[0] if sides else "first"
+            raise ConflictError(
+                f"no {named} arm does this task, only the {only} one; give 'first', or 'any'", (*path, argument)
+            )
+
+
+def _check_fold(task: ProgramTask, roles: RoleAssignment, skill: Fold, arms: int, path: tuple[str | int, ...]) -> None:
+    if arms < skill.hand_count:
+        raise ConflictError(
+            f"to fold cloth {skill.description} takes two arms; use a rig with two, or `diagonal`", path
+        )
+    thing = roles.object_of(skill.thing)
+    for item in next(one.of for role, one in task.things.items() if thing in roles.objects_of(role)):
+        if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
+            raise ConflictError(
+                f"the {item.name} cannot be folded {skill.description}: that takes {_GRIDS[skill.how]}, not "
+                f"{' x '.join(map(str, item.cloth.grid))}",
+                (*path, "how"),
+            )
+
+
+def _check_part(task: ProgramTask, roles: RoleAssignment, skill: Operate, path: tuple[str | int, ...]) -> None:
+    items = {item.name: item for item in task.objects}
+    item = items[roles.config_names[roles.object_of(skill.thing)]]
+    with_handles = [link.name for link in item.links if link.handles]
+    if skill.joint not in with_handles:
+        known = ", ".join(with_handles) or "(none)"
+        raise ConflictError(
+            f"the {item.name} has no part {skill.joint!r} with a handle; valid: {known}", (*path, "joint")
+        )
+
+
+def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path: tuple[str | int, ...]) -> None:
+    """Check that each object that may play the supporting role has a floor or a flat top."""
+    role = next(name for name in task.things if skill.on in (name, *roles.objects_of(name)))
+    for k, item in enumerate(task.things[role].of):
+        if item.cloth is None and not item.can_support:
+            raise ConflictError(
+                f"target {item.name!r} has neither a floor nor a flat top to put something on",
+                (*path, "on"),
+                ("things", role, "of", k),
+            )
+
+
+def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tuple[str | int, ...]) -> None:
+    """Check that each object that is to hang has an eye, and that each object that it hangs on has a peg."""
+    for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
+        for item in _candidate_objects(task, roles, role):
+            if handle not in (names := [known_handle.name for known_handle in item.handles]):
+                known = ", ".join(names) or "(none)"
+                raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
+
+
+def _candidate_objects(task: ProgramTask, roles: RoleAssignment, role: str) -> tuple[ObjectConfig, ...]:
+    """Return the objects that may play a role; `role` may also be the name of a thing."""
+    return next(player.of for name, player in task.things.items() if role in (name, *roles.objects_of(name)))
+
+
+def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
+    """Check that every picked object fits between the fingers of the acting arms."""
+    cast = task.typical_roles
+    picked = {skill.thing for _, skill in parse_steps(task.expert, cast) if isinstance(skill, Pick)}
+    items: dict[tuple[str | int, ...], ObjectConfig] = {
+        ("task", "things", role, "of", k): item
+        for role, player in task.things.items()
+        if picked & {role, *cast.objects_of(role)}
+        for k, item in enumerate(player.of)
+    }
+    check_fingers(config.rig, config.acting_arms, items)
+
+
+def _check_reach(config: RecordConfig) -> None:
+    """Check that each start region on the table has a point nearer to an arm's base than the arm's length."""
+    arms = _arms(config)
+    for role, start in config.starts.items():
+        if start.on != TABLE:
+            continue
+        short = []
+        for base, length in arms:
+            nearest = np.clip(base, (start.x[0], start.y[0]), (start.x[1], start.y[1]))
+            short.append(float(np.linalg.norm(nearest - base)) - length)
+        if min(short) > 0:
+            raise ConflictError(
+                f"all of the region of the {role} is out of reach: its nearest place is {min(short):.2f} m farther "
+                f"away than any arm of rig {config.rig.name!r} is long",
+                ("task", "starts", role, "x"),
+            )
+
+
+def _check_places(config: RecordConfig, task: ProgramTask) -> None:
+    """Check that each point on the table that a step names lies within the length of some arm."""
+    arms = _arms(config)
+    longest = max(length for _, length in arms)
+    for path, skill in parse_steps(task.expert, task.typical_roles, ("expert",)):
+        key, place = _named_place(skill)
+        if place is None or any(float(np.linalg.norm(place - base)) <= length for base, length in arms):
+            continue
+        nearest = min(float(np.linalg.norm(place - base)) for base, _ in arms)
+        raise ConflictError(
+            f"[{place[0]:g}, {place[1]:g}] is out of reach: it is {nearest:.2f} m from the nearest arm's base, and the "
+            f"arms of rig {config.rig.name!r} reach at most {longest:.2f} m; give x and y in `world`, m",
+            ("task", *path, key),
+        )
+
+
+def _named_place(skill: Skill) -> tuple[str, Array | None]:
+    """Return the argument by which a skill names a point on the table, and the point (2,); None if it names none."""
+    if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
+        return "at", np.array(skill.at) + skill.number * np.array(skill.step)
+    return "to", np.array(skill.to) if isinstance(skill, Push) else None
+
+
+def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
+    """Return the base (2,) in `world` and the length of each acting arm, m."""
+    return [
+        (config.rig.T_base_in_world(k)[:2, 3], _arm_length(kinematic_model(config.rig.arms[k])))
+        for k in config.acting_indices
+    ]
+
+
+def _arm_length(model: mujoco.MjModel) -> float:
+    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of all offsets."""
+    site = model.site("pinch_site")
+    length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
+    while model.body_parentid[body]:
+        length += float(np.linalg.norm(model.body_pos[body]))
+        body = int(model.body_parentid[body])
+    return length
+
+
+def program_contradiction(task: ProgramTask) -> str | None:
+    """Return how a task's program contradicts its goal; None if no step is known to."""
+    cast = task.typical_roles
+    program = parse_program(task.expert, cast)
+    held, moved, handed_over = set[str](), set[str](), set[str]()
+    for skill in program:
+        things = {thing for _, role in skill.roles() for thing in cast.objects_of(role)}
+        thing = cast.object_of(skill.roles()[0][1])
+        moved |= things
+        if skill.LEAVES_HELD is not None:
+            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
+        if isinstance(skill, Handover):
+            handed_over.add(thing)
+
+    def impossible(predicate: Predicate) -> str | None:
+        things = set(cast.objects_of(predicate.roles()[0][1]))
+        named = " and the ".join(sorted(things))
+        if isinstance(predicate, HandedOver | WasHandedOver) and not things <= handed_over:
+            return f"no step of the expert hands over the {named}; add `handover`"
+        if predicate.IN_HAND is True and not things <= held:
+            instead = ", or ask for `was_handed_over`" if isinstance(predicate, HandedOver) else ""
+            return f"it needs the {named} in a hand at the end, and no hand of the expert has it; keep it held{instead}"
+        if predicate.IN_HAND is False and things & held:
+            return f"it needs the {named} in no hand, and the expert still holds it at the end; put it down"
+        if (
+            isinstance(predicate, On)
+            and not things & moved
+            and _support_at_start(task, predicate.thing) != predicate.surface
+        ):
+            return f"no step of the expert moves the {named} onto the {predicate.surface}; add `place`"
+        return None
+
+    found = find_contradiction(task.goal, impossible)
+    return None if found is None else f"goal.{'.'.join(map(str, found[0]))}: {found[1]}"
+
+
+def _support_at_start(task: ProgramTask, name: str) -> str | None:
+    """Return what a role, or the thing of a role, starts on."""
+    cast = task.typical_roles
+    return next((start.on for role, start in task.starts.items() if name in (role, *cast.objects_of(role))), None)

@@ -1,0 +1,108 @@
+"""The base class of skills: arguments as a config, and motions that are planned while the skill runs."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import ClassVar, Literal
+
+from ...attempt_data import FailureCause
+from ...config.goals.role_assignment import RoleAssignment
+from ...files.documents.config_base import Config
+from ...geometry.se3 import Array
+from .hand import Hand
+from .planning_context import MotionSegment, PlanningContext, SkillFailedError
+
+# The arm that a skill uses: by its side, or by its turn, which follows from `RecordConfig.arm`.
+ArmSelector = Literal["left", "right", "first", "second", "any"]
+
+
+class Skill(Config):
+    """Base class of the skills. A subclass's fields are its arguments; `ROLES` lists the fields that name a role.
+
+    A skill plans from the present state. Between two yielded segments, the caller executes the motion and updates
+    the bench's world.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]]
+    # Whether the skill's thing has to be in a hand before, and whether it is in a hand afterwards. None: either before,
+    # and unchanged afterwards.
+    NEEDS_HELD: ClassVar[bool | None] = None
+    LEAVES_HELD: ClassVar[bool | None] = None
+    # Whether the skill manipulates cloth. Other skills manipulate rigid things; roles in `ANY_MATERIAL` may be either.
+    OF_CLOTH: ClassVar[bool] = False
+    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
+        """Yield the segments of motion that perform the skill.
+
+        Args:
+            next_skills: the skills that follow, the next first. Choices such as a grip have to suit them.
+
+        Raises:
+            SkillFailedError: no motion was found, or the skill did not have its effect.
+        """
+
+    def infeasibility(
+        self,
+        context: PlanningContext,
+        roles: RoleAssignment,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        joints: Array,
+        next_skills: Sequence[Skill] = (),
+    ) -> str | None:
+        """Return why this skill would fail with a thing held in a given pose; None if nothing is known to prevent it.
+
+        Args:
+            T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
+            joints: joints (dof,) at which the arm would grasp the thing, rad.
+            next_skills: the skills after this one. A skill that hands the thing over has to leave them possible.
+        """
+        return None
+
+    def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Skill:
+        """Return this skill without its preferences, for hands that cannot satisfy them; itself if there are none."""
+        return self
+
+    def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
+        """Return roughly where this skill would bring a thing: points (2,) in `world`, m; none if nowhere."""
+        return ()
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """Return each argument that names a role, with the role."""
+        return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
+
+
+def preference_levels(
+    next_skills: Sequence[Skill], context: PlanningContext, roles: RoleAssignment
+) -> Iterator[Sequence[Skill]]:
+    """Yield the skills that follow with their preferences; then without, if that changes any of them."""
+    yield next_skills
+    relaxed = [skill.without_preferences(context, roles) for skill in next_skills]
+    if any(one is not other for one, other in zip(relaxed, next_skills, strict=True)):
+        yield relaxed
+
+
+def require_holding_hand(context: PlanningContext, thing: str, action: str) -> Hand:
+    """Return the hand that holds a thing.
+
+    Args:
+        action: for the message, what is to be done with the thing, such as "put down".
+
+    Raises:
+        SkillFailedError: no hand holds the thing.
+    """
+    hand = holding_hand(context, thing)
+    if hand is None:
+        raise SkillFailedError(FailureCause.DROPPED, f"no hand holds the {thing} that is to be {action}")
+    return hand
+
+
+def holding_hand(context: PlanningContext, thing: str) -> Hand | None:
+    """Return the hand that holds a thing, as of its last `Bench.update_held`; None if no hand does."""
+    return next((hand for hand in context.hands if hand.held is not None and hand.held.thing == thing), None)

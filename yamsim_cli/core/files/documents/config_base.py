@@ -1,0 +1,90 @@
+"""The base of all config models, and the types that config models share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic.fields import FieldInfo
+
+from .yaml_document import Document, load_yaml
+
+
+class Config(BaseModel):
+    """Base of all configs: immutable, with finite numbers; an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, path: Path) -> Document:
+        """A file's content under the keys of this config. Raises as `load_yaml`."""
+        return load_yaml(path)
+
+    @classmethod
+    def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
+        """The path that `read` takes for each config in a file; most files hold one config."""
+        return (path,)
+
+
+# Format 0.2 leaves these keys out at their defaults: a dataset's config keeps its bytes when a key is added.
+OMIT_NONE: FieldInfo = Field(exclude_if=lambda value: value is None)
+OMIT_EMPTY: FieldInfo = Field(exclude_if=lambda value: not value)
+
+
+def omit_if_default(default: Any) -> FieldInfo:
+    """Like `OMIT_NONE`, for a default other than None."""
+    field: FieldInfo = Field(exclude_if=lambda value: value == default)
+    return field
+
+
+@dataclass(frozen=True)
+class ConfigReference:
+    """Marks a field that holds a config of another kind or its name, such as `rig: single`."""
+
+    kind: str
+
+
+class ConflictError(ValueError):
+    """Several values contradict each other. The message names the value that a flag gave, or else the first.
+
+    Attributes:
+        paths: key paths of the values, relative to the model that raises; the likeliest culprit first.
+    """
+
+    def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:
+        super().__init__(message)
+        self.paths = paths
+
+
+def require_ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """The range, unchanged. Raises ValueError if its ends are not in order."""
+    if value[0] > value[1]:
+        raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
+    return value
+
+
+def _unit_fractions(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(0.0 <= part <= 1.0 for part in value):
+        raise ValueError("each part must lie in 0..1")
+    return value
+
+
+def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    if math.hypot(*value) < 1e-9:
+        raise ValueError("a zero quaternion is no rotation")
+    return value
+
+
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_rotation)]
+Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(require_ordered)]
+Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractions)]
+Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+# Names of cameras, things and tasks become parts of paths, so the pattern admits no dot and no slash.
+NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]

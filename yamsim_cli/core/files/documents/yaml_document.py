@@ -1,0 +1,244 @@
+"""Strict YAML by the core schema of YAML 1.2, without duplicate keys, with the line of each value.
+
+PyYAML's own loader keeps the last of two equal keys, and reads `1e-3` as text, and `on` and `yes` as true.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ...errors import ConfigError
+
+KeyPath = tuple[str | int, ...]
+
+_MAX_BYTES = 1_000_000  # of a config; a larger file is a mistake or an attack
+
+_INT = re.compile(r"^[-+]?[0-9]+$")
+_FLOAT = re.compile(
+    r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|Nan|NaN|NAN))$"
+)
+
+
+def is_setting(place: str) -> bool:
+    """Whether the place of a value is a flag, `--arm`, or a keyword, `arm=`, and not a file."""
+    return place.startswith("--") or place.endswith("=")
+
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader that reads plain scalars as YAML 1.2 does."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            problem = (
+                f"alias *{event.anchor} is not supported: an error message could not name the one line of a value that "
+                "stands in two places, and nested aliases make a small file huge; write the value out, without "
+                f"&{event.anchor}"
+            )
+            raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        return node
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+_Loader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""])
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INT, list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
+
+
+def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
+    # PyYAML's own constructor reads 010 as octal.
+    return int(node.value)
+
+
+def _plain_float(loader: _Loader, node: yaml.ScalarNode) -> float:
+    return _float(node.value)
+
+
+def _float(text: str) -> float:
+    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+def number_or_text(text: str) -> int | float | str:
+    """A plain word of YAML as a number, else the word."""
+    if _INT.fullmatch(text):
+        return int(text)
+    return _float(text) if _FLOAT.fullmatch(text) else text
+
+
+def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    # OpenCV's FileStorage tags its matrices, mappings of rows, cols, dt and data, or of sizes, dt and data.
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
+
+
+class _Dumper(yaml.SafeDumper):
+    """A safe dumper that quotes text that YAML 1.1 or 1.2 would read as another type."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own name)
+        first: [*theirs, *_Loader.yaml_implicit_resolvers.get(first, [])]
+        for first, theirs in yaml.SafeDumper.yaml_implicit_resolvers.items()
+    }
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    # Outside double quotes, NEL (U+0085) is a line break.
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"' if "\x85" in text else None)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+@dataclass
+class Document:
+    """Plain data with the place of each value.
+
+    Attributes:
+        data: nested dicts, lists and scalars.
+        source: the file, or a name for messages.
+        places: key path -> "file:line" or "--flag".
+    """
+
+    data: dict[str, Any]
+    source: str
+    places: dict[KeyPath, str] = field(default_factory=dict)
+
+    def place(self, path: KeyPath) -> str:
+        """The place of the value at `path`, or of the nearest mapping or list around it."""
+        while path and path not in self.places:
+            path = path[:-1]
+        return self.places.get(path, self.source)
+
+    def set(self, path: KeyPath, value: Any, place: str) -> None:
+        """Override one value, creating the mappings above it."""
+        target: Any = self.data
+        try:
+            for key in path[:-1]:
+                target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
+            target[path[-1]] = value
+        except TypeError:
+            return  # a mapping is missing, which validation reports
+        self.places = {known: where for known, where in self.places.items() if known[: len(path)] != path}
+        self.places[path] = place
+
+    def insert_document(self, path: KeyPath, other: Document) -> None:
+        """Insert another document at `path`, with the places of its values."""
+        self.set(path, other.data, other.source)
+        self.places.update({path + inner: where for inner, where in other.places.items()})
+
+
+def load_yaml(path: Path) -> Document:
+    """The content of a YAML file whose top level is a mapping.
+
+    Raises:
+        ConfigError: the file is unreadable, larger than 1 MB or no YAML, or has a duplicate key, another top level than
+            a mapping, or several documents.
+    """
+    return parse_yaml(read_config(path), str(path))
+
+
+def read_config(path: Path) -> bytes:
+    """A config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(raw) > _MAX_BYTES:
+        raise ConfigError(f"{path}: {len(raw)} bytes is too large for a config; at most {_MAX_BYTES}")
+    return raw
+
+
+def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Document:
+    """The content of YAML or JSON text. Raises as `load_yaml`.
+
+    Args:
+        source, language: names of the file and of its format in messages.
+    """
+    document = Document({}, source)
+    try:
+        loader = _Loader(_without_opencv_header(text))
+        try:
+            root = loader.get_node() if loader.check_node() else None
+            if not isinstance(root, yaml.MappingNode) or root.tag != "tag:yaml.org,2002:map":
+                raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
+            _refuse_further_documents(loader, source, language)
+            _index(root, (), document)
+            document.data = loader.construct_document(root)
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(f"{source}{line}: not valid {language}: {error.problem}") from error
+    # The last three come from explicit tags on values that do not fit them, and from integers of thousands of digits.
+    except (yaml.YAMLError, RecursionError, ValueError, KeyError, AttributeError) as error:
+        raise ConfigError(f"{source}: not valid {language}: {' '.join(str(error).split())}") from error
+    return document
+
+
+def _refuse_further_documents(loader: _Loader, source: str, language: str) -> None:
+    """Refuse a second document; a final line `---`, as of `ros2 topic echo`, begins none."""
+    while loader.check_node():
+        node = loader.get_node()
+        if node is not None and not (isinstance(node, yaml.ScalarNode) and node.value == ""):
+            line = node.start_mark.line + 1
+            raise ConfigError(f"{source}:{line}: not valid {language}: a second document begins here; keep one")
+
+
+def _without_opencv_header(text: str | bytes) -> str | bytes:
+    """The text with OpenCV's first line `%YAML:1.0`, which is no valid YAML, as a comment."""
+    if isinstance(text, bytes):
+        return b"#" + text if text.startswith(b"%YAML:") else text
+    return "#" + text if text.startswith("%YAML:") else text
+
+
+def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
+    """Record the line of each value, and refuse keys that are duplicate or no text."""
+    document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
+    if isinstance(node, yaml.MappingNode):
+        seen: dict[str, int] = {}
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarNode) or key.tag != "tag:yaml.org,2002:str":
+                raise ConfigError(f"{document.source}:{line}: a key must be plain text")
+            if key.value in seen:
+                first = seen[key.value]
+                raise ConfigError(
+                    f"{document.source}:{line}: duplicate key {key.value!r}, first at line {first}; remove one"
+                )
+            seen[key.value] = line
+            _index(value, (*path, key.value), document)
+    elif isinstance(node, yaml.SequenceNode):
+        for position, item in enumerate(node.value):
+            _index(item, (*path, position), document)
+
+
+def dump_yaml(data: Mapping[str, Any]) -> str:
+    """YAML text of plain data in the given order, which `parse_yaml` reads back."""
+    text: str = yaml.dump(
+        _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
+    )
+    return text
+
+
+def _plain(value: Any) -> Any:
+    """The data with tuples as lists, since YAML's safe dumper refuses tuples."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

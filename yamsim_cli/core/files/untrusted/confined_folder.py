@@ -1,0 +1,94 @@
+"""Reading of untrusted files, confined to one folder."""
+
+from __future__ import annotations
+
+import stat
+import urllib.parse
+from pathlib import Path
+
+from .refusals import RefusedError
+
+MOST_BYTES = 256_000_000  # of all files together
+MOST_FILES = 256
+
+_MODELS = ("model", "package", "fuel")  # URI schemes of a model by its name
+
+
+class ConfinedFolder:
+    """Reads files below one folder, within limits of their number and size.
+
+    Attributes:
+        refused: the last refusal, for libraries that ignore the exception.
+
+    Args:
+        root: the folder; files outside are not read, through links either.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root.resolve()
+        self._bytes = 0
+        self._files = 0
+        self.refused: RefusedError | None = None
+
+    def read(self, name: str, base: Path | None = None) -> bytes:
+        """Content of a file by its relative name or `model://` URI; see `find`.
+
+        Raises:
+            RefusedError: the file is outside, missing or not regular, or a limit is exceeded.
+        """
+        try:
+            path = self.find(name, base)
+            self._files += 1
+            if self._files > MOST_FILES:
+                raise RefusedError("too-many-files", f"it names more than {MOST_FILES} files")
+            self._bytes += path.stat().st_size
+            if self._bytes > MOST_BYTES:
+                raise RefusedError("too-large", f"with {name} it has more than {MOST_BYTES // 10**6} MB")
+            return path.read_bytes()
+        except RefusedError as error:
+            self.refused = error
+            raise
+        except OSError as error:
+            self.refused = RefusedError("missing", f"{name} cannot be read: {error.strerror}")
+            raise self.refused from error
+
+    def find(self, name: str, base: Path | None = None) -> Path:
+        """The path of a regular file by its name.
+
+        Args:
+            base: the folder of relative names; by default the root.
+
+        Raises:
+            RefusedError: the file is outside, missing or not regular.
+        """
+        tried = self._candidates(name, base or self._root)
+        inside = [path for path in tried if path.is_relative_to(self._root)]
+        if not inside:
+            raise RefusedError("outside", f"it names {name!r}, which does not lie in its folder")
+        for path in inside:
+            try:
+                mode = path.stat().st_mode
+            except (OSError, ValueError):
+                continue
+            if not stat.S_ISREG(mode):
+                raise RefusedError("not-a-file", f"{name!r} is no regular file")
+            return path
+        raise RefusedError("missing", f"{name!r} is not in its folder")
+
+    def _candidates(self, name: str, base: Path) -> list[Path]:
+        if "\0" in name or len(name) > 1000:
+            raise RefusedError("outside", "it names a file by what is no path")
+        name = name.strip().replace("\\", "/")
+        scheme, found, rest = name.partition("://")
+        if not found:
+            decoded = urllib.parse.unquote(name)
+            return [(base / part).resolve() for part in dict.fromkeys((name, decoded)) if part]
+        if scheme == "file":
+            return [Path("/" + rest.lstrip("/")).resolve()]
+        if scheme not in _MODELS:
+            raise RefusedError("outside", f"it names {name!r}, and nothing is fetched")
+        model, _, inner = rest.partition("/")
+        # Most files lie in a folder with the model's name; some lie beside that folder.
+        roots = [base, self._root]
+        own = [(root / inner).resolve() for root in roots if inner]
+        return [*((root / rest).resolve() for root in roots if rest), *own] if model else own

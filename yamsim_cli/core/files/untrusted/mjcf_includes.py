@@ -1,0 +1,61 @@
+"""Includes of untrusted MJCF files."""
+
+from __future__ import annotations
+
+import contextlib
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+from .confined_folder import ConfinedFolder
+from .refusals import RefusedError
+
+Element = ElementTree.Element
+
+_DEEPEST = 8  # levels of includes; more is a mistake or an attack
+
+
+def with_includes(data: bytes, folder: ConfinedFolder, base: Path, parse: Callable[[bytes], Element]) -> Element:
+    """The root of an MJCF document with each `<include>` replaced by the content of its file, as in MuJoCo.
+
+    Args:
+        data: the main file's content.
+        base: the main file's folder. Names are relative to `base`, or else to the folder of the including file.
+        parse: returns the root of a document, or raises `RefusedError`.
+
+    Raises:
+        RefusedError: an included file cannot be read or parsed, or includes itself.
+    """
+    return _expanded(data, folder, (base,), (), parse)
+
+
+def _expanded(
+    data: bytes,
+    folder: ConfinedFolder,
+    bases: tuple[Path, ...],
+    ancestors: tuple[Path, ...],
+    parse: Callable[[bytes], Element],
+) -> Element:
+    try:
+        root = parse(data)
+    except RefusedError as error:
+        raise RefusedError(error.code, f"{ancestors[-1].name}: {error}" if ancestors else str(error)) from error
+    for parent in list(root.iter()):
+        for place, child in reversed(list(enumerate(parent))):
+            if child.tag != "include":
+                continue
+            path = _find(child.get("file", ""), folder, bases)
+            if path in ancestors or len(ancestors) >= _DEEPEST:
+                raise RefusedError("cycle", f"{path.name} includes itself, or more than {_DEEPEST} levels deep")
+            included = folder.read(path.name, path.parent)
+            inner = _expanded(included, folder, (bases[0], path.parent), (*ancestors, path), parse)
+            parent[place : place + 1] = list(inner)
+    return root
+
+
+def _find(name: str, folder: ConfinedFolder, bases: tuple[Path, ...]) -> Path:
+    """The named file in the first folder that has it."""
+    for base in bases[:-1]:
+        with contextlib.suppress(RefusedError):
+            return folder.find(name, base)
+    return folder.find(name, bases[-1])

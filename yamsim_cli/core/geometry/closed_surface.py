@@ -1,0 +1,109 @@
+"""Closed triangle surfaces: merged vertices, mass properties, open edges, and the convex hull.
+
+A surface is vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .se3 import Array
+from .stl import Faces
+
+_MERGED = 1e-6  # distance below which vertices are merged, as a share of the surface's length
+_PLANES = 800  # tangent planes that stand for a convex hull
+
+
+@dataclass(frozen=True)
+class UniformMassProperties:
+    """Mass properties of a body of density 1.
+
+    Attributes:
+        volume: m3; negative where the surface is inside out.
+        centre: of mass (3,), m.
+        inertia: (3, 3) about the centre of mass, kg m2.
+    """
+
+    volume: float
+    centre: Array
+    inertia: Array
+
+
+def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
+    """The mass properties of an evenly filled surface; overlapping volumes count twice.
+
+    Source: the divergence theorem over tetrahedra from the centroid; their second moments are those of A. Mirtich,
+    "Fast and Accurate Computation of Polyhedral Mass Properties", 1996.
+    """
+    middle = vertices.mean(axis=0)
+    a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    total = float(volume.sum())
+    corners = np.stack([a, b, c], axis=1)
+    sums = corners.sum(axis=1)
+    centre = np.einsum("i,ij->j", volume, sums / 4) / total if total else np.zeros(3)
+    products = np.einsum("i,ikj,ikl->jl", volume, corners, corners) + np.einsum("i,ij,il->jl", volume, sums, sums)
+    spread = products / 20 - total * np.outer(centre, centre)
+    return UniformMassProperties(total, centre + middle, np.trace(spread) * np.eye(3) - spread)
+
+
+def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """The surface with equal vertices merged, without the triangles that lose a corner by that."""
+    length = float(np.ptp(vertices, axis=0).max()) or 1.0
+    keys = np.round(vertices / (length * _MERGED)).astype(np.int64)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    merged = index.reshape(-1)[faces].astype(np.int32)
+    whole = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+    return vertices[first], merged[whole]
+
+
+def open_edges(faces: Faces) -> int:
+    """The number of edges that are not shared by two triangles of the same orientation."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    size = int(edges.max()) + 1
+    forth, back = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
+    directed, counts = np.unique(forth, return_counts=True)
+    returned, others = np.unique(back, return_counts=True)
+    place = np.minimum(np.searchsorted(returned, directed), len(returned) - 1)
+    paired = np.where(returned[place] == directed, others[place], 0)
+    return int(np.count_nonzero(paired != counts))
+
+
+def is_closed(faces: Faces) -> bool:
+    """Whether there are triangles and none of their edges is open."""
+    return bool(len(faces)) and open_edges(faces) == 0
+
+
+def sphere_directions(count: int = _PLANES) -> Array:
+    """Unit vectors (count, 3) that are spread evenly over the sphere (a Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    down, round_ = np.arccos(1 - 2 * k / count), np.pi * (1 + math.sqrt(5)) * k
+    return np.column_stack([np.cos(round_) * np.sin(down), np.sin(round_) * np.sin(down), np.cos(down)])
+
+
+def depth_in_hull(points: Array, of: Array) -> Array:
+    """The depth (n,) of points (n, 3) in the convex hull of other points, m; negative outside.
+
+    The hull is approximated by tangent planes in evenly spread directions.
+    """
+    normals = np.concatenate([sphere_directions(), np.eye(3), -np.eye(3)])
+    depth = np.full(len(points), np.inf)
+    for some in np.array_split(normals, 20):
+        reach = (of @ some.T).max(axis=0)
+        np.minimum(depth, (reach - points @ some.T).min(axis=1), out=depth)
+    return depth
+
+
+def spread_points(low: Array, high: Array, count: int) -> Array:
+    """Points (count, 3) that fill a block evenly, the same at each call.
+
+    Source: M. Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018: the R3 sequence.
+    """
+    plastic = 1.2207440846057596
+    steps = plastic ** -np.arange(1.0, 4.0)
+    share = (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
+    points: Array = low + share * (high - low)
+    return points

@@ -1,0 +1,74 @@
+"""Contacts of cloth: the points of a sheet that closed pads hold, and self-intersections."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se3 import Array
+
+
+def mask_between_pads(points: Array, width: float, deep: tuple[float, float]) -> NDArray[np.bool_]:
+    """Whether each point (n, 3), in the pinch frame, lies between the closed pads (n,).
+
+    Args:
+        width: half the pads' extent along x and along y, m.
+        deep: the pads' extent along z, m.
+    """
+    inside = np.abs(points[:, :2]).max(axis=1) < width
+    found: NDArray[np.bool_] = inside & (points[:, 2] > deep[0]) & (points[:, 2] < deep[1])
+    return found
+
+
+def nearest_per_layer(
+    points: Array, corners: NDArray[np.int_], lines: Array, deep: tuple[float, float]
+) -> NDArray[np.int_]:
+    """The sorted numbers of the points that a pinch holds: the nearest point of each layer between its pads.
+
+    Each layer is held by one point only: a layer held by two points would not turn, as fabric does beside pads.
+
+    Args:
+        points: of the sheet, in the pinch frame (n, 3), m.
+        corners: numbers of the points at the corners of each triangle of the sheet (k, 3).
+        lines: lines along z through the pads (m, 2), m; a layer that one of them crosses is held.
+        deep: the pads' extent along z, m.
+    """
+    flat = points[corners][..., :2]
+    found: set[int] = set()
+    for line in lines:
+        a, b, c = (flat[:, k] - line for k in range(3))
+        # Barycentric coordinates of the line, not normalized.
+        shares = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+        whole = shares.sum(axis=1)
+        through = np.flatnonzero((shares * whole[:, None] >= 0.0).all(axis=1) & (np.abs(whole) > 0.0))
+        z = (shares[through] * points[corners[through], 2]).sum(axis=1) / whole[through]
+        own = corners[through[(z > deep[0]) & (z < deep[1])]]
+        own = own[~np.isin(own, list(found)).any(axis=1)]
+        found |= {int(three[np.argmin(np.linalg.norm(points[three, :2] - line, axis=1))]) for three in own}
+    return np.array(sorted(found), dtype=int)
+
+
+def _cross(one: Array, other: Array) -> Array:
+    crossed: Array = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    return crossed
+
+
+def count_self_intersections(points: Array, ends: NDArray[np.int_], corners: NDArray[np.int_]) -> int:
+    """The number of edges of a sheet that cross triangles with which they share no point.
+
+    Args:
+        points: of the sheet (n, 3), m.
+        ends: numbers of the points at the ends of each edge (m, 2).
+        corners: numbers of the points at the corners of each triangle (k, 3).
+    """
+    p, q = points[ends[:, 0]], points[ends[:, 1]]
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    one, other = (np.einsum("tk,etk->et", normal, at[:, None] - a[None]) for at in (p, q))
+    shared = (ends[:, :, None, None] == corners[None, None]).any(axis=(1, 3))
+    e, t = np.nonzero((one * other < 0) & ~shared)
+    hit = p[e] + (one[e, t] / (one[e, t] - other[e, t]))[:, None] * (q[e] - p[e])
+    sides = [
+        np.einsum("ij,ij->i", np.cross(v[t] - u[t], hit - u[t]), normal[t]) > 0 for u, v in ((a, b), (b, c), (c, a))
+    ]
+    return int(np.all(sides, axis=0).sum())

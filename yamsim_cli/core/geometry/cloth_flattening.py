@@ -1,0 +1,183 @@
+"""Pulls that flatten a sheet of cloth, and measures of its unevenness."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .se3 import Array
+
+Point = tuple[int, int]
+
+_ON_TABLE = 0.8  # height over the lowest point below which a point lies on the table, as a share of a layer's thickness
+_FIT_SCALE = 0.03  # distance from the fit at which a point counts a quarter, as a share of the sheet's side
+_FIT_ROUNDS = 10  # reweighted fits
+
+# Distances as shares of the sheet's side.
+_MIN_DISPLACEMENT = 0.05  # least distance of a point from its place that is worth a pull
+_MIN_SPACING = 0.15  # least distance between points that are tried
+_STRAIGHTENING = 0.13  # length of a pull that straightens
+
+_FOOTPRINT = 0.028  # m, room that a hand with open fingers needs around a point
+_MAX_SURROUNDINGS = 2.2  # layers, largest height of the surroundings over a grasped point
+_MAX_GRASP_HEIGHT = 4.5  # layers, largest height of a grasped point
+
+# A layer covers a point if it is this share of a thickness higher, and more than this many cells away.
+_COVERING, _ADJACENT = 0.3, 2
+
+# A point belongs to a ridge above this many layers, and above this share of the sheet's height.
+_RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
+
+_TAUT = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
+_MAX_POINTS = 3  # points tried of each kind
+_ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
+_HEIGHT_SCALE = 0.2  # m, height that counts as much as a whole side of displacement
+
+
+@dataclass(frozen=True, eq=False)
+class ClothPull:
+    """Points to grasp, and the places to put them.
+
+    Attributes:
+        points: by row and column.
+        targets: the place (2,) of each point, seen from above, m.
+        arch_ratio: height of the path, as a share of its length.
+    """
+
+    points: tuple[Point, ...]
+    targets: tuple[Array, ...]
+    arch_ratio: float
+
+
+def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
+    """The places (rows, columns, 2) of a sheet's points if the sheet were flat, fitted to the part on the table, m.
+
+    Args:
+        points: of the sheet (rows, columns, 3), m.
+        rest: of the flat sheet (n, 3), in the sheet's frame, m.
+        thickness: of the sheet, m.
+    """
+    # Either side of the sheet may be up.
+    fits = [_fitted(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
+    return min(fits, key=lambda fitted: float(np.linalg.norm(fitted - points[..., :2], axis=-1).mean()))
+
+
+def _fitted(points: Array, rest: Array, thickness: float) -> Array:
+    """`fit_flat_places` for a known side up: a rigid fit in the plane, reweighted for outliers."""
+    seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
+    low = points[..., 2].ravel() - points[..., 2].min()
+    weights = (low < _ON_TABLE * thickness).astype(float)
+    off = _FIT_SCALE * square_side(rest)
+    for _ in range(_FIT_ROUNDS):
+        middle, centre = (np.average(at, axis=0, weights=weights) for at in (seen, flat))
+        shared = (flat - centre).T @ ((seen - middle) * weights[:, None])
+        turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
+        R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        fitted = (flat - centre) @ R.T + middle
+        away = np.linalg.norm(fitted - seen, axis=1)
+        weights = 1.0 / (1.0 + (away / off) ** 2) ** 2
+    lain: Array = fitted.reshape(*points.shape[:2], 2)
+    return lain
+
+
+def unevenness(points: Array, rest: Array, thickness: float) -> float:
+    """The unevenness of a sheet, from 0 for flat to 1; see `fit_flat_places`."""
+    away = np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1)
+    return (float(away.mean()) / square_side(rest) + height_range(points) / _HEIGHT_SCALE) / 2
+
+
+def height_range(points: Array) -> float:
+    """The height of the highest point over the lowest one, m."""
+    return float(np.ptp(points[..., 2]))
+
+
+def max_displacement(points: Array, rest: Array, thickness: float) -> float:
+    """The largest horizontal distance of a point from its place in the flat sheet, m; see `fit_flat_places`."""
+    return float(np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1).max())
+
+
+def candidate_pulls(
+    points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0
+) -> Iterator[ClothPull]:
+    """Pulls at the border of a sheet that may make the sheet flatter; see `fit_flat_places`.
+
+    Args:
+        spacing: the larger of the distances between neighbouring points, m.
+        scale: factor of the length of straightening pulls, and of the height limits of grasped points.
+    """
+    side, rows, columns = square_side(rest), *points.shape[:2]
+    fitted = fit_flat_places(points, rest, thickness)
+    border = [
+        (row, column)
+        for row in range(rows)
+        for column in range(columns)
+        if (row in (0, rows - 1) or column in (0, columns - 1))
+        and _is_graspable_point(points, (row, column), spacing, scale * thickness, thickness)
+    ]
+    # Unfold: one or two displaced points are brought to their places.
+    off = np.linalg.norm(fitted - points[..., :2], axis=-1)
+    wrong = _spread(points, sorted(border, key=lambda point: -off[point]), side)
+    wrong = [point for point in wrong if off[point] > _MIN_DISPLACEMENT * side]
+    for count in (1, 2):
+        for some in itertools.combinations(wrong, count):
+            yield ClothPull(some, tuple(fitted[point] for point in some), _ARCH)
+    # Straighten: a point beside a ridge is pulled away from the ridge, or two corners away from the middle.
+    high = points[
+        points[..., 2] - points[..., 2].min() > max(_RIDGE_LAYERS * thickness, _RIDGE_SHARE * height_range(points))
+    ]
+    if len(high):
+        ridge = high[:, :2].mean(axis=0)
+        beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
+        for point in _spread(points, beside, side):
+            yield ClothPull((point,), (_outward_direction(points[point][:2], ridge, scale * side),), 0.0)
+    middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
+    corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
+    for pair in itertools.combinations(corners, 2):
+        to = tuple(_outward_direction(points[point][:2], middle, scale * side) for point in pair)
+        yield ClothPull(pair, _no_farther(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
+
+
+def square_side(rest: Array) -> float:
+    """The side, m, of a square with the area of a flat sheet of points (n, 3)."""
+    return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
+
+
+def _is_graspable_point(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
+    """Whether a hand can grasp a point: no layer covers the point, and neither the point nor its surroundings are too
+    high, in layers of `high` (m).
+    """
+    place, lowest = points[point], float(points[..., 2].min())
+    away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
+    over = points[..., 2] - place[2]
+    rows, columns = np.indices(points.shape[:2])
+    other = np.maximum(abs(rows - point[0]), abs(columns - point[1])) > _ADJACENT
+    covered = (other & (away < spacing) & (over > _COVERING * thickness)).any()
+    hemmed = (over[away < _FOOTPRINT] > _MAX_SURROUNDINGS * high).any()
+    return not (covered or hemmed) and float(place[2]) - lowest < _MAX_GRASP_HEIGHT * high
+
+
+def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
+    """The first few points that are apart from each other."""
+    chosen: list[Point] = []
+    for point in ordered:
+        if all(np.linalg.norm(points[point] - points[other]) > _MIN_SPACING * side for other in chosen):
+            chosen.append(point)
+        if len(chosen) == _MAX_POINTS:
+            break
+    return chosen
+
+
+def _outward_direction(place: Array, other: Array, side: float) -> Array:
+    offset = place - other
+    return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
+
+
+def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+    """Two places (2,), moved towards each other until at most `length` apart."""
+    one, other = places
+    share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
+    return one + share * (other - one), other + share * (one - other)

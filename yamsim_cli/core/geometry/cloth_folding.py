@@ -1,0 +1,150 @@
+"""Folds of a sheet: the points that are placed onto others, and the layers that result."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se3 import Array
+
+Fold = Literal["half", "diagonal", "thirds"]
+
+# Row and column of the points (n, 2) of two layers of a folded sheet; the k-th points lie on each other.
+Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
+
+# Points, by row and column, that are grasped together, each with the point onto which it is placed.
+Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FoldPlan:
+    """The moves and the resulting layers of one fold of a grid of points.
+
+    Attributes:
+        moves: in their order.
+        layers: pairs of layers of the folded sheet, the upper one first, without the points on creases.
+        covered: area of the folded sheet, as a share of the flat one.
+    """
+
+    moves: tuple[Move, ...]
+    layers: tuple[Layers, ...]
+    covered: float
+
+
+def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
+    """All folds of one kind of a grid of points: from each side or corner; empty if the grid does not allow the kind.
+
+    `diagonal` needs a square grid. `thirds` needs a side of 3 n + 2 cells: the inner third is one cell shorter.
+    """
+    diagonal = kind == "diagonal"
+    found = []
+    for transposed in (False,) if diagonal else (False, True):
+        size = (columns, rows) if transposed else (rows, columns)
+        if (plan := _FOLDS[kind](*size)) is None:
+            continue
+        ends = itertools.product((False, True), (False, True) if diagonal else (False,))
+        found += [_mapped(plan, size, low, left, transposed) for low, left in ends]
+    return found
+
+
+def _mapped(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
+    """The fold with its rows reversed (`low`), its columns reversed (`left`), or both exchanged."""
+
+    def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
+        rows = size[0] - 1 - given[:, 0] if low else given[:, 0]
+        columns = size[1] - 1 - given[:, 1] if left else given[:, 1]
+        return np.column_stack([columns, rows] if transposed else [rows, columns])
+
+    def point(given: tuple[int, int]) -> tuple[int, int]:
+        row, column = points(np.array([given]))[0]
+        return int(row), int(column)
+
+    moves = tuple(tuple((point(one), point(other)) for one, other in move) for move in plan.moves)
+    return FoldPlan(moves, tuple((points(upper), points(lower)) for upper, lower in plan.layers), plan.covered)
+
+
+def _half(rows: int, columns: int) -> FoldPlan:
+    upper = _grid(range(rows // 2), range(columns))
+    first_row_over = tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
+    return FoldPlan((first_row_over,), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
+
+
+def _diagonal(rows: int, columns: int) -> FoldPlan | None:
+    if rows != columns:
+        return None
+    upper = _grid(range(rows), range(rows))
+    upper = upper[upper.sum(axis=1) < rows - 1]
+    return FoldPlan(((((0, 0), (rows - 1, rows - 1)),),), ((upper, rows - 1 - upper[:, ::-1]),), 1 / 2)
+
+
+def _thirds(rows: int, columns: int) -> FoldPlan | None:
+    cells = rows - 1
+    if cells % 3 != 2:
+        return None
+    third = math.ceil(cells / 3)
+    first = cells - 2 * third
+    last = columns - 1
+    inside = tuple(((0, column), (2 * first, column)) for column in (0, last))
+    over = tuple(((cells, column), (first, column)) for column in (0, last))
+    lowest = _grid(range(first), range(columns))
+    highest = _grid(range(first + third + 1, rows), range(columns))
+    # The middle third, which the first third lies on and the last third covers.
+    under = _mirrored(lowest, 2 * first)
+    return FoldPlan(
+        (inside, over),
+        (
+            (lowest, under),
+            (highest, _mirrored(highest, 2 * (first + third))),
+            (_mirrored(under, 2 * (first + third)), lowest),
+        ),
+        third / cells,
+    )
+
+
+_FOLDS = {"half": _half, "diagonal": _diagonal, "thirds": _thirds}
+
+
+def _grid(rows: range, columns: range) -> NDArray[np.int_]:
+    return np.array([(row, column) for row in rows for column in columns])
+
+
+def _mirrored(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
+    """Points (n, 2) whose rows are mirrored: each row and its mirror image add up to `both`."""
+    return np.column_stack([both - points[:, 0], points[:, 1]])
+
+
+def sheet_area(points: Array) -> float:
+    """The area of a sheet of points (rows, columns, 3), folded or not, m2."""
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+
+    def triangle(o: Array, p: Array, q: Array) -> Array:
+        area: Array = np.linalg.norm(np.cross(p - o, q - o), axis=-1) / 2
+        return area
+
+    # A cell that is folded along a diagonal keeps its area only in the two triangles beside that diagonal.
+    cells = np.maximum(triangle(a, b, c) + triangle(d, b, c), triangle(b, a, d) + triangle(c, a, d))
+    return float(cells.sum())
+
+
+def outline_area(places: Array) -> float:
+    """The area of the convex hull of places (n, 2), m2 (Andrew's monotone chain)."""
+    ordered = places[np.lexsort(places.T[::-1])]
+    outline: list[Array] = []
+    for points in (ordered, ordered[::-1]):
+        side: list[Array] = []
+        for place in points:
+            while len(side) > 1 and _turn(side[-2], side[-1], place) <= 0:
+                side.pop()
+            side.append(place)
+        outline += side[:-1]
+    x, y = np.array(outline).T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+
+
+def _turn(a: Array, b: Array, c: Array) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

@@ -1,0 +1,140 @@
+"""A generated thing: visual surfaces, collision primitives and grasps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..loft import Surface
+from ..se3 import Array
+
+# A collision primitive as configs write it.
+PrimitiveData = Mapping[str, Any]
+
+_LEAST_WALL = 0.002  # m, things could pass through thinner walls
+
+
+@dataclass(frozen=True)
+class ShapePiece:
+    """A closed surface of one material; `role`, such as "body" or "handle", selects the material."""
+
+    role: str
+    surface: Surface
+
+
+@dataclass(frozen=True)
+class ShapeGrasp:
+    """A grasp from above with two fingers.
+
+    Attributes:
+        where: "body", "rim", "edge" or "handle".
+        position: middle between the pads (3,), m.
+        axis_deg: closing direction of the fingers, degrees from +x.
+        width: thickness of the thing between the pads, m.
+        has_flat_contact: whether both pads touch with their faces; on a line contact the thing pivots between the pads.
+        tilt_deg: tilt of the hand from vertical towards `axis_deg`, so that the pads lie on a wall, degrees; None where
+            the pads hold no wall.
+        depth: length of the thing between the fingers, along them, m; the lever that keeps the thing from turning.
+    """
+
+    where: str
+    position: tuple[float, float, float]
+    axis_deg: float
+    width: float
+    has_flat_contact: bool = True
+    tilt_deg: float | None = None
+    depth: float = 0.016
+
+
+@dataclass(frozen=True)
+class GeneratedShape:
+    """A thing as it stands, z up, with the origin on the ground under its middle.
+
+    Attributes:
+        grasps: the best first; empty where no grasp from above is possible.
+        carries: the preposition of things placed on it, "in" or "on".
+        support: height of the surface in the middle on which things are placed, m; None where nothing would stay.
+        rolls: the least radius of its round contacts with the ground, m; 0 for a flat foot.
+        turned: whether the thing is rotationally symmetric, so that all holds of one kind are equal.
+    """
+
+    pieces: tuple[ShapePiece, ...]
+    collision: tuple[PrimitiveData, ...]
+    grasps: tuple[ShapeGrasp, ...]
+    carries: str = "on"
+    support: float | None = None
+    rolls: float = 0.0
+    turned: bool = False
+
+
+def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:
+    """A block of a full size (3,), m."""
+    plain = {"type": "box", "centre": _plain(centre), "half_size": _plain(np.divide(size, 2))}
+    return plain | ({"yaw_deg": yaw_deg} if yaw_deg else {})
+
+
+def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
+    """An upright cylinder about the z axis between two heights, m."""
+    return {
+        "type": "cylinder",
+        "centre": [0.0, 0.0, _short((low + high) / 2)],
+        "radius": _short(radius),
+        "half_height": _short((high - low) / 2),
+    }
+
+
+def sphere_data(centre: Sequence[float], radius: float) -> PrimitiveData:
+    """A ball, m."""
+    return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
+
+
+def capsule_data(start: ArrayLike, end: ArrayLike, radius: float) -> PrimitiveData:
+    """A capsule between two points (3,), m."""
+    return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
+
+
+def capsules_along(path: ArrayLike, radius: float, *, closed: bool = False) -> list[PrimitiveData]:
+    """Capsules along a path (n, 3), and back to its start if `closed`."""
+    points = list(np.asarray(path, float))
+    return [capsule_data(a, b, radius) for a, b in itertools.pairwise([*points, points[0]] if closed else points)]
+
+
+def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData]:
+    """A ring of boxes under each segment of a profile (n, 2) of an inner surface, m."""
+    return [
+        {
+            "type": "ring",
+            "inner": _plain(a),
+            "outer": _plain(b),
+            "thickness": _short(max(wall, _LEAST_WALL)),
+            "segments": segments,
+        }
+        for a, b in itertools.pairwise(corners)
+    ]
+
+
+def simplify_polyline(profile: Array, tolerance: float) -> Array:
+    """The corners (k, n) of a polyline within a tolerance of a line (m, n) (Ramer-Douglas-Peucker)."""
+    start, end = profile[0], profile[-1]
+    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
+    rest = profile - start
+    off = np.linalg.norm(rest - np.outer(rest @ along, along), axis=1)
+    worst = int(off.argmax())
+    if off[worst] <= tolerance or worst in (0, len(profile) - 1):
+        return np.array([start, end])
+    return np.concatenate(
+        [simplify_polyline(profile[: worst + 1], tolerance)[:-1], simplify_polyline(profile[worst:], tolerance)]
+    )
+
+
+def _plain(values: ArrayLike) -> list[float]:
+    return [_short(float(value)) for value in np.asarray(values, float)]
+
+
+def _short(value: float) -> float:
+    return round(float(value), 5) + 0.0  # -0.0 becomes 0.0

@@ -1,0 +1,67 @@
+"""Commands and measurements of arms over time: a recording without its pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .geometry.se3 import Array
+
+
+@dataclass(frozen=True)
+class ArmMotion:
+    """One arm of a motion; rows are samples.
+
+    Attributes:
+        side: `left` or `right` of two arms, empty of a lone one.
+        joints: measured (n, dof), rad; NaN in samples with a command alone.
+        commands: of the joints' drives (n, dof), rad; None if not recorded.
+        openings: measured, of one finger (n,), m; NaN as for `joints`, None if not recorded.
+        commanded_openings: (n,), m; None if not recorded.
+        velocities: measured (n, dof), rad/s; NaN as for `joints`, None if not recorded.
+    """
+
+    side: str
+    joints: Array
+    commands: Array | None = None
+    openings: Array | None = None
+    commanded_openings: Array | None = None
+    velocities: Array | None = None
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """A recorded motion of one arm or two.
+
+    A command acts from its sample's time until the next sample's.
+
+    Attributes:
+        name: source of the motion, for messages.
+        times: of the samples (n,), s, strictly increasing, the first one 0.
+        arms: the left arm first.
+
+    Raises:
+        ValueError: times do not increase from 0, or an array has another number of rows.
+    """
+
+    name: str
+    times: Array
+    arms: tuple[ArmMotion, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if n and (self.times[0] != 0 or np.any(np.diff(self.times) <= 0)):
+            raise ValueError("times begin at 0 and increase")
+        for arm in self.arms:
+            for rows in (arm.joints, arm.commands, arm.velocities):
+                if rows is not None and rows.shape != (n, arm.joints.shape[1]):
+                    raise ValueError(f"{rows.shape} are not ({n}, {arm.joints.shape[1]})")
+            for values in (arm.openings, arm.commanded_openings):
+                if values is not None and values.shape != (n,):
+                    raise ValueError(f"{values.shape} are not ({n},)")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample, s."""
+        return float(self.times[-1]) if len(self.times) else 0.0

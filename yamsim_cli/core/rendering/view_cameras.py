@@ -1,0 +1,129 @@
+"""Cameras for pictures of a rig, placed so that all of it is seen, and titles and names in such pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+
+from ..geometry.camera import Intrinsics, project
+from ..geometry.se3 import Array, inverse, pose
+from ..images.image import Image
+
+_FRAME = 0.12  # of the picture, margin of a view around the rig
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+@dataclass(frozen=True)
+class RigView:
+    """A direction from which to look at a rig.
+
+    Attributes:
+        azimuth, elevation: the direction in which the camera looks, degrees, by MuJoCo's convention.
+        fovy_deg: vertical field of view. A narrow view is from afar, so that the arms hide little.
+        low: whether the view is of boards and bases from close by, instead of everything.
+    """
+
+    name: str
+    azimuth: float
+    elevation: float
+    fovy_deg: float = 40.0
+    low: bool = False
+
+
+# Azimuth 180 looks along -x, at the arms' front. A negative elevation looks down.
+VIEWS = (
+    RigView("front", azimuth=155.0, elevation=-28.0),
+    RigView("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
+    RigView("low_close_up", azimuth=125.0, elevation=-14.0, low=True),
+)
+
+
+@dataclass(frozen=True)
+class PlacedCamera:
+    """A placed camera: its pose (4, 4) in `world` in OpenCV's convention, and its intrinsics."""
+
+    T_cam_in_world: Array
+    intrinsics: Intrinsics
+
+    def pixel(self, point: Sequence[float] | Array) -> tuple[float, float]:
+        """The pixel of a point (3,) in `world`."""
+        in_cam = (inverse(self.T_cam_in_world) @ np.append(point, 1.0))[:3]
+        u, v = project(self.intrinsics.K, in_cam)[0]
+        return float(u), float(v)
+
+
+def place_camera(view: RigView, points: Array, size: tuple[int, int]) -> PlacedCamera:
+    """A camera that looks in the view's direction, from just far enough away to see all `points`.
+
+    Args:
+        points: (n, 3) in `world`, m.
+        size: width and height of the picture, px.
+    """
+    azimuth, elevation = math.radians(view.azimuth), math.radians(view.elevation)
+    forward = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
+    right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+    R = np.column_stack([right, np.cross(forward, right), forward])
+    intrinsics = Intrinsics.from_fovy(*size, math.radians(view.fovy_deg))
+    in_cam = points @ R
+    centre = (in_cam.min(axis=0) + in_cam.max(axis=0)) / 2
+    # Each point needs some distance to lie within the picture, and the largest one is taken.
+    half = (1 - _FRAME) * np.array([size[0] / 2 / intrinsics.fx, size[1] / 2 / intrinsics.fy])
+    offsets = in_cam - centre
+    distance = float((np.abs(offsets[:, :2]) / half - offsets[:, 2:]).max())
+    return PlacedCamera(pose(R @ (centre - (0, 0, distance)), R), intrinsics)
+
+
+def rig_points(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> Array:
+    """Corners (n, 3) in `world` of the boxes around all visible geoms of some bodies."""
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    points = []
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] in bodies and model.geom_group[geom] <= 2:
+            centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+                # A plane is endless for physics, and has a size in pictures.
+                centre, half = np.zeros(3), np.array([*model.geom_size[geom, :2], 0.0])
+            rotation = data.geom_xmat[geom].reshape(3, 3)
+            points.append(data.geom_xpos[geom] + (centre + corners * half) @ rotation.T)
+    return np.concatenate(points)
+
+
+def draw_labels(image: Image, texts: Mapping[str, tuple[float, float]], title: str) -> Image:
+    """A copy of an image (height, width, 3) with a title, and with texts at their pixels if these lie inside."""
+    labelled = image.copy()
+    rows, columns = image.shape[:2]
+    scale = max(0.4, rows / 900)
+    inside = {text: (u, v) for text, (u, v) in texts.items() if 0 <= u < columns and 0 <= v < rows}
+    for text, (u, v) in {**inside, title: (columns * 0.02, rows * 0.05)}.items():
+        (width, height), base = cv2.getTextSize(text, _FONT, scale, 1)
+        margin = round(6 * scale)
+        x = round(min(max(u if text == title else u - width / 2, margin), columns - width - margin))
+        y = round(min(max(v, height + margin), rows - base - margin))
+        cv2.rectangle(
+            labelled,
+            (x - margin, y - height - margin),
+            (x + width + margin, y + base + margin // 2),
+            (245, 245, 245),
+            -1,
+        )
+        cv2.putText(labelled, text, (x, y), _FONT, scale, (25, 25, 25), max(1, round(scale * 1.6)), cv2.LINE_AA)
+    return labelled
+
+
+def resize_area(image: Image, width: int, height: int) -> Image:
+    """An image in another size, px; pixels are averaged where it gets smaller."""
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def montage(images: Sequence[Image]) -> Image:
+    """Images of the same size side by side, with a thin white line between them."""
+    line = np.full((images[0].shape[0], 4, 3), 255, np.uint8)
+    parts = [part for image in images for part in (image, line)]
+    return np.concatenate(parts[:-1], axis=1)

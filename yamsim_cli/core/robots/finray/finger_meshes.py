@@ -1,0 +1,114 @@
+"""Meshes of a fin-ray finger, generated from its dimensions to the same bytes on every machine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from ...geometry.stl import stl_bytes
+from .finger import FinRay
+
+Point = tuple[float, float]
+T = TypeVar("T")
+
+_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other when a finger bends
+_TIP_FACES = 12  # around the end of the tip
+_GRID = 1e-7  # m, coordinates are multiples of this, so that rounding does not depend on the machine
+
+
+def segment_file(k: int) -> str:
+    """The file of the mesh of a finger's segment, counted from 0 at the base."""
+    return f"segment_{k + 1}.stl"
+
+
+def finger_mesh_files(finger: FinRay) -> dict[str, bytes]:
+    """File name -> binary STL (m) of each segment, in the frame at its hinge.
+
+    That frame has x to the tip, y towards what is held, and its origin in the middle of the front wall.
+    """
+    return {segment_file(k): _segment(finger, k).stl(finger.width) for k in range(finger.segments)}
+
+
+@dataclass
+class _Section:
+    """Convex cells in a plane that share corners, so that their extrusion is closed."""
+
+    points: list[Point] = field(default_factory=list)
+    cells: list[list[int]] = field(default_factory=list)
+
+    def add(self, *corners: Point) -> None:
+        """Add a convex cell, its corners counter-clockwise."""
+        self.cells.append([self._index(corner) for corner in corners])
+
+    def _index(self, corner: Point) -> int:
+        point = (round(corner[0] / _GRID) * _GRID, round(corner[1] / _GRID) * _GRID)
+        if point not in self.points:
+            self.points.append(point)
+        return self.points.index(point)
+
+    def stl(self, width: float) -> bytes:
+        """Binary STL of the section extruded by half a width (m) to both sides."""
+        n = len(self.points)
+        vertices = [(*point, side * width / 2) for side in (-1, 1) for point in self.points]
+        edges = [(a, b) for cell in self.cells for a, b in _around(cell)]
+        faces: list[tuple[int, int, int]] = []
+        for first, *others in self.cells:
+            for a, b in pairwise(others):
+                faces += [(first, b, a), (first + n, a + n, b + n)]
+        for a, b in edges:
+            if (b, a) not in edges:
+                faces += [(a, b, b + n), (a, b + n, a + n)]
+        return stl_bytes(vertices, faces)
+
+
+def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
+    return list(zip(cell, [*cell[1:], cell[0]], strict=True))
+
+
+def _segment(finger: FinRay, k: int) -> _Section:
+    """A segment from its hinge to the next: a piece of each wall, and the rib at the hinge or the end of the tip."""
+    half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
+    section = _Section()
+
+    def depth(x: float) -> float:
+        return float(finger.spacing(low + x))
+
+    def front(x0: float, x1: float) -> None:
+        section.add((x0, -half), (x1, -half), (x1, half), (x0, half))
+
+    def back(x0: float, x1: float) -> None:
+        a, b = -depth(x0), -depth(x1)
+        section.add((x0, a - half), (x1, b - half), (x1, b + half), (x0, a + half))
+
+    last = k == finger.segments - 1
+    foot = finger.rib if k else 0.0
+    end = bay - (depth(bay) + finger.wall) / 2 if last else bay
+    if k:
+        front(0.0, foot)
+        section.add((0.0, half - depth(0.0)), (foot, half - depth(foot)), (foot, -half), (0.0, -half))
+        back(0.0, foot)
+        back(-_OVERLAP, 0.0)
+    front(foot, end)
+    back(foot, end)
+    if last:
+        _tip(section, end, bay, half, depth(end))
+    else:
+        back(bay, bay + _OVERLAP)
+    return section
+
+
+def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
+    """The solid end: a fan from the walls' inner faces to a rounded outline."""
+    outline: list[Point] = [(start, -depth - half)]
+    middle, across = -depth / 2, depth / 2 + half
+    for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:
+        outline.append((start + (end - start) * math.cos(turn), middle + across * math.sin(turn)))
+    outline += [(start, half), (start, -half), (start, half - depth)]
+    hub = (start + (end - start) / 3, middle)
+    for a, b in _around(outline):
+        section.add(hub, a, b)

@@ -1,0 +1,129 @@
+"""Fin-ray fingers in an MJCF: chains of rigid segments on hinges with springs, and springs that couple the hinges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from itertools import combinations
+from xml.etree.ElementTree import Element, SubElement
+
+from .finger import FinRay, couplings, hinge_stiffness
+from .finger_meshes import segment_file
+
+# s, time in which each spring with its armature swings by a radian: long enough for steps of 2 ms, where a bay of 1 g
+# swings within 0.1 ms; short enough that the armatures add only a dozen grams to a gripped thing.
+_SWING = 3e-3
+
+
+def add_fingers(root: Element, name: str, finger: FinRay) -> None:
+    """Add both fingers to a gripper's MJCF.
+
+    The MJCF has the default classes `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs, which
+    do not collide, and `soft` for meshes. A foot is a body without a joint, at the base of the front wall, on
+    its outer face: x to the tip, y towards the other finger.
+
+    Args:
+        name: of the gripper, and of its asset set.
+
+    Raises KeyError if there is no body for a foot.
+    """
+    bodies = {body.get("name"): body for body in root.iter("body")}
+    assets, tendons, contacts = (get_section(root, tag) for tag in ("asset", "tendon", "contact"))
+    for k in range(finger.segments):
+        SubElement(assets, "mesh", name=_mesh(name, k), file=f"{name}/{segment_file(k)}")
+    segments: list[str] = []
+    for foot in finger.feet:
+        segments += _chain(bodies[foot], foot, name, finger)
+        for spring, lengths in enumerate(couplings(finger), start=1):
+            tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger))
+    # The springs' theory covers contact within a finger, and the fingers of a gripper do not cross.
+    hand = [body.get("name", "") for body in _feet_and_ancestors(root, finger.feet)]
+    for one, other in [*combinations(segments, 2), *((body, segment) for body in hand for segment in segments)]:
+        SubElement(contacts, "exclude", body1=one, body2=other)
+
+
+def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator[str]:
+    """Add the nested segments, and yield their names."""
+    body, at = foot, (0.0, -finger.wall / 2, 0.0)
+    for k, stiffness in enumerate(hinge_stiffness(finger)):
+        body = SubElement(body, "body", name=f"{prefix}_segment_{k + 1}", pos=_text(at), gravcomp="1")
+        SubElement(
+            body,
+            "joint",
+            {"name": _hinge(prefix, k), "type": "hinge", "axis": "0 0 1"} | _joint_spring_attributes(stiffness, finger),
+        )
+        SubElement(body, "geom", {"name": f"{prefix}_look_{k + 1}", "class": "soft", "mesh": _mesh(gripper, k)})
+        for what, size, middle, turn in _boxes(finger, k):
+            mass = finger.density_kg_m3 * math.prod(size)
+            SubElement(
+                body,
+                "geom",
+                {
+                    "name": f"{prefix}_collide_{what}_{k + 1}",
+                    "class": "wall" if what == "tip" else what,
+                    "size": _text(length / 2 for length in size),
+                    "pos": _text((*middle, 0.0)),
+                    "quat": _text((math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2))),
+                    "mass": _text([mass]),
+                },
+            )
+        at = (finger.bay, 0.0, 0.0)
+        yield body.get("name", "")
+
+
+def _boxes(finger: FinRay, k: int) -> Iterator[tuple[str, tuple[float, float, float], tuple[float, float], float]]:
+    """Boxes of a segment: class, size (m), middle (x, y) and rotation (rad) in the plane of the hinge's frame."""
+    wall, bay, width = finger.wall, finger.bay, finger.width
+    low, high = (float(finger.spacing(bay * (k + end))) for end in (0, 1))
+    yield "pad", (bay, wall, width), (bay / 2, 0.0), 0.0
+    yield "wall", (math.hypot(bay, low - high), wall, width), (bay / 2, -(low + high) / 2), math.atan2(low - high, bay)
+    if k:
+        yield "rib", (finger.rib, low - wall, width), (finger.rib / 2, -low / 2), 0.0
+    if k == finger.segments - 1:
+        yield "tip", (2 * wall, high, width), (bay - wall, -high / 2), 0.0
+
+
+def _joint_spring_attributes(stiffness: float, finger: FinRay) -> dict[str, str]:
+    numbers = {"stiffness": 1.0, "damping": finger.relaxation, "armature": _SWING**2}
+    return {key: _text([stiffness * value]) for key, value in numbers.items()}
+
+
+def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) -> Element:
+    """A spring of 1 N/m on a weighted sum of angles."""
+    spring = Element("fixed", {"name": name, "springlength": "0"} | _joint_spring_attributes(1.0, finger))
+    for k, length in enumerate(lengths):
+        if length:
+            SubElement(spring, "joint", joint=_hinge(prefix, k), coef=_text([length]))
+    return spring
+
+
+def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]:
+    """The feet and the bodies that contain them."""
+    parents = {child: parent for parent in root.iter() for child in parent}
+    wanted = [body for body in root.iter("body") if body.get("name") in tuple(feet)]
+    seen: list[Element] = []
+    for body in wanted:
+        while body in parents:
+            if body.tag == "body" and body not in seen:
+                seen.append(body)
+                yield body
+            body = parents[body]
+
+
+def get_section(root: Element, tag: str) -> Element:
+    """The section of that name, added if it is missing."""
+    found = root.find(tag)
+    return SubElement(root, tag) if found is None else found
+
+
+def _mesh(gripper: str, k: int) -> str:
+    return f"{gripper}_segment_{k + 1}"
+
+
+def _hinge(prefix: str, k: int) -> str:
+    return f"{prefix}_bend_{k + 1}"
+
+
+def _text(values: Iterable[float]) -> str:
+    # Further digits differ between machines.
+    return " ".join(f"{value:.9g}" for value in values)

@@ -1,0 +1,142 @@
+"""MuJoCo models of an arm: whole for scenes, or bare for kinematics."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import ArmConfig
+from ..errors import ConfigError, ResourceError
+from ..files.resources import Meshes
+from ..geometry.se3 import Array
+from ..robots.models import ArmModel, Gripper
+from ..robots.robot import Robot
+from .compilation import compile_spec
+
+_SEEN_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
+
+
+def _load(arm: ArmConfig) -> mujoco.MjSpec:
+    _require_compiles(arm.robot.xml, arm.model, arm.gripper)
+    spec = mujoco.MjSpec.from_string(arm.robot.xml)
+    if arm.grasp_offset is not None:
+        spec.site("grasp_site").pos[2] = arm.grasp_offset
+    return spec
+
+
+@functools.lru_cache(maxsize=64)
+def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
+    """Raise a ConfigError with the file and MuJoCo's reason if an arm with its gripper does not compile."""
+    for mjcf in (arm.mjcf, gripper.mjcf):
+        try:
+            mujoco.MjSpec.from_string(mjcf.text)
+        except ValueError as error:
+            raise ConfigError(f"{mjcf.file} does not compile: {_reason(error, lines=not mjcf.includes)}") from error
+    both = f"{arm.mjcf.file} with {gripper.mjcf.file}"
+    try:
+        spec = mujoco.MjSpec.from_string(xml)
+    except ValueError as error:
+        raise ConfigError(f"{both} does not compile: {_reason(error, lines=False)}") from error
+    compile_spec(show_meshes_or_primitives(spec, (*arm.mesh_sets, *gripper.mesh_sets), None), both, ConfigError)
+
+
+def _reason(error: ValueError, *, lines: bool) -> str:
+    """MuJoCo's reason in one line, without line numbers unless they count the lines of one file."""
+    reason = " ".join(str(error).split())
+    return reason if lines else re.sub(r",? line \d+", "", reason)
+
+
+def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
+    """The whole arm. Unless all of its mesh sets are in `meshes`, its collision primitives are visible instead."""
+    return show_meshes_or_primitives(_load(arm), arm.robot.mesh_sets, meshes)
+
+
+def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
+    """The spec with its meshes if all of its sets are here, else with its collision primitives made visible.
+
+    The primitives of a body without meshes are always visible.
+    """
+    folders = {name: (meshes or {}).get(name) for name in sets}
+    if all(folders.values()):
+        files: dict[str, bytes] = {}
+        for mesh in spec.meshes:
+            assets, _, file = mesh.file.partition("/")
+            folder = folders[assets]
+            assert folder is not None
+            mesh.file = f"meshes/{assets}/{file}"
+            files[mesh.file] = mesh_bytes(folder / file)
+        spec.assets = files
+        for body in spec.bodies:
+            if all(geom.group > _SEEN_GROUP for geom in body.geoms):
+                for geom in body.geoms:
+                    geom.group = _SEEN_GROUP
+        return spec
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                spec.delete(geom)
+            else:
+                geom.group = _SEEN_GROUP
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    return spec
+
+
+def mesh_bytes(path: Path) -> bytes:
+    """The content of a mesh file. Raises `ResourceError`."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ResourceError(
+            f"the mesh {path} cannot be read ({error.strerror}): `yamsim assets fetch` brings it, or `yamsim assets "
+            "import` if it is your own"
+        ) from error
+
+
+def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
+    """The arm's kinematics alone, in the base frame, without fingers, geoms and drives; nq is its `dof`.
+
+    The model has all sites, and a further site `tool` on the flange, which inverse kinematics moves.
+    """
+    robot = arm.robot
+    spec = _load(arm)
+    for parts in (spec.equalities, spec.actuators, spec.sensors, spec.tendons, spec.excludes):
+        for part in list(parts):
+            spec.delete(part)
+    flange = spec.body(robot.flange)
+    moving = [joint.parent for joint in spec.joints if joint.name not in robot.joint_names]
+    for body in flange.bodies:
+        if any(_is_in(part, body) for part in moving):
+            spec.delete(body)
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    spec.body(robot.flange).add_site(name="tool")
+    model = spec.compile()
+    # MuJoCo marks the site as coinciding with its body, and would ignore later moves.
+    model.site_sameframe[model.site("tool").id] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
+
+
+def finger_addresses(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
+    """The addresses (2,) of the fingers in `qpos`, and the signs of their openings there; (0,) without fingers."""
+    if robot.fingers is None:
+        return np.zeros(0, int), np.zeros(0)
+    addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])
+    return addresses, np.array(robot.finger_signs)
+
+
+def _is_in(body: mujoco.MjsBody, other: mujoco.MjsBody) -> bool:
+    while body is not None and body.name != "world":
+        if body.name == other.name:
+            return True
+        body = body.parent
+    return False

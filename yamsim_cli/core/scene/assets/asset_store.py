@@ -1,0 +1,201 @@
+"""The store: a folder of meshes, which are verified whenever they are used.
+
+Besides the sets of the lock, the store has own sets: the files of imported things, each in a folder named by its
+content. A thing's config names its set, so a dataset keeps its meshes, whatever is imported under the same name later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from ...errors import ResourceError
+from ...files.writing import exclusive_lock, publish_directory, sha256_bytes, sha256_file
+from .asset_lock import AssetSet, LockedFile
+
+ABOUT = "thing.json"  # the file beside the meshes with their hashes and origin
+
+_NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # one plain name
+
+
+class MismatchError(ResourceError):
+    """Files that are not the locked ones, byte for byte."""
+
+
+class FileStatus(StrEnum):
+    """The state of a locked file on the disk."""
+
+    OK = "ok"
+    MISSING = "missing"
+    CHANGED = "changed"
+
+
+@dataclass(frozen=True)
+class FileState:
+    """One locked file on the disk; the path of a missing file is where it belongs."""
+
+    name: str
+    path: Path
+    status: FileStatus
+
+
+def check_file(path: Path, locked: LockedFile) -> FileStatus:
+    """Compare a file with its lock entry. Only a regular file of the locked size is ever opened."""
+    try:
+        if not path.is_file():
+            return FileStatus.CHANGED if path.exists() else FileStatus.MISSING
+        same = path.stat().st_size == locked.size and sha256_file(path) == locked.sha256
+    except FileNotFoundError:  # deleted meanwhile
+        return FileStatus.MISSING
+    except OSError:  # a file that cannot be read cannot be verified
+        return FileStatus.CHANGED
+    return FileStatus.OK if same else FileStatus.CHANGED
+
+
+@dataclass(frozen=True)
+class AssetStore:
+    """A folder of verified meshes. Reading needs no write permission and no network.
+
+    A set lies in `<root>/<set>-<digest>/`, where `fetch` publishes it, or where a user copied it: in `<root>/<set>/` or
+    directly in `<root>/`.
+    """
+
+    root: Path
+
+    def directory(self, assets: AssetSet) -> Path:
+        """Where the set is published."""
+        return self.root / assets.directory_name
+
+    @property
+    def failure_mark(self) -> Path:
+        """The file whose modification time is that of the last failed `fetch_missing`."""
+        return self.root / ".fetch-failed"
+
+    def resolve(self, assets: AssetSet) -> Path | None:
+        """The folder that holds every file of the set, each verified by SHA-256; None when there is none."""
+        for folder in self._folders(assets):
+            if all(check_file(folder / name, locked) is FileStatus.OK for name, locked in assets.files.items()):
+                return folder
+        return None
+
+    def status(self, assets: AssetSet) -> tuple[FileState, ...]:
+        """The state of each file, in the lock's order, in the folder where most of the set is good."""
+        files = assets.files.items()
+        states = [
+            tuple(FileState(name, folder / name, check_file(folder / name, locked)) for name, locked in files)
+            for folder in self._folders(assets)
+        ]
+        # Changed files say that the folder is meant for the set; among equals, `max` takes the first folder.
+        return max(states, key=lambda files: (_count(files, FileStatus.OK), _count(files, FileStatus.CHANGED)))
+
+    @contextlib.contextmanager
+    def write_lock(self) -> Iterator[Path]:
+        """Lock the store for writing, and yield a scratch folder inside it; another process waits for the lock.
+
+        Raises ResourceError if the store cannot be written to, here or in the block.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            with exclusive_lock(self.root / ".lock"):
+                # The lock is held, so whatever lies in the scratch folder was left by a killed process.
+                shutil.rmtree(self._staging, ignore_errors=True)
+                self._staging.mkdir()
+                try:
+                    yield self._staging
+                finally:
+                    shutil.rmtree(self._staging, ignore_errors=True)
+        except OSError as error:
+            raise ResourceError(
+                f"cannot write to the asset store {self.root}: {error.strerror or error}; free some space, or set "
+                "YAMSIM_ASSETS to a folder that can be written to"
+            ) from error
+
+    def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
+        """Publish a set with its notice as `put` does, and return its folder.
+
+        Raises:
+            MismatchError: a file is missing or is not the locked one; nothing was published.
+            OSError: the disk failed; nothing was published.
+        """
+        wrong = [name for name, file in assets.files.items() if sha256_bytes(files.get(name, b"")) != file.sha256]
+        if wrong:
+            raise MismatchError(f"not the locked content: {', '.join(wrong)}")
+        content = {name: files[name] for name in assets.files} | {assets.notice: notice.encode()}
+        return self.publish_folder(assets.directory_name, content)
+
+    def publish_folder(self, name: str, files: Mapping[str, bytes]) -> Path:
+        """Publish a folder of the store in one step, and return it; to be called within `writing`.
+
+        A folder of that name, which failed verification, is moved away.
+
+        Raises:
+            OSError: the disk failed; nothing was published.
+        """
+        final = self.root / name
+        if final.exists():
+            final.rename(self._staging / f"damaged.{uuid.uuid4().hex}")
+        publish_directory(final, files, self._staging)
+        return final
+
+    @property
+    def _staging(self) -> Path:
+        return self.root / ".staging"
+
+    def _folders(self, assets: AssetSet) -> tuple[Path, Path, Path]:
+        return self.directory(assets), self.root / assets.name, self.root
+
+
+def _count(files: tuple[FileState, ...], status: FileStatus) -> int:
+    return sum(file.status is status for file in files)
+
+
+def is_user_set(set_name: str) -> bool:
+    """Whether the name is that of an own set, which is not in the lock."""
+    return _NAME.fullmatch(set_name) is not None
+
+
+def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
+    listed = "".join(f"{name} {hashes[name]}\n" for name in sorted(hashes))
+    return f"own-{thing}-{sha256_bytes(listed.encode())[:12]}"
+
+
+def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
+    """Put a thing's files into the store in one step, and return the set's name.
+
+    Args:
+        about: the origin of the thing, for people: the source's name and hash, its unit, and how it was made.
+
+    Raises ResourceError if the store cannot be written to.
+    """
+    if wrong := [name for name in files if not _FILE.fullmatch(name) or name == ABOUT]:
+        raise ValueError(f"no names for a set's files: {wrong}")
+    hashes = {file: sha256_bytes(data) for file, data in sorted(files.items())}
+    name = _set_name(thing, hashes)
+    text = json.dumps({"about": about, "files": hashes}, indent=1) + "\n"
+    with store.write_lock():
+        if resolve_user_set(store, name) is None:
+            store.publish_folder(name, {**files, ABOUT: text.encode()})
+    return name
+
+
+def resolve_user_set(store: AssetStore, set_name: str) -> Path | None:
+    """The folder of an own set, every file verified by SHA-256; None if a file is missing or changed."""
+    if not is_user_set(set_name):
+        return None
+    folder = store.root / set_name
+    try:
+        listed = json.loads((folder / ABOUT).read_bytes())["files"]
+        found = {name: sha256_file(folder / name) for name in listed if _FILE.fullmatch(name)}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    thing = set_name.removeprefix("own-").rpartition("-")[0]
+    return folder if len(found) == len(listed) and _set_name(thing, found) == set_name else None

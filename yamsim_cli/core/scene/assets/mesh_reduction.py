@@ -1,0 +1,195 @@
+"""Reduced meshes: fewer faces for pictures, kept beside the sets that they are made from.
+
+Quadric collapse stalls on the slivers of CAD meshes, so the slivers are cleared first. The rest is collapsed to the
+number of faces in the lock. A result that deviates too far from its source is not used.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import ResourceError
+from ...files.writing import sha256_bytes, sha256_file
+from ...geometry.se3 import Array
+from ...geometry.stl import Faces, read_stl, stl_bytes
+from ...geometry.surface_distance import hausdorff_distance
+from .asset_lock import AssetSet, Reduction
+from .asset_store import AssetStore
+
+LIMIT_MM = 0.5  # mm, the largest distance of a reduced mesh from its source, and of the source from the reduced mesh
+_SLIVERS_MM = 0.2  # mm, how far clearing slivers may move the surface of a mesh without a `Reduction` in the lock
+_AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 it stalls on CAD meshes, above 7 it tears them
+_SAMPLES = 1000  # points that are measured on each surface; the tests measure twenty times as many
+_MM = 1000.0  # mm per metre; STL files hold metres
+
+REPORT = "reduction.json"  # the file beside reduced meshes with their hashes and numbers of faces
+
+Surface = tuple[Array, Faces]
+
+
+def reduction_fingerprint() -> str:
+    """Everything that decides a reduced mesh's bytes, except the source and its `Reduction`, as text.
+
+    Raises ImportError if a library for it is not installed.
+    """
+    libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
+    return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {LIMIT_MM} {_SAMPLES} {libraries}"
+
+
+def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
+    """A binary STL (m) with fewer faces, within `LIMIT_MM` of the given one; the given one if no attempt is.
+
+    Raises ResourceError if `data` is no binary STL.
+    """
+    vertices, triangles = read_stl(data)
+    source = vertices * _MM, triangles
+    attempts = [collapse_edges(source, reduction)] if reduction else []
+    for attempt in (*attempts, remove_slivers(source, _SLIVERS_MM)):
+        if len(attempt[1]) < len(triangles) and hausdorff_distance(source, attempt, LIMIT_MM, _SAMPLES) <= LIMIT_MM:
+            return stl_bytes(attempt[0] / _MM, attempt[1])
+    return data
+
+
+def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
+    """The surface (mm) cleared of slivers and collapsed to about as many triangles as requested."""
+    import fast_simplification
+
+    vertices, triangles = remove_slivers(source, reduction.slivers_mm)
+    if len(triangles) <= reduction.faces:
+        return vertices, triangles
+    vertices, triangles = fast_simplification.simplify(
+        vertices, triangles, target_count=reduction.faces, agg=_AGGRESSIVENESS
+    )
+    return vertices, _without_slits(vertices, triangles.astype(np.int32))
+
+
+def _without_slits(vertices: Array, triangles: Faces) -> Faces:
+    """The triangles that have an area in the precision of an STL file."""
+    a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
+    return triangles[np.cross(b - a, c - a).any(axis=1)]
+
+
+def remove_slivers(source: Surface, tolerance: float) -> Surface:
+    """The surface (mm) without slivers, moved by at most about `tolerance`; unchanged if it encloses no body."""
+    import manifold3d
+
+    if not tolerance:
+        return source
+    vertices, triangles = source
+    body = manifold3d.Manifold(manifold3d.Mesh(vertices.astype(np.float32), triangles.astype(np.uint32)))
+    if body.status() is not manifold3d.Error.NoError:
+        return source
+    simple = body.simplify(tolerance).to_mesh()
+    return np.array(simple.vert_properties[:, :3], np.float64), np.array(simple.tri_verts, np.int32)
+
+
+# Called with the number of files done, and of all files.
+FilesDone = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class ReducedSet:
+    """A set's reduced meshes: their folder, and the numbers of faces before and after."""
+
+    directory: Path
+    source_faces: int
+    faces: int
+
+
+def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
+    """The set's reduced meshes, each verified by SHA-256; None if they are missing or made by another recipe.
+
+    Raises ResourceError if a library for making them is not installed.
+    """
+    folder = store.root / _folder_name(assets)
+    try:
+        files = json.loads((folder / REPORT).read_bytes())["files"]
+        valid = set(files) == set(assets.files) and all(
+            sha256_file(folder / name) == entry["sha256"] for name, entry in files.items()
+        )
+        return _reduced_set(folder, files) if valid else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def make_reduced(
+    store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
+) -> ReducedSet:
+    """The set's reduced meshes, made and published in one step if they are missing.
+
+    Of two processes that call this function at once, one makes the meshes and the other waits for them.
+
+    Args:
+        source: the folder with the set's own files, as `AssetStore.resolve` gives it.
+        notice: the licence text to publish with them.
+
+    Raises ResourceError if a library for it is not installed, a mesh cannot be read, or the store cannot be written to.
+    """
+    if (there := find_reduced(store, assets)) is not None:
+        return there
+    try:
+        with store.write_lock():
+            if (there := find_reduced(store, assets)) is not None:
+                return there
+            files, report = _reduce_all(assets, source, progress)
+            text = (
+                json.dumps(
+                    {"source": assets.directory_name, "recipe": reduction_fingerprint(), "files": report}, indent=1
+                )
+                + "\n"
+            )
+            content = files | {assets.notice: notice.encode(), REPORT: text.encode()}
+            return _reduced_set(store.publish_folder(_folder_name(assets), content), report)
+    except ImportError as error:
+        raise ResourceError(_missing(error)) from error
+
+
+def _reduce_all(
+    assets: AssetSet, source: Path, progress: FilesDone
+) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
+    """File name -> reduced mesh, and file name -> its entry in the report."""
+    files, report = {}, {}
+    for number, (name, locked) in enumerate(assets.files.items(), start=1):
+        data = (source / name).read_bytes()
+        try:
+            files[name] = reduce_stl(data, locked.reduction)
+        except ResourceError as error:
+            raise ResourceError(f"{name}: {error}") from error
+        report[name] = {
+            "sha256": sha256_bytes(files[name]),
+            "source_faces": _faces(data),
+            "faces": _faces(files[name]),
+        }
+        progress(number, len(assets.files))
+    return files, report
+
+
+def _faces(stl: bytes) -> int:
+    return int.from_bytes(stl[80:84], "little")
+
+
+def _reduced_set(folder: Path, files: dict[str, dict[str, Any]]) -> ReducedSet:
+    source_faces, faces = (sum(int(entry[key]) for entry in files.values()) for key in ("source_faces", "faces"))
+    return ReducedSet(folder, source_faces, faces)
+
+
+def _folder_name(assets: AssetSet) -> str:
+    """The folder's name, which contains a hash over everything that decides the reduced files' bytes."""
+    try:
+        how = [reduction_fingerprint()] + [
+            f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())
+        ]
+    except ImportError as error:
+        raise ResourceError(_missing(error)) from error
+    return f"{assets.directory_name}-reduced-{sha256_bytes(chr(10).join(how).encode())[:12]}"
+
+
+def _missing(error: ImportError) -> str:
+    return f"meshes are reduced by packages that are not all installed ({error}); install yamsim's requirements"

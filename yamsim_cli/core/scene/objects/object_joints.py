@@ -1,0 +1,115 @@
+"""Joints of articulated objects: hinges, slides, screws, detents, and sites of handles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...config.objects.articulation import Detent, Handle, Link, LinkJoint
+from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
+from .object_geoms import HIDDEN_GROUP
+
+_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
+_SLACK = 10.0  # m, longer than any detent's spring becomes, so that the spring never pulls
+_STEPS = 400  # positions at which a detent's force is measured
+_STIFF = (0.004, 1.0)  # solref of a thread: as stiff as a step of 2 ms allows
+_DRY = (0.99, 0.999, 0.001, 0.5, 2.0)  # solimp of friction; with MuJoCo's default, joints creep by millimetres a second
+
+
+def joint_transform(joint: LinkJoint, value: float) -> Array:
+    """The motion (4, 4) of a part in its frame at joint position 0; `value` in m or rad."""
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    if not joint.turns:
+        return pose(value * axis)
+    turn = pose((0, 0, 0), rotation_from_vector(value * axis))
+    lift = pose((joint.pitch or 0.0) * value / (2 * math.pi) * axis)
+    moved: Array = lift @ pose(joint.position) @ turn @ pose(-np.array(joint.position))
+    return moved
+
+
+def start_pose(link: Link) -> Array:
+    """The pose (4, 4) of a part in its parent at the joint's start."""
+    T: Array = link.T_in_parent @ joint_transform(link.joint, link.joint.to_si(link.joint.start))
+    return T
+
+
+def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link) -> None:
+    """Add the joint `name` of a link, with its thread and detents."""
+    joint = link.joint
+    start = joint.to_si(joint.start)
+    rubs = {"damping": [joint.damping, 0, 0], "frictionloss": joint.friction, "armature": joint.armature}
+    if joint.type == "screw":
+        assert joint.pitch is not None  # checked with the config
+        lead = joint.pitch / (2 * math.pi)
+        body.add_joint(
+            name=f"{name}_thread", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=joint.axis, pos=joint.position,
+            ref=lead * start,
+        )  # fmt: skip
+        spec.add_equality(
+            name=f"{name}_thread",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            # The rotation follows the lift: an equality's softness depends on its joints' inertias, and in the opposite
+            # direction a cap, whose rotational inertia is small, would sag by centimetres.
+            name1=name,
+            name2=f"{name}_thread",
+            data=[0, 1 / lead, *[0] * 10],
+            solref=_STIFF,
+        )
+    body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=joint.axis,
+        pos=joint.position,
+        # Specs with compiler angle in degrees have ranges in degrees.
+        range=[_angle(spec, joint, end) for end in joint.range],
+        limited=True,
+        ref=_angle(spec, joint, joint.start),
+        solimp_friction=_DRY,
+        **rubs,
+    )
+    for k, detent in enumerate(joint.detents):
+        _add_detent(spec, parent, body, f"{name}_detent_{k}", link, detent)
+
+
+def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
+    return value if joint.turns and spec.compiler.degree else joint.to_si(value)
+
+
+def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link, detent: Detent) -> None:
+    """Add a spring that the part compresses on its way over the detent, and that is slack elsewhere.
+
+    One end is on the part, the other on the parent, beside the path of the first.
+    """
+    joint = link.joint
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    at, half = joint.to_si(detent.at), joint.to_si(detent.width) / 2
+    on_part = np.array(joint.position) + (_RADIUS * across if joint.turns else 0.0)
+    foot = 2 * _RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
+    offset = foot * (axis if joint.turns else across)
+    T = link.T_in_parent @ joint_transform(joint, at)
+    body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
+    parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + offset), 1.0])[:3], group=HIDDEN_GROUP)
+    path = np.linspace(0, half, _STEPS)
+    chord = 2 * _RADIUS * np.sin(path / 2) if joint.turns else path
+    length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
+    push = (rest - length) * np.gradient(length, path)
+    tendon = spec.add_tendon(name=name, springlength=[rest, _SLACK], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])
+    tendon.stiffness = [detent.effort / float(push.max()), 0, 0]
+    tendon.wrap_site(f"{name}_part")
+    tendon.wrap_site(f"{name}_parent")
+
+
+def add_handles(body: Any, name: str, handles: Sequence[Handle]) -> None:
+    """Add handles as sites `<name>_<handle>` in the pinch frame."""
+    for handle in handles:
+        T = handle.T_pinch_in_part
+        body.add_site(
+            name=f"{name}_{handle.name}", pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]), group=HIDDEN_GROUP
+        )

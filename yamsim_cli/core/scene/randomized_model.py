@@ -1,0 +1,260 @@
+"""Variations of a compiled scene: the model is compiled once, and reset before each attempt's variation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.randomization import RandomizationConfig, SurfaceRanges
+from ..config.recording import SCENE_CAMERA
+from ..config.scene import SceneConfig
+from ..config.variation import ArmVariation, LightVariation, SurfaceVariation, Variation
+from ..files.resources import Meshes
+from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
+from .compiled import ArmAddresses, CompiledScene
+from .objects.object_geoms import HIDDEN_GROUP
+from .objects.scene_object import add_object
+
+_ABSENT_GROUP, _PARKED = 4, (0.0, 0.0, -5.0)  # geom group, which no camera draws, and place of absent distractors
+_TEXTURED = "_textured"
+_TEXTURE_SIZE = 256  # px
+_OCTAVES = 4  # grids of noise, each twice as fine as the one before
+_TILES = "floor_tiles"
+_FLOOR_REPEAT = 8  # repetitions of a floor's texture for each of a table's: the floor is ten times as wide
+_SURFACES = {"table": "table", "floor": "safety_plane"}  # part -> geom
+
+_SAVED = (
+    "light_diffuse", "light_dir", "light_pos",
+    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat",
+    "dof_M0", "dof_invweight0", "tendon_invweight0", "actuator_acc0", "cam_poscom0", "light_poscom0",
+    "geom_friction", "geom_matid", "geom_group", "geom_contype", "geom_conaffinity",
+    "cam_fovy", "cam_pos", "cam_quat", "mat_rgba", "mat_specular", "mat_shininess",
+)  # fmt: skip
+_SAVED_HEADLIGHT = ("ambient", "diffuse")
+
+
+def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
+    """Whether a surface may need a texture; the floor's tiles are geometry."""
+    untextured = {"plain", "checker"} if part == "floor" else {"plain"}
+    return ranges is not None and not untextured.issuperset(ranges.textures)
+
+
+def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
+    """Add the distractors and the textured materials that a randomization needs to a composed scene."""
+    for item in config.extras:
+        add_object(spec, item, meshes, fixed=True)
+    for part in _SURFACES:
+        if _is_textured(getattr(config, part), part):
+            name = part + _TEXTURED
+            spec.add_texture(
+                name=name,
+                type=mujoco.mjtTexture.mjTEXTURE_2D,
+                builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+                rgb1=(1, 1, 1),
+                width=_TEXTURE_SIZE,
+                height=_TEXTURE_SIZE,
+            )
+            repeat = _FLOOR_REPEAT if part == "floor" else 1
+            material = spec.add_material(
+                name=name, specular=0.1, shininess=0.1, texuniform=False, texrepeat=[repeat, repeat]
+            )
+            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+class RandomizedModel:
+    """A compiled model that is changed from attempt to attempt.
+
+    Attributes:
+        textures: ids of the textures that the last variation changed, which renderers have to upload.
+
+    Args:
+        model: as compiled, with the parts of `add_randomized_parts`.
+        scene: of the model's lights.
+    """
+
+    def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
+        self._model = model
+        self._camera = model.cam(SCENE_CAMERA).id
+        self._lights = [model.light(f"light_{k}").id for k in range(len(scene.lights))]
+        self._extras = {item.name: model.body(item.name).id for item in config.extras}
+        self._materials = {model.material(k).name: k for k in range(model.nmat)}
+        of_body = model.body_rootid[model.geom_bodyid]
+        self._seen = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
+        self._saved = {key: getattr(model, key).copy() for key in _SAVED}
+        self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
+        self.textures: list[int] = []
+
+    def apply(self, variation: Variation) -> None:
+        """Reset the model to its compiled values, and apply a variation."""
+        model = self._model
+        for key, value in self._saved.items():
+            getattr(model, key)[:] = value
+        for key, value in self._headlight.items():
+            getattr(model.vis.headlight, key)[:] = value
+        self.textures = []
+        # Masses come first, since MuJoCo derives constants from the whole model.
+        if variation.mass:
+            scale_masses(model, variation.mass)
+        for number, light in zip(self._lights, variation.lights, strict=False):
+            self._light(number, light)
+        if variation.headlight:
+            model.vis.headlight.diffuse *= variation.headlight[0]
+            model.vis.headlight.ambient *= variation.headlight[1]
+        for name, factor in variation.friction.items():
+            self._friction(name, factor)
+        if variation.lens_deg is not None:
+            model.cam_fovy[self._camera] += variation.lens_deg
+        if variation.camera:
+            self._move_camera(np.array(variation.camera))
+        for part, surface in (("table", variation.table), ("floor", variation.floor)):
+            if surface:
+                self._surface(part, surface)
+        for name, look in variation.looks.items():
+            material = self._materials[name]
+            model.mat_rgba[material, :3] = look.rgb
+            model.mat_specular[material], model.mat_shininess[material] = look.specular, look.shininess
+        for name in self._extras:
+            self.place_distractor(name, variation.distractors.get(name))
+
+    def place_distractor(self, name: str, where: UprightPose | None) -> None:
+        """Put a distractor on the table at `[x, y, z, yaw]`, or away if None."""
+        model, body = self._model, self._extras[name]
+        geoms = self._seen[body]
+        if where is None:
+            model.body_pos[body] = _PARKED
+            model.geom_group[geoms] = _ABSENT_GROUP
+            model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
+            return
+        x, y, z, yaw = where
+        model.body_pos[body] = x, y, z
+        model.body_quat[body] = quat_from_rotation(rotation_z(yaw))
+        for key in ("geom_group", "geom_contype", "geom_conaffinity"):
+            getattr(model, key)[geoms] = self._saved[key][geoms]
+
+    def _light(self, number: int, light: LightVariation) -> None:
+        model = self._model
+        centre = model.light_pos[number] + model.light_dir[number]
+        direction = rotation_from_vector(light.turn) @ model.light_dir[number]
+        model.light_dir[number] = direction
+        # The position only centres the shadow map, see `surroundings.add_lights`.
+        model.light_pos[number] = centre - direction
+        model.light_diffuse[number] *= light.colour
+
+    def _friction(self, name: str, factor: float) -> None:
+        model = self._model
+        if name in _SURFACES:
+            geoms = [model.geom(_SURFACES[name]).id]
+        else:
+            geoms = list(np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body(name).id))
+        model.geom_friction[geoms, 0] *= factor
+
+    def _move_camera(self, moved: Array) -> None:
+        model, camera = self._model, self._camera
+        R = pose_from_quat((0, 0, 0), model.cam_quat[camera])[:3, :3]
+        model.cam_pos[camera] += moved[:3]
+        model.cam_quat[camera] = quat_from_rotation(rotation_from_vector(moved[3:]) @ R)
+
+    def _surface(self, part: str, surface: SurfaceVariation) -> None:
+        model = self._model
+        tiles = part == "floor" and surface.texture in ("plain", "checker")
+        if tiles or surface.texture == "plain":
+            for material, colour in zip((part, _TILES), surface.colours, strict=True):
+                if material == part or part == "floor":
+                    model.mat_rgba[self._materials[material], :3] = colour
+            return
+        material = part + _TEXTURED
+        model.geom_matid[model.geom(_SURFACES[part]).id] = self._materials[material]
+        if part == "floor":
+            model.geom_group[model.geom(_TILES).id] = HIDDEN_GROUP
+        texture = model.texture(material).id
+        start = int(model.tex_adr[texture])
+        image = texture_image(surface)
+        model.tex_data[start : start + image.size] = image.ravel()
+        self.textures.append(texture)
+
+
+def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
+    """Multiply the masses and inertias of things with their links, and derive MuJoCo's constants anew.
+
+    Args:
+        factors: thing -> factor of the mass of each of its bodies.
+    """
+    for name, factor in factors.items():
+        bodies = model.body_rootid == model.body(name).id
+        model.body_mass[bodies] *= factor
+        model.body_inertia[bodies] *= factor
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
+    """The image (size, size, 3) of a surface's pattern; opposite edges match, except for a gradient."""
+    first, second = np.array(surface.colours) * 255.0
+    match surface.texture:
+        case "checker":
+            cell = np.arange(size) * 2 * surface.repeat // size
+            share = ((cell[:, None] + cell[None, :]) % 2).astype(float)
+        case "gradient":
+            turn = 2 * np.pi * np.random.default_rng(surface.seed).uniform()
+            along = np.linspace(-0.5, 0.5, size)
+            share = 0.5 + (along[:, None] * np.sin(turn) + along[None, :] * np.cos(turn)) / np.sqrt(2)
+        case "noise":
+            share = _noise(np.random.default_rng(surface.seed), surface.repeat, size)
+        case _:
+            share = np.zeros((size, size))
+    image: NDArray[np.uint8] = np.rint(first + share[..., None] * (second - first)).astype(np.uint8)
+    return image
+
+
+def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
+    """Smooth noise (size, size) from 0 to 1: random grids, each finer and fainter than the one before."""
+    total = np.zeros((size, size))
+    for octave in range(_OCTAVES):
+        n = cells * 2**octave
+        grid = rng.uniform(size=(n, n))
+        at = np.arange(size) * n / size
+        low = at.astype(int)
+        high, part = (low + 1) % n, at - low
+        part = part * part * (3 - 2 * part)
+        rows = grid[low] * (1 - part)[:, None] + grid[high] * part[:, None]
+        total += (rows[:, low] * (1 - part) + rows[:, high] * part) / 2**octave
+    total -= total.min()
+    return total / max(float(total.max()), 1e-9)
+
+
+class RandomizedArms:
+    """A compiled scene whose arms differ from attempt to attempt in delays, readings and gravity compensation.
+
+    Args:
+        scene: as compiled, with room for the longest delays; its arms have their own delays.
+    """
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self._scene = scene
+        self.apply(())  # the model was compiled with the longest delays
+
+    def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
+        """The scene with varied arms, or its own arms if there are no variations; the model is changed in place."""
+        arms, model = self._scene.arms, self._scene.model
+        if variations:
+            arms = tuple(_randomized_arm(arm, by) for arm, by in zip(arms, variations, strict=True))
+        for arm in arms:
+            model.actuator_delay[arm.drives] = arm.command_delay
+            if arm.sensors is not None:
+                model.sensor_delay[arm.sensors] = arm.sensor_delay
+        return replace(self._scene, arms=arms)
+
+
+def _randomized_arm(arm: ArmAddresses, by: ArmVariation) -> ArmAddresses:
+    gravity = by.gravity if arm.gravity is None else arm.gravity + by.gravity
+    return replace(
+        arm,
+        gravity=np.array(gravity) if np.any(gravity) else None,
+        command_delay=arm.command_delay + by.command_delay_ms / 1000,
+        sensor_delay=arm.sensor_delay + by.sensor_delay_ms / 1000,
+        sensor_noise=arm.sensor_noise + by.sensor_noise_rad,
+        encoder_step=arm.encoder_step + by.encoder_step_rad,
+    )

@@ -1,0 +1,174 @@
+"""Samples the cast, the prompt and the starts of an attempt."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..attempt_data import AttemptJob
+from ..config.goals.role_assignment import RoleAssignment
+from ..config.goals.world import TABLE
+from ..config.program_task import Attitude, ProgramTask, Start
+from ..config.scene import Table
+from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from .random_streams import Stream, random_generator
+
+_TRIES = 60  # to find a free place for a thing
+_ROUNDS = 20  # in which all things are placed anew, since one found no place
+
+BoundsOf = Callable[[str, Mapping[str, float]], Array]
+
+
+@dataclass(frozen=True)
+class ObjectPlacement:
+    """The start of a thing, before it settles.
+
+    Attributes:
+        T: pose (4, 4) in `world`, whose height is not settled yet.
+        on: the thing below, or `table`.
+        open: part -> share of its range by which it is open.
+    """
+
+    T: Array
+    on: str
+    open: Mapping[str, float]
+
+
+def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
+    """The cast of an attempt."""
+    rng, drawn, sizes = random_generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
+    for role, one in task.things.items():
+        numbers: list[int] = []
+        while len(numbers) < one.count:
+            numbers += [int(k) for k in rng.permutation(len(one.of))]
+        drawn[role] = tuple(numbers[: one.count])
+        if one.sizes:
+            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in task.names_of(role, drawn[role])}
+    return task.assign_roles(drawn, sizes)
+
+
+def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
+    """The prompt of an attempt."""
+    prompts = task.phrasings.training
+    return prompts[int(random_generator(job, Stream.PHRASING).integers(len(prompts)))]
+
+
+def sample_placements(
+    task: ProgramTask, roles: RoleAssignment, box_of: BoundsOf, table: Table, job: AttemptJob, number: int = 0
+) -> dict[str, ObjectPlacement] | str:
+    """Thing -> its start, in the order in which things settle.
+
+    Args:
+        box_of: function of a thing and `Placed.open` to the lowest and the highest corner (2, 3) of the thing's
+            bounding box in its own frame, m.
+        number: of the draw, for an attempt whose first draws were not usable.
+
+    Returns:
+        The name of a thing instead, if there was no free place for it in any of 20 rounds of 60 tries.
+    """
+    if task.arrangements:
+        return _arranged_placements(task, roles, job, number)
+    rng = random_generator(job, Stream.PLACES, number)
+    missing = ""
+    for _ in range(_ROUNDS):
+        found = _sample_all_placements(task, roles, box_of, table, rng)
+        if isinstance(found, dict):
+            return found
+        missing = found
+    return missing
+
+
+def _arranged_placements(
+    task: ProgramTask, roles: RoleAssignment, job: AttemptJob, number: int
+) -> dict[str, ObjectPlacement]:
+    """The arrangement of an attempt: all attempts of a seed go through one random order of arrangements."""
+    order = random_generator(AttemptJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
+    one = task.arrangements[order[(job.attempt + number) % len(order)]]
+    return {
+        roles.object_of(name): ObjectPlacement(pose((x, y, 0.0), rotation_z(math.radians(turn))), TABLE, {})
+        for name, (x, y, turn) in one.places.items()
+    }
+
+
+def _sample_all_placements(
+    task: ProgramTask, roles: RoleAssignment, box_of: BoundsOf, table: Table, rng: np.random.Generator
+) -> dict[str, ObjectPlacement] | str:
+    placed: dict[str, ObjectPlacement] = {}
+    for role, start in task.starts.items():
+        on = TABLE if start.on == TABLE else roles.object_of(start.on)
+        for name in roles.objects_of(role):
+            found = _place(start, on, name, placed, box_of, table, rng)
+            if found is None:
+                return name
+            placed[name] = found
+    return placed
+
+
+def _place(
+    start: Start,
+    on: str,
+    name: str,
+    placed: Mapping[str, ObjectPlacement],
+    box_of: BoundsOf,
+    table: Table,
+    rng: np.random.Generator,
+) -> ObjectPlacement | None:
+    """A free place for a thing, or None."""
+    T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
+    neighbours = [
+        footprint_corners(box_of(other, there.open), there.T) for other, there in placed.items() if there.on == on
+    ]
+    for _ in range(_TRIES):
+        x, y = rng.uniform(*start.x), rng.uniform(*start.y)
+        turn = math.radians(rng.uniform(*start.yaw_deg))
+        attitude = start.attitudes[int(rng.integers(len(start.attitudes)))]
+        R = T_on[:3, :3] @ rotation_z(turn) @ _start_rotation(attitude, rng.uniform(0.0, 2 * math.pi))
+        opened = {part: float(rng.uniform(*share)) for part, share in start.open.items()}
+        # x and y are those of the outline's middle, not of the origin.
+        box = box_of(name, opened)
+        middle = R @ box.mean(axis=0)
+        at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
+        candidate = ObjectPlacement(pose(at, R), on, opened)
+        corners = footprint_corners(box, candidate.T)
+        if on == TABLE and not _on_table(corners, table):
+            continue
+        if all(footprint_distance(corners, there) >= start.apart for there in neighbours):
+            return candidate
+    return None
+
+
+def _start_rotation(attitude: Attitude, roll: float) -> Array:
+    match attitude:
+        case "lying":
+            return rotation_from_vector([0.0, math.pi / 2, 0.0]) @ rotation_z(roll)
+        case "upside_down":
+            return rotation_from_vector([math.pi, 0.0, 0.0])
+    return np.eye(3)
+
+
+_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # of a box, by the number of its corner for each axis
+
+
+def footprint_corners(box: Array, T: Array) -> Array:
+    """A box's corners (8, 2) at a pose (4, 4), seen from above, m."""
+    corners: Array = (box[_CORNERS, (0, 1, 2)] @ T[:3, :3].T + T[:3, 3])[:, :2]
+    return corners
+
+
+def _on_table(corners: Array, table: Table) -> bool:
+    middle, half = np.array(table.position[:2]), np.array(table.half_size[:2])
+    return bool((np.abs(corners - middle) <= half).all())
+
+
+def footprint_distance(one: Array, other: Array) -> float:
+    """A lower bound of the distance of two outlines, given by corners (n, 2), m; negative if they may overlap."""
+    edges = np.concatenate([corners[1:] - corners[0] for corners in (one, other)])
+    lengths = np.linalg.norm(edges, axis=1)
+    along = edges[lengths > 1e-6] / lengths[lengths > 1e-6, None]
+    axes = np.concatenate([along, along[:, ::-1] * (-1.0, 1.0)])
+    a, b = one @ axes.T, other @ axes.T
+    return float(np.maximum(b.min(axis=0) - a.max(axis=0), a.min(axis=0) - b.max(axis=0)).max(initial=-math.inf))

@@ -1,0 +1,45 @@
+"""Simulates a scene until its things are at rest."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..scene.compiled import CompiledScene
+
+SETTLE_SECONDS = 2.0  # s, limit of the simulated time
+CHECK_STEPS = 25  # physics steps between two checks of the speeds
+AT_REST = 0.01  # m/s and rad/s, the largest speed of a thing that counts as at rest
+
+
+class SettledScene(NamedTuple):
+    """A scene after its things had time to come to rest.
+
+    Attributes:
+        qpos: MuJoCo's positions (nq,).
+        speed: largest speed of a thing that is not cloth, m/s and rad/s.
+    """
+
+    qpos: Array
+    speed: float
+
+
+def settle_objects(scene: CompiledScene, start: Array, timestep: float) -> SettledScene:
+    """Simulate until all things are at rest or `SETTLE_SECONDS` are over; the arms get their positions of `start`."""
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, start)
+    stiff = np.concatenate([np.zeros(0, int), *(np.arange(dof, dof + 6) for dof in scene.object_dof.values())])
+    dofs = np.concatenate([stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
+    for _ in range(int(SETTLE_SECONDS / timestep / CHECK_STEPS)):
+        scene.step(data, CHECK_STEPS)
+        if float(np.abs(data.qvel[dofs]).max()) < AT_REST:
+            break
+    settled: Array = data.qpos.copy()
+    for arm in scene.arms:
+        settled[arm.joint_qpos] = start[arm.joint_qpos]
+        if arm.fingers is not None:
+            settled[arm.fingers.qpos] = start[arm.fingers.qpos]
+    return SettledScene(settled, float(np.abs(data.qvel[stiff]).max(initial=0.0)))

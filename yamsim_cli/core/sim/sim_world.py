@@ -1,0 +1,342 @@
+"""The facts about a scene that goals and skills use, computed from MuJoCo's state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.goals.world import TABLE
+from ..geometry.se3 import Array, inverse, pose
+from ..scene.compiled import ArmAddresses, ClothAddresses, CompiledScene, Ids
+from .cloth import ClothState
+from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_points
+from .interior import Interior
+
+_VOLUME_POINTS = 1000  # points that sample the volume of a body, so that shares have steps of a thousandth
+_LIFTING = 0.5  # vertical component of a contact's normal, above which a finger counts as under a cloth
+
+
+@dataclass(frozen=True)
+class ContainerRegion:
+    """A box-shaped part of a thing.
+
+    Attributes:
+        thing: name of the whole thing.
+        T_in_thing: pose (4, 4) in the thing's frame of the region's frame, in the middle of the box's floor.
+        size: size (3,) of the box, m.
+    """
+
+    thing: str
+    T_in_thing: Array
+    size: Array
+
+    @property
+    def corners(self) -> Array:
+        """The lowest and highest corner (2, 3) in the region's frame, m."""
+        x, y, z = self.size
+        return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
+
+
+class SimWorld:
+    """The things of a compiled scene, by name; see `goals.world.World`.
+
+    Args:
+        things: names, in order. A thing is the body of that name with all its descendants.
+        sides: the arms' sides, "left" or "right", in the order of `arms`.
+        regions: name -> a named part of a thing, such as a tray's compartment.
+        cloths: name -> addresses of the points, of the things that are cloth.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arms: Sequence[ArmAddresses],
+        sides: Sequence[str],
+        things: Sequence[str],
+        regions: Mapping[str, ContainerRegion] | None = None,
+        cloths: Mapping[str, ClothAddresses] | None = None,
+    ) -> None:
+        self._model, self._data = model, data
+        self.arms, self.sides, self.things = tuple(arms), tuple(sides), tuple(things)
+        self._regions = regions or {}
+        self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
+        root = model.body_rootid[model.geom_bodyid]
+        self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
+        self._geoms[TABLE] = np.array([model.geom(TABLE).id])
+        self._numbers = {name: k for k, name in enumerate((*things, TABLE))}
+        # Cloth has no geoms: its contacts have geom -1, which is the last entry here.
+        self._of_geom: Ids = np.full(model.ngeom + 1, -1)
+        for name, number in self._numbers.items():
+            self._of_geom[self._geoms[name]] = number
+        self._fingers = [_finger_geoms(model, arm) for arm in arms]
+        self._of_finger: Ids = np.full(model.ngeom + 1, -1)
+        for arm, geoms_of in enumerate(self._fingers):
+            for finger, geoms in enumerate(geoms_of):
+                self._of_finger[geoms] = 2 * arm + finger
+        self._bodies = {name: self._solid_geoms(name) for name in things}
+        self._volumes: dict[int, tuple[Array, float]] = {}
+        self._interiors: dict[int, Interior] = {}
+        self._hands: dict[str, list[str]] = {name: [] for name in things}
+        self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
+        self._starts: dict[str, Array] = {}
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, with poses and contacts as of its last forward pass."""
+        return self._data
+
+    def pose(self, thing: str) -> Array:
+        """See `World`."""
+        if region := self._regions.get(thing):
+            return self.pose(region.thing) @ region.T_in_thing
+        if cloth := self._cloths.get(thing):
+            return cloth.pose
+        body = self._data.body(self._known(thing))
+        return pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def handle_pose(self, thing: str, handle: str) -> Array:
+        """See `World`."""
+        site = self._data.site(f"{self._known(thing)}_{handle}")
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def start_pose(self, thing: str) -> Array:
+        """See `World`; as of the last `begin`."""
+        return self._starts[self._known(thing)]
+
+    def store_start(self) -> None:
+        """Store the poses of things at the start of an attempt, and clear which hands held them before."""
+        self._starts = {name: self.pose(name) for name in self.things}
+        self._hands = {name: [] for name in self.things}
+        self._handovers = {name: [] for name in self.things}
+
+    def aabb(self, thing: str) -> tuple[Array, Array]:
+        """See `World`; exact, for the geoms that collide: primitives, and meshes by their vertices."""
+        if region := self._regions.get(thing):
+            T = self.pose(thing)
+            corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _block_corners(region.corners)])
+            return corners.min(axis=0), corners.max(axis=0)
+        if cloth := self._cloths.get(thing):
+            return cloth.aabb
+        corners = self.geom_aabbs(thing)
+        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    def geom_aabbs(self, thing: str) -> Array:
+        """The lowest and highest corner (n, 2, 3) in `world` of each geom of a thing that collides, m."""
+        geoms = self._geoms[self._known(thing)]
+        solid = geoms[self._model.geom_contype[geoms] != 0]
+        return np.array([geom_aabb(self._model, self._data, int(geom)) for geom in solid])
+
+    def speed(self, thing: str) -> float:
+        """See `World`."""
+        if cloth := self._cloths.get(thing):
+            return cloth.speed
+        dof = self._model.joint(self._known(thing)).dofadr[0]
+        return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
+
+    def touching(self, one: str, other: str) -> bool:
+        """See `World`; a contact with a thing is a contact with all its regions."""
+        one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
+        first, second = (self._in_contact(name) for name in (one, other))
+        return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
+
+    def _in_contact(self, thing: str) -> NDArray[np.bool_]:
+        """Which sides of the present contacts are a thing (n, 2)."""
+        if cloth := self._cloths.get(thing):
+            return cloth.contacts
+        found: NDArray[np.bool_] = self._of_geom[self._data.contact.geom] == self._numbers[self._known(thing)]
+        return found
+
+    def cloth_points(self, thing: str) -> Array:
+        """See `World`."""
+        return self._cloths[thing].rows
+
+    def cloth_addresses(self, thing: str) -> ClothAddresses:
+        """The addresses of a cloth's points in MuJoCo's arrays."""
+        return self._cloths[thing].addresses
+
+    def holding_sides(self, thing: str) -> frozenset[str]:
+        """See `World`: cloth is held by a constraint, other things by contacts of both fingers or by a weld."""
+        return self.holding_sides_by_object()[self._known(thing)]
+
+    def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
+        """Thing -> its `holders`, in the order of `things`."""
+        pairs = self._data.contact.geom
+        things, fingers = self._of_geom[pairs], self._of_finger[pairs]
+        # Which fingers, two for each arm, each thing touches: one side of a contact is the thing, the other the finger.
+        pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
+        pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
+        gripped = (pressed[:, :-1:2] & pressed[:, 1::2]).tolist()
+        found = {}
+        for k, name in enumerate(self.things):
+            if cloth := self._cloths.get(name):
+                found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
+            else:
+                found[name] = frozenset(
+                    side for arm, side in enumerate(self.sides) if gripped[k][arm] or self._welded(name, arm)
+                )
+        return found
+
+    def _welded(self, thing: str, arm: int) -> bool:
+        weld = self.arms[arm].weld
+        if weld is None or not self._data.eq_active[weld]:
+            return False
+        return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
+
+    def hands_beneath(self, thing: str) -> frozenset[str]:
+        """The sides of the hands with a finger under a cloth, which would lift the cloth."""
+        contact = self._data.contact
+        flexes = self._cloths[thing].contacts
+        # The normal points from the first side to the second.
+        up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
+        lifted = contact.geom[flexes.any(axis=1) & (up > _LIFTING)]
+        return frozenset(
+            side
+            for side, fingers in zip(self.sides, self._fingers, strict=True)
+            if any(np.isin(lifted, finger).any() for finger in fingers)
+        )
+
+    def holders_since_rest(self, thing: str) -> tuple[str, ...]:
+        """See `World`; as far as `watch` has seen."""
+        return tuple(self._hands[self._known(thing)])
+
+    def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
+        """See `World`; as far as `watch` has seen."""
+        return tuple(self._handovers[self._known(thing)])
+
+    def volume_fraction_inside(self, thing: str, container: str) -> float:
+        """See `World`; computed from points spread evenly over the thing's volume."""
+        return self._share(thing, lambda points: self.points_inside(container, points))
+
+    def volume_fraction_in_box(self, thing: str, container: str) -> float:
+        """The share, 0..1, of a thing's volume that lies in a container's `block`."""
+        return self._share(thing, lambda points: self._in_block(container, points))
+
+    def _share(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
+        """The share of a thing's volume at whose points (n, 3) in `world` `held` is true (n,)."""
+        shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
+        return float(np.average(shares, weights=volumes))
+
+    def _in_block(self, container: str, points: Array) -> NDArray[np.bool_]:
+        T, (low, high) = self.pose(container), self.local_box(container)
+        points = (points - T[:3, 3]) @ T[:3, :3]
+        held: NDArray[np.bool_] = ((points >= low) & (points <= high)).all(axis=1)
+        return held
+
+    def points_inside(self, container: str, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) in `world` lie in a container's interior (n,), or in the box of a region."""
+        if container in self._regions:
+            return self._in_block(container, points)
+        held = np.zeros(len(points), bool)
+        for body, geoms in self._bodies[self._known(container)].items():
+            if body not in self._interiors:
+                self._interiors[body] = Interior(body_surface(self._model, geoms))
+            T = self._body_pose(body)
+            held |= self._interiors[body].holds((points - T[:3, 3]) @ T[:3, :3])
+        return held
+
+    def joint_opening(self, thing: str, joint: str) -> float:
+        """See `World`."""
+        found = self._model.joint(f"{self._known(thing)}_{joint}")
+        low, high = found.range
+        return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
+
+    def part_pose(self, thing: str, part: str) -> Array:
+        """Pose (4, 4) in `world` of a part that moves on a thing."""
+        body = self._data.body(f"{self._known(thing)}_{part}")
+        return pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def update_handovers(self) -> dict[str, frozenset[str]]:
+        """Update `passed_to` and `handovers` from the present holders, and return these like `holding`.
+
+        `passed_to` of a thing is cleared when no hand holds the thing and it touches another thing or the table.
+        """
+        holding_sides_by_object = self.holding_sides_by_object()
+        for thing, holders in holding_sides_by_object.items():
+            hands = self._hands[thing]
+            if not holders:
+                if hands and self._supported(thing):
+                    hands.clear()
+                continue
+            for side in sorted(holders):
+                if len(holders) == 1 and (not hands or hands[-1] != side):
+                    if hands:
+                        self._handovers[thing].append((hands[-1], side))
+                    hands.append(side)
+        return holding_sides_by_object
+
+    def _supported(self, thing: str) -> bool:
+        return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)
+
+    def _known(self, thing: str) -> str:
+        if thing not in self._geoms:
+            raise KeyError(thing)
+        return thing
+
+    def local_box(self, thing: str) -> Array:
+        """The lowest and highest corner (2, 3) of the box along a thing's own axes around all its bodies, m, at the
+        present joints.
+        """
+        if region := self._regions.get(thing):
+            return region.corners
+        if cloth := self._cloths.get(thing):
+            return cloth.local_box
+        root, T = int(self._model.body(self._known(thing)).id), inverse(self.pose(thing))
+        return enclosing_box(
+            [
+                body_box(self._model, geoms, None if body == root else T @ self._body_pose(body))
+                for body, geoms in self._bodies[thing].items()
+            ]
+        )
+
+    def _solid_geoms(self, thing: str) -> dict[int, list[int]]:
+        """The geoms that collide of each body of a thing."""
+        bodies: dict[int, list[int]] = {}
+        for geom in self._geoms[thing]:
+            if self._model.geom_contype[geom]:
+                bodies.setdefault(int(self._model.geom_bodyid[geom]), []).append(int(geom))
+        return bodies
+
+    def _body_pose(self, body: int) -> Array:
+        return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
+
+    def _filled(self, thing: str) -> Iterator[tuple[Array, float]]:
+        """Points (n, 3) in `world`, spread evenly over the volume of each body of a thing, and the volume, m3."""
+        if cloth := self._cloths.get(thing):
+            yield cloth.points, 1.0
+            return
+        for body, geoms in self._bodies[self._known(thing)].items():
+            if body not in self._volumes:
+                self._volumes[body] = geom_points(self._model, geoms, _VOLUME_POINTS)
+            T, (points, volume) = self._body_pose(body), self._volumes[body]
+            yield points @ T[:3, :3].T + T[:3, 3], volume
+
+
+def _block_corners(block: Array) -> list[Array]:
+    return [np.array([block[i, 0], block[j, 1], block[k, 2]]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+
+
+def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.int_], ...]:
+    """The geoms of each finger of an arm, with those of its descendants."""
+    fingers = []
+    for address in () if arm.fingers is None else arm.fingers.qpos:
+        joint = int(np.searchsorted(model.jnt_qposadr, address))
+        bodies = {int(model.jnt_bodyid[joint])}
+        for body in range(model.nbody):
+            if int(model.body_parentid[body]) in bodies:
+                bodies.add(body)
+        fingers.append(np.flatnonzero(np.isin(model.geom_bodyid, list(bodies))))
+    return tuple(fingers)
+
+
+def make_sim_world(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
+    """The `SimWorld` of a scene and a state.
+
+    Args:
+        sides: sides of the scene's arms, "left" or "right".
+    """
+    return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)

@@ -1,0 +1,149 @@
+"""Executors, which turn jobs into results: their protocols, and the one that works in this process.
+
+Executors know nothing of robots.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Generic, Protocol, TypeVar, cast
+
+from ..closable import Closable
+from ..errors import PartialJobError
+
+J = TypeVar("J")
+R = TypeVar("R")
+JobIn = TypeVar("JobIn", contravariant=True)
+ResultOut = TypeVar("ResultOut", covariant=True)
+
+
+class JobRunner(Protocol[JobIn, ResultOut]):
+    """What a worker runs. A runner is opened once in the worker's process, and then runs one job after the other."""
+
+    def run(self, job: JobIn) -> ResultOut:
+        """The result of a job, which depends on nothing but the job."""
+        ...
+
+
+# Makes a worker's runner; picklable.
+Factory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
+
+
+class WorkerBugError(RuntimeError):
+    """An exception in a worker that is no `YamsimError` and so a bug; its text is the worker's own traceback."""
+
+
+class LostJobError(PartialJobError):
+    """A job that ended every worker that tried it. The executor itself goes on.
+
+    Attributes:
+        tries: how many workers tried the job.
+        reason: how the last worker ended.
+    """
+
+    def __init__(self, job: object, tries: int, reason: str) -> None:
+        super().__init__(f"{job} was given up after {tries} tries: its worker {reason}")
+        self.job = job
+        self.tries = tries
+        self.reason = reason
+
+
+class Executor(Protocol[J, R]):
+    """Workers that run jobs in parallel; a context manager that ends them all."""
+
+    @property
+    def idle(self) -> int:
+        """How many jobs can be submitted now."""
+        ...
+
+    @property
+    def in_flight(self) -> int:
+        """How many jobs were submitted and have not returned."""
+        ...
+
+    def submit(self, job: J) -> None:
+        """Give a job to an idle worker; there must be one."""
+        ...
+
+    def result(self, timeout: float | None = None) -> tuple[J, R]:
+        """The next job that finishes, and its result.
+
+        Args:
+            timeout: seconds to wait; None for no limit.
+
+        Raises:
+            TimeoutError: no job finished in that time.
+            YamsimError: the runner raised it.
+            WorkerBugError: the runner raised anything else.
+            LostJobError: a job ended every worker that tried it.
+            PartialJobError: no worker can be kept alive.
+        """
+        ...
+
+    def close(self) -> None:
+        """End all workers at once, in the middle of a job too: workers hold nothing that could be lost."""
+        ...
+
+    def __enter__(self) -> Executor[J, R]: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def run_all(
+    executor: Executor[J, R], jobs: Iterable[J], lost: Callable[[LostJobError], R] | None = None
+) -> Iterator[tuple[J, R]]:
+    """Every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
+
+    Args:
+        lost: gives the result of a job that ended every worker; None raises the `LostJobError`.
+    """
+    waiting = iter(jobs)
+    while True:
+        while executor.idle and (job := next(waiting, None)) is not None:
+            executor.submit(job)
+        if not executor.in_flight:
+            return
+        try:
+            yield executor.result()
+        except LostJobError as error:
+            if lost is None:
+                raise
+            yield cast("J", error.job), lost(error)
+
+
+class InlineExecutor(Closable, Generic[J, R]):
+    """An `Executor` that runs a job in the caller's process, when the job's result is requested."""
+
+    def __init__(self, factory: Factory[J, R]) -> None:
+        self._stack = contextlib.ExitStack()
+        self._runner = self._stack.enter_context(factory())
+        self._waiting: deque[J] = deque()
+
+    @property
+    def idle(self) -> int:
+        """1 if no job waits, else 0."""
+        return 1 - len(self._waiting)
+
+    @property
+    def in_flight(self) -> int:
+        """1 if a job waits, else 0."""
+        return len(self._waiting)
+
+    def submit(self, job: J) -> None:
+        """Keep a job until its result is requested."""
+        self._waiting.append(job)
+
+    def result(self, timeout: float | None = None) -> tuple[J, R]:
+        """The waiting job and its result; `timeout` is ignored."""
+        job = self._waiting.popleft()
+        return job, self._runner.run(job)
+
+    def close(self) -> None:
+        """Close the runner."""
+        self._stack.close()

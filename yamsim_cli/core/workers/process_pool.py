@@ -1,0 +1,159 @@
+"""Workers that are processes of this machine.
+
+Each process has a pipe of its own, so that a process that dies costs only its job. Each process ends by itself when
+its parent has ended. Processes are spawned and never forked: a fork would share OpenGL.
+"""
+
+from __future__ import annotations
+
+import atexit
+import multiprocessing
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, cast
+
+from .executors import Factory, J, R
+from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
+from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
+
+_END_SECONDS = 5.0  # s, that a killed process may take to end
+_MESSAGE_SECONDS = 60.0  # s, from the first byte of a message to the last
+
+# Signals that are blocked while a process starts, which must not be interrupted. SIGALRM is among them, because
+# `__main__` raises a stop that comes during an import later, by an alarm.
+_HELD = (*STOP_SIGNALS, signal.SIGALRM)
+
+
+class ProcessPool(BaseWorkerPool[J, R]):
+    """An `Executor` over processes of this machine; see `BaseWorkerPool`. `factory` runs in each worker's process."""
+
+    def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+        super().__init__(_Processes(factory), workers, job_seconds)
+        # At exit multiprocessing would send SIGTERM to workers that are left, which they ignore, and wait for ever.
+        atexit.register(self.close)
+
+    def close(self) -> None:
+        """See `Executor.close`."""
+        super().close()
+        atexit.unregister(self.close)
+
+
+class _Process(Generic[J, R]):
+    def __init__(self, process: BaseProcess, pipe: Connection) -> None:
+        self._process = process
+        self.pipe = pipe
+        self._sent = 0
+
+    @property
+    def name(self) -> str:
+        return self._process.name
+
+    def send(self, job: J) -> None:
+        self._sent += 1
+        self.pipe.send((self._sent, job))
+
+    def receive(self) -> Event[R] | None:
+        """The event that the worker has begun to send; None if another process sent it, or it is on another job."""
+        # A worker that stops in the middle of a message would block the parent for ever.
+        guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
+        guard.daemon = True
+        guard.start()
+        try:
+            message = memoryview(self.pipe.recv_bytes())
+            if HEADER.unpack_from(message) != (self._process.pid, self._sent):
+                return None
+            return cast("Event[R]", pickle.loads(message[HEADER.size :]))
+        except (EOFError, OSError):
+            return WorkerDied(self._how_it_ended())
+        finally:
+            guard.cancel()
+
+    def kill(self) -> None:
+        self.pipe.close()
+        self._process.kill()
+        self._process.join(_END_SECONDS)
+
+    def _how_it_ended(self) -> str:
+        self._process.join(_END_SECONDS)
+        code = self._process.exitcode
+        if code is None or code >= 0:
+            return f"ended with code {code}"
+        hint = ", perhaps for want of memory: try fewer --workers" if code == -signal.SIGKILL else ""
+        return f"was killed by {signal.Signals(-code).name}{hint}"
+
+
+class _Processes(Generic[J, R]):
+    """The `WorkerBackend` that spawns processes."""
+
+    def __init__(self, factory: Factory[J, R]) -> None:
+        # Pickled here, so that the worker unpickles it after it has set up its signals.
+        self._factory = pickle.dumps(factory)
+
+    def start(self, number: int) -> Worker[J]:
+        return _Process[J, R](*start_process(f"yamsim-worker-{number}", serve_jobs, self._factory))
+
+    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
+        processes = {worker.pipe: worker for worker in workers if isinstance(worker, _Process)}
+        ready = cast("list[Any]", wait(list(processes), timeout))
+        heard = [(processes[pipe], processes[pipe].receive()) for pipe in ready]
+        return [(worker, event) for worker, event in heard if event is not None]
+
+    def close(self) -> None:
+        return
+
+
+@contextmanager
+def stop_signals_blocked() -> Iterator[None]:
+    """Block stop signals in the `with` block, and raise them after it. A process started there has them blocked."""
+    # Starting multiprocessing's resource tracker unblocks signals, so that the tracker is started first.
+    resource_tracker.ensure_running()
+    came: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        # A library's thread may receive the signal, and Python would run the handler in this thread.
+        for number in _HELD:
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda number, frame: came.append(number))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for one in dict.fromkeys(came):
+            signal.raise_signal(one)
+
+
+def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection]:
+    """Start a process that calls `work(pipe, *arguments)`; returns the process and this end of the pipe.
+
+    The process is spawned, ignores stop signals, and ends with this process. `work` and `arguments` are picklable.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_run, args=(work, theirs, arguments), name=name, daemon=True)
+    try:
+        with stop_signals_blocked():
+            process.start()
+    except BaseException:
+        # `stop_signals_blocked` raises a blocked signal at its end.
+        if process.pid is not None:
+            process.kill()
+        raise
+    # Only the process may hold this end, or the pipe would not close when the process dies.
+    theirs.close()
+    return process, ours
+
+
+def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    work(pipe, *arguments)

@@ -1,0 +1,261 @@
+"""Runs jobs on workers that may die or hang: which worker gets which job, what is tried again, and when to give up.
+
+The rules are the same for every kind of worker. A `WorkerBackend` starts workers, ends them, and receives their events.
+
+- A worker that dies, or takes too long for a job, is replaced, and the job is tried again.
+- A job's last try runs while all other workers are idle, so that other workers' memory cannot make it fail.
+- A worker that dies before it is ready counts against no job. A worker that fails to start `_FAILED_STARTS` times in a
+  row is dropped, and the others go on. The pool ends when no worker is left.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from ..closable import Closable
+from ..errors import PartialJobError, YamsimError
+from .executors import J, JobIn, LostJobError, R, WorkerBugError
+
+JOB_SECONDS = 600.0  # s, longest job; a job of many minutes means a hung driver, or a machine that swaps
+START_SECONDS = 300.0  # s, longest start of a worker: imports, compiling its scene, opening OpenGL
+_TRIES = 3  # workers that try a job before it is given up
+_FAILED_STARTS = 3  # failed starts in a row after which a worker is dropped
+_TICK_SECONDS = 0.5  # s between checks of the workers' times while waiting
+
+
+@dataclass(frozen=True)
+class WorkerReady:
+    """The worker has made its runner, and takes jobs."""
+
+
+@dataclass(frozen=True)
+class JobFinished(Generic[R]):
+    """The worker has finished its job."""
+
+    result: R
+
+
+@dataclass(frozen=True)
+class JobFailed:
+    """The runner, or making it, raised a `YamsimError`."""
+
+    error: YamsimError
+
+
+@dataclass(frozen=True)
+class WorkerCrashed:
+    """The runner, or making it, raised any other exception; `trace` is its traceback."""
+
+    trace: str
+
+
+@dataclass(frozen=True)
+class WorkerDied:
+    """The worker is gone; `how` completes a sentence that begins with "its worker"."""
+
+    how: str
+
+
+Event = WorkerReady | JobFinished[R] | JobFailed | WorkerCrashed | WorkerDied
+
+
+class Worker(Protocol[JobIn]):
+    """One worker of a pool."""
+
+    @property
+    def name(self) -> str:
+        """The name in messages."""
+        ...
+
+    def send(self, job: JobIn) -> None:
+        """Give the worker a job; raises OSError if the worker is gone."""
+        ...
+
+    def kill(self) -> None:
+        """End the worker at once, and wait until it has ended."""
+        ...
+
+
+W = TypeVar("W")
+
+
+class WorkerBackend(Protocol[W, R]):
+    """A kind of worker."""
+
+    def start(self, number: int) -> W:
+        """Start a worker, without waiting for it to be ready."""
+        ...
+
+    def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, Event[R]]]:
+        """Events of workers, at most one for each; empty if none comes within `timeout` seconds."""
+        ...
+
+    def close(self) -> None:
+        """Free what all workers share."""
+        ...
+
+
+@dataclass(eq=False)
+class _Task(Generic[J]):
+    job: J
+    losses: int = 0
+
+    @property
+    def last_try(self) -> bool:
+        return self.losses == _TRIES - 1
+
+
+@dataclass(eq=False)
+class _Slot(Generic[J]):
+    worker: Worker[J]
+    task: _Task[J] | None = None
+    ready: bool = False
+    failed_starts: int = 0
+    busy: float = 0.0  # s spent so far on starting or on the task
+
+
+class BaseWorkerPool(Closable, Generic[J, R]):
+    """An `Executor` over any kind of worker.
+
+    Args:
+        workers: how many workers there are.
+        job_seconds: a worker that takes longer for a job is ended and replaced.
+    """
+
+    def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+        self._backend = backend
+        self._job_seconds = job_seconds
+        self._slots: list[_Slot[J]] = []
+        self._waiting: deque[_Task[J]] = deque()
+        self._done: deque[tuple[J, R] | Exception] = deque()
+        self._started = 0
+        try:
+            for _ in range(workers):
+                self._slots.append(_Slot(self._start()))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def idle(self) -> int:
+        """How many jobs can be submitted now; none before and during a job's last try."""
+        tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
+        if any(task.last_try for task in tasks):
+            return 0
+        return max(0, len(self._slots) - len(tasks))
+
+    @property
+    def in_flight(self) -> int:
+        """How many jobs were submitted and have not returned."""
+        return self._working + len(self._waiting) + len(self._done)
+
+    @property
+    def _working(self) -> int:
+        return sum(slot.task is not None for slot in self._slots)
+
+    def submit(self, job: J) -> None:
+        """See `Executor.submit`."""
+        assert self.idle
+        self._waiting.append(_Task(job))
+        self._assign()
+
+    def result(self, timeout: float | None = None) -> tuple[J, R]:
+        """See `Executor.result`."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._done:
+            assert self.in_flight, "nothing was submitted"
+            left = end - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self._listen(min(_TICK_SECONDS, left))
+        done = self._done.popleft()
+        if isinstance(done, Exception):
+            raise done
+        return done
+
+    def _listen(self, timeout: float) -> None:
+        began = time.monotonic()
+        events = self._backend.wait([slot.worker for slot in self._slots], timeout)
+        # At most `timeout` counts: if the machine or this process slept, the workers slept too.
+        passed = min(time.monotonic() - began, timeout)
+        heard = []
+        for worker, event in events:
+            slot = next(slot for slot in self._slots if slot.worker is worker)
+            heard.append(slot)
+            self._handle(slot, event)
+        for slot in [slot for slot in self._slots if slot not in heard]:
+            if slot.task or not slot.ready:
+                slot.busy += passed
+                self._check(slot)
+        self._assign()
+
+    def _handle(self, slot: _Slot[J], event: Event[R]) -> None:
+        match event:
+            case WorkerReady():
+                slot.ready, slot.busy, slot.failed_starts = True, 0.0, 0
+            case JobFinished(result):
+                assert slot.task is not None
+                self._done.append((slot.task.job, result))
+                slot.task, slot.busy = None, 0.0
+            case JobFailed(error):
+                slot.task = None
+                self._done.append(error)
+            case WorkerCrashed(trace):
+                on = f", on {slot.task.job}" if slot.task else ""
+                slot.task = None
+                self._done.append(WorkerBugError(f"in {slot.worker.name}{on}:\n{trace}"))
+            case WorkerDied(how):
+                self._replace(slot, how)
+
+    def _check(self, slot: _Slot[J]) -> None:
+        """End and replace a worker that takes too long."""
+        limit = self._job_seconds if slot.ready else START_SECONDS
+        if slot.busy > limit:
+            slot.worker.kill()
+            self._replace(slot, f"was ended after {limit:g} s without a result")
+
+    def _replace(self, slot: _Slot[J], how: str) -> None:
+        task, slot.task = slot.task, None
+        if task:
+            task.losses += 1
+        if task and task.losses >= _TRIES:
+            self._done.append(LostJobError(task.job, _TRIES, how))
+        elif task:
+            self._waiting.appendleft(task)
+        slot.failed_starts += not slot.ready
+        if slot.failed_starts < _FAILED_STARTS:
+            slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
+            return
+        self._slots.remove(slot)
+        if not self._slots:
+            raise PartialJobError(f"workers do not start: each tried {_FAILED_STARTS} times, and the last one {how}")
+
+    def _assign(self) -> None:
+        """Give waiting jobs, in order, to workers that are ready; a last try only while no other worker is busy."""
+        for slot in self._slots:
+            if not self._waiting or (self._waiting[0].last_try and self._working):
+                return
+            if slot.ready and slot.task is None:
+                slot.task, slot.busy = self._waiting.popleft(), 0.0
+                try:
+                    slot.worker.send(slot.task.job)
+                except OSError:
+                    # The worker died while idle, which does not count against this job. Its `WorkerDied` event follows.
+                    self._waiting.appendleft(slot.task)
+                    slot.task = None
+
+    def _start(self) -> Worker[J]:
+        self._started += 1
+        return self._backend.start(self._started - 1)
+
+    def close(self) -> None:
+        """See `Executor.close`."""
+        for slot in self._slots:
+            slot.worker.kill()
+        self._slots = []
+        self._backend.close()

@@ -1,0 +1,161 @@
+"""What checks found in a dataset, and its figures; nothing is simulated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.dataset.checks.context import CheckContext
+from ..core.dataset.checks.problem import DatasetProblem, ProblemCollector, count_errors, printable
+from ..core.dataset.records import AttemptRecord
+from ..core.statistics import Coverage, compute_coverage, histogram, summarize_values, wilson95
+from .checks.dataset_checks import check_dataset, read_ledger
+from .checks.episode_facts import EpisodeFacts
+
+CELL_M = 0.05  # m, largest width of the workspace's cells: about a banana's width
+
+
+@dataclass(frozen=True)
+class CheckResults:
+    """The result of checking a dataset.
+
+    Attributes:
+        path: the dataset's directory.
+        episodes: the dataset's episodes, in order.
+        attempts: the attempts in the ledger that can be read.
+        problems: faults of the dataset first, then those of its episodes in order.
+    """
+
+    path: Path
+    context: CheckContext
+    episodes: Sequence[EpisodeFacts]
+    attempts: Sequence[AttemptRecord]
+    problems: Sequence[DatasetProblem]
+
+
+def combine_checks(
+    dataset: Path, context: CheckContext, episodes: Sequence[EpisodeFacts], problems: ProblemCollector
+) -> CheckResults:
+    """Check a dataset as a whole, and put the results of all checks together.
+
+    Args:
+        episodes: result of the checks of each episode, in order.
+        problems: faults that were found before the checks of episodes.
+    """
+    attempts = read_ledger(dataset, problems) if context.recorded else []
+    found = check_dataset(dataset, context, episodes, attempts, problems)
+    found += [problem for episode in episodes for problem in episode.problems]
+    found.sort(key=lambda problem: problem.episode)
+    return CheckResults(dataset, context, episodes, attempts, [*problems.list(), *found])
+
+
+def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
+    """The dataset's figures, ready for JSON; see docs/checking.md.
+
+    Args:
+        thresholds: distances (m) by which the outcomes are scored.
+    """
+    episodes, problems = results.episodes, list(results.problems)
+    outcomes = [episode.outcome for episode in episodes if episode.outcome]
+    dxy = [outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]
+    dz = [outcome.dz_m for outcome in outcomes if outcome.dz_m is not None]
+    if results.context.judged_by_goal or results.context.real:
+        thresholds = ()
+    hits = {f"{t:g}": sum(is_within_threshold(episode, t, results) for episode in episodes) for t in thresholds}
+    records = [episode.record for episode in episodes if episode.record]
+    n_errors = count_errors(problems)
+    return {
+        "path": printable(results.path),
+        "recorded_by_yamsim": results.context.recorded,
+        "real": results.context.real,
+        "episodes": len(episodes),
+        "frames": sum(episode.frames for episode in episodes),
+        "bytes": sum(episode.bytes for episode in episodes),
+        "seconds": sum(episode.seconds or 0.0 for episode in episodes),
+        "frames_per_episode": _range([episode.frames for episode in episodes]),
+        "bytes_per_episode": _range([episode.bytes for episode in episodes]),
+        "success_rate": {t: hit / len(outcomes) if outcomes else None for t, hit in hits.items()},
+        "wilson95": {t: wilson95(hit, len(outcomes)) for t, hit in hits.items()},
+        "attempts": _attempts(results.attempts, thresholds, results.context.max_height),
+        "dxy_m": _distribution(dxy),
+        "dz_m": _distribution(dz),
+        "workspace": _workspace(results),
+        "cameras": {printable(name): list(size) for episode in episodes for name, size in episode.cameras.items()},
+        "tasks": sorted({record.task for record in records}),
+        "grasps": sorted({record.grasp for record in records}),
+        "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
+        "noted_at_import": {episode.name: list(map(printable, episode.noted)) for episode in episodes if episode.noted},
+        "errors": n_errors,
+        "warnings": len(problems) - n_errors,
+        "problems": [problem.to_json_data() for problem in problems],
+    }
+
+
+def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckResults) -> bool:
+    """Whether an episode's object ended on its target, within `threshold` m of the target's centre.
+
+    For a task that a goal judges, whether the goal was reached.
+    """
+    if episode.outcome is None or results.context.judged_by_goal:
+        return episode.outcome is not None and episode.outcome.success
+    height = episode.record.max_height_m if episode.record else None
+    return episode.outcome.is_within(threshold, results.context.max_height if height is None else height)
+
+
+def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, float]]) -> Coverage | None:
+    """How points (x, y) cover the sampling box; None if the box is unknown."""
+    box = results.context.sampling
+    return compute_coverage(points, box.x, box.y, CELL_M) if box else None
+
+
+def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], max_height: float) -> dict[str, Any]:
+    n, succeeded = len(attempts), sum(attempt.outcome.success for attempt in attempts)
+    hits = {f"{t:g}": sum(attempt.outcome.is_within(t, max_height) for attempt in attempts) for t in thresholds}
+    causes = Counter(attempt.outcome.cause for attempt in attempts if attempt.outcome.cause)
+    return {
+        "n": n,
+        "n_success": succeeded,
+        "success_rate": succeeded / n if n else None,
+        "wilson95": wilson95(succeeded, n),
+        "rates": {t: hit / n if n else None for t, hit in hits.items()},
+        "rates_wilson95": {t: wilson95(hit, n) for t, hit in hits.items()},
+        "causes": dict(causes.most_common()),
+        "recovered": sum(bool(attempt.outcome.recoveries) for attempt in attempts if attempt.outcome.success),
+    }
+
+
+def _distribution(values: Sequence[float]) -> dict[str, Any] | None:
+    found = summarize_values(values)
+    return found and {**found, "histogram": histogram(values)}
+
+
+def _range(values: Sequence[int]) -> dict[str, float] | None:
+    return {"min": min(values), "median": float(np.median(values)), "max": max(values)} if values else None
+
+
+def _workspace(results: CheckResults) -> dict[str, Any]:
+    """The sampling box, and each object's extents (m, `world`) and cells hit at start and end."""
+    box = results.context.sampling
+    names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
+    objects = {}
+    for name in names:
+        starts = [episode.starts[name] for episode in results.episodes if name in episode.starts]
+        ends = [episode.ends[name] for episode in results.episodes if name in episode.ends]
+        objects[printable(name)] = {"start": _extent(results, starts), "end": _extent(results, ends)}
+    return {"box": {"x": list(box.x), "y": list(box.y), "cell_m": CELL_M} if box else None, "objects": objects}
+
+
+def _extent(results: CheckResults, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    if not points:
+        return {}
+    extent: dict[str, Any] = {
+        axis: [min(point[k] for point in points), max(point[k] for point in points)] for k, axis in enumerate("xy")
+    }
+    if grid := workspace_coverage(results, points):
+        extent |= {"cells": grid.cells, "cells_hit": grid.cells_hit, "outside": grid.outside}
+    return extent

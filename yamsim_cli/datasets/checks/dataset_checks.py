@@ -1,0 +1,245 @@
+"""Checks a dataset as a whole: ledger and manifest, missing, duplicate and dissimilar episodes, half-written files."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from yamsim_cli.core.config.mesh_provenance import describe
+from yamsim_cli.core.dataset.checks.context import CheckContext, looks_like_episode
+from yamsim_cli.core.dataset.checks.problem import DatasetProblem, ProblemCollector
+from yamsim_cli.core.dataset.dataset_paths import ATTEMPTS, EPISODE, MANIFEST, RECORDINGS, STAGING, episode_name
+from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json
+from yamsim_cli.core.errors import DatasetError
+
+from .episode_facts import EpisodeFacts
+
+_SAME_PLACE_DIGITS = 6  # digits of a metre; equal starts to these digits do not happen by chance
+_MAX_MANIFEST = 2**30  # bytes of a manifest that is read
+_PART = re.compile(r"\..+\.part")
+
+
+def check_dataset(
+    dataset: Path,
+    context: CheckContext,
+    episodes: Sequence[EpisodeFacts],
+    attempts: Sequence[AttemptRecord],
+    problems: ProblemCollector,
+) -> list[DatasetProblem]:
+    """Faults of episodes in comparison with others; faults of the dataset are added to `problems`."""
+    found: list[DatasetProblem] = []
+    if not episodes:
+        problems.add("dataset.empty")
+    if context.recorded:
+        numbers = {episode.number: episode for episode in episodes if episode.number is not None}
+        found += compare_ledger(dataset, attempts, episodes, problems)
+        listed, differing = check_manifest(dataset, numbers, problems) if episodes or attempts else (set(), [])
+        logged = {attempt.episode for attempt in attempts if attempt.episode is not None}
+        found += differing + _missing(set(numbers), listed | logged)
+        _note_leftovers(dataset, {episode.name for episode in episodes}, problems)
+    else:
+        if not context.real:
+            problems.add("dataset.plain")
+        _note_missing_numbers([episode.name for episode in episodes], problems)
+    found += _duplicates(episodes)
+    _note_mixed_settings(episodes, problems)
+    return found
+
+
+def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
+    """A fault for each run of missing episodes: numbers start at 0 without gaps, and listed episodes existed."""
+    known = sorted(present | listed)
+    runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
+    runs += [(number, number) for number in listed - present]
+    joined: list[tuple[int, int]] = []
+    for low, high in sorted(runs):
+        if joined and joined[-1][1] + 1 == low:
+            joined[-1] = (joined[-1][0], high)
+        else:
+            joined.append((low, high))
+    found = []
+    for low, high in joined:
+        own = ProblemCollector(episode_name(low))
+        own.add("episode.missing", "", f"to {episode_name(high)}, {high - low + 1} episodes" if high > low else "")
+        found += own.list()
+    return found
+
+
+def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
+    """Note missing numbers, if all names are the same word with a number."""
+    matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
+    parts = [(match[1], int(match[2])) for match in matches if match]
+    if len(parts) < len(names) or len({word for word, _ in parts}) != 1:
+        return
+    numbers = sorted(number for _, number in parts)
+    gaps = [(low + 1, high - 1) for low, high in itertools.pairwise(numbers) if high - low > 1]
+    if gaps:
+        shown = ", ".join(f"{low}" if low == high else f"{low} to {high}" for low, high in gaps)
+        problems.add("episode.gap", "", shown)
+
+
+def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
+    """Faults of episodes that equal an earlier episode in all values, or in their start."""
+    contents: dict[str, str] = {}
+    layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
+    found = []
+    for episode in episodes:
+        own = ProblemCollector(episode.name)
+        places = tuple(
+            sorted((name, tuple(round(v, _SAME_PLACE_DIGITS) for v in place)) for name, place in episode.layout.items())
+        )
+        if episode.content and episode.content in contents:
+            own.add("episode.duplicate", "", f"every value is that of {contents[episode.content]}")
+        elif places and places in layouts:
+            own.add("episode.layout", "", f"all objects lie as in {layouts[places]}")
+        contents.setdefault(episode.content, episode.name)
+        layouts.setdefault(places, episode.name)
+        found += own.list()
+    return found
+
+
+def _note_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCollector) -> None:
+    """Note settings that differ between episodes."""
+    cameras = (", ".join(f"{name} {w}x{h}" for name, (w, h) in sorted(e.cameras.items())) for e in episodes)
+    _differ("cameras", (text for text in cameras if text), problems)
+    records = [episode.record for episode in episodes if episode.record]
+    for key in ("source", "rig", "scene", "task", "grasp", "frame_period_s", "renderer"):
+        _differ(key, (str(getattr(record, key)) for record in records), problems)
+    drawn = [record.meshes for record in records]
+    for name in sorted({name for meshes in drawn if meshes for name in meshes}):
+        _differ(f"meshes {name}", ("not told" if m is None else describe(m.get(name)) for m in drawn), problems)
+    for package in sorted({package for record in records for package in record.versions}):
+        _differ(package, (record.versions.get(package, "none") for record in records), problems)
+
+
+def _differ(what: str, values: Iterable[str], problems: ProblemCollector) -> None:
+    counts = Counter(values)
+    if len(counts) > 1:
+        problems.add("dataset.mixed", "", f"{what}: " + "; ".join(f"{n} x {text}" for text, n in counts.most_common()))
+
+
+def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
+    for path in sorted(dataset.iterdir()):
+        if path.name in (STAGING, RECORDINGS):
+            for staged in sorted(path.glob("*")):
+                problems.add("leftover.staging", f"{path.name}/{staged.name}")
+        elif _PART.fullmatch(path.name):
+            problems.add("leftover.staging", path.name)
+        elif path.name not in known and looks_like_episode(path):
+            problems.add("leftover.directory", path.name)
+
+
+def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord]:
+    """All readable attempts, in order; damaged lines and missing attempts are noted."""
+    file = dataset / ATTEMPTS
+    attempts: list[AttemptRecord] = []
+    if not file.is_file():
+        return attempts
+    expected = 0
+    try:
+        with file.open("rb") as lines:
+            for number, line in enumerate(lines, start=1):
+                if not line.strip():
+                    continue
+                try:
+                    attempt = from_json(AttemptRecord, line, f"line {number}")
+                except DatasetError as error:
+                    cut = not line.endswith(b"\n")
+                    problems.add("ledger.cut" if cut else "ledger.damaged", ATTEMPTS, str(error))
+                    expected += 1
+                    continue
+                if attempt.attempt != expected:
+                    problems.add("ledger.gap", ATTEMPTS, f"line {number} is attempt {attempt.attempt}", expected)
+                expected = attempt.attempt + 1
+                attempts.append(attempt)
+    except OSError as error:
+        problems.add("ledger.damaged", ATTEMPTS, error.strerror)
+    return attempts
+
+
+def compare_ledger(
+    dataset: Path, attempts: Sequence[AttemptRecord], episodes: Sequence[EpisodeFacts], problems: ProblemCollector
+) -> list[DatasetProblem]:
+    """Faults of episodes that differ from the ledger; faults of the ledger itself are added to `problems`."""
+    recorded = [episode for episode in episodes if episode.record]
+    if not (dataset / ATTEMPTS).is_file():
+        if recorded:
+            problems.add("ledger.missing", ATTEMPTS)
+        return []
+    logged = {attempt.episode: attempt for attempt in attempts}
+    unlogged = [episode.name for episode in recorded if episode.number not in logged]
+    # Damaged and missing lines are noted already.
+    if unlogged and not problems.has_code_prefix("ledger."):
+        problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
+    found = []
+    for episode in recorded:
+        own = ProblemCollector(episode.name)
+        if (attempt := logged.get(episode.number)) and (differing := _differing(attempt, episode)):
+            own.add("ledger.differs", EPISODE, differing[0], differing[1])
+        found += own.list()
+    return found
+
+
+def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
+    """The first value that differs: in the episode, and in the ledger; None if all agree."""
+    record = episode.record
+    assert record is not None
+    for key in ("attempt", "seed", "outcome", "layout"):
+        ours, theirs = getattr(record, key), getattr(attempt, key)
+        if ours != theirs:
+            return f"{key} {_shown(ours, theirs)}", f"{_shown(theirs, ours)}, as in {ATTEMPTS}"
+    return None
+
+
+def _shown(value: object, other: object) -> str:
+    """Text of a value; of a record, only the entries that differ from the other record's."""
+    if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
+        mine, theirs = value.model_dump(), other.model_dump()
+        return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))
+    return str(value)
+
+
+def check_manifest(
+    dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: ProblemCollector
+) -> tuple[set[int], list[DatasetProblem]]:
+    """Numbers of the episodes that the manifest lists, and faults of those that differ from it."""
+    file = dataset / MANIFEST
+    if not file.is_file():
+        problems.add("manifest.missing", MANIFEST)
+        return set(), []
+    try:
+        if file.stat().st_size > _MAX_MANIFEST:
+            raise DatasetError(f"{file.stat().st_size} bytes")
+        manifest = from_json(Manifest, file.read_bytes(), MANIFEST)
+    except (DatasetError, OSError) as error:
+        text = error.strerror if isinstance(error, OSError) else str(error).removeprefix(f"{MANIFEST}: ")
+        problems.add("manifest.damaged", MANIFEST, text)
+        return set(), []
+
+    found = []
+    for entry in manifest.episodes:
+        episode = episodes.get(entry.episode)
+        if episode is None or not episode.record:
+            continue
+        own = ProblemCollector(episode.name)
+        for key, value, listed in (
+            ("path", episode.name, entry.path),
+            ("attempt", episode.record.attempt, entry.attempt),
+            ("frames", episode.record.frames, entry.frames),
+            ("sha256", episode.record_sha256, entry.sha256),
+        ):
+            if value != listed:
+                own.add("manifest.differs", EPISODE, f"{key} {value}", f"{listed}, as in {MANIFEST}")
+                break
+        found += own.list()
+    listed_numbers = {entry.episode for entry in manifest.episodes}
+    if unlisted := [episode.name for number, episode in sorted(episodes.items()) if number not in listed_numbers]:
+        problems.add("manifest.stale", MANIFEST, f"{len(unlisted)}, first {unlisted[0]}")
+    totals = sum(entry.frames for entry in manifest.episodes), sum(entry.bytes for entry in manifest.episodes)
+    if totals != (manifest.frames, manifest.bytes):
+        value = f"{manifest.frames} frames and {manifest.bytes} bytes in all"
+        problems.add("manifest.differs", MANIFEST, value, f"{totals[0]} and {totals[1]}, the sum of its entries")
+    return listed_numbers, found

@@ -1,0 +1,128 @@
+"""Facts of an episode, for statistics; what `episode.json` does not state is read from the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.dataset.checks.context import CheckContext
+from yamsim_cli.core.dataset.checks.problem import DatasetProblem
+from yamsim_cli.core.dataset.lowdim import BETWEEN_BASES
+from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord
+from yamsim_cli.core.geometry.se3 import Array, yaw
+
+# Frame -> flat key -> value, of values that passed `lowdim.LowdimChecks`.
+Values = Mapping[int, Mapping[str, Any]]
+
+POSE = "_pose"
+_HAND = "ee_pose"
+
+
+@dataclass(frozen=True)
+class EpisodeFacts:
+    """What checks found in an episode.
+
+    Attributes:
+        name: the directory's name.
+        number: the number in that name; None if yamsim did not name the directory.
+        record: content of episode.json; None if missing or unreadable.
+        record_sha256: hash of episode.json.
+        frames: how many frames the episode should have.
+        bytes: size of all files.
+        seconds: time from the first frame to the last; None if unknown.
+        cameras: camera -> width and height of its images.
+        images: camera -> paths of decodable images, inside the episode, in order.
+        starts, ends: object -> x and y in `world` in the first and in the last frame, m.
+        layout: object -> x, y, z, yaw at the start, as recorded, or else in the robot's base; m and rad.
+        outcome: as recorded, or else read from the last frame; None without either.
+        content: hash of the lowdim values; "" if a frame is unreadable.
+        problems: the episode's faults.
+        noted: faults of an imported recording that the import found.
+    """
+
+    name: str
+    number: int | None
+    record: EpisodeRecord | None = None
+    record_sha256: str = ""
+    frames: int = 0
+    bytes: int = 0
+    seconds: float | None = None
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    images: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    layout: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    outcome: OutcomeRecord | None = None
+    content: str = ""
+    problems: Sequence[DatasetProblem] = ()
+    noted: Sequence[str] = ()
+
+
+def values_by_frame(values: Values, key: str) -> dict[int, Array]:
+    """Frame -> value under `key`, of frames that have the key."""
+    return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
+
+
+def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
+    """Flat key -> frame -> pose (4, 4): objects, `ee_pose`, `extrinsics[camera]`, and between bases.
+
+    The hands of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
+    """
+    keys = dict.fromkeys(key for entries in values.values() for key in entries)
+    named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
+    found = {key: values_by_frame(values, key) for key in named}
+    poses = {key: by_frame for key, by_frame in found.items() if _have_shape(by_frame, (4, 4))}
+    hands = found.get(_HAND, {})
+    if hands and _have_shape(hands, (2, 4, 4)):
+        poses |= {f"{_HAND}[{arm}]": {k: T[arm] for k, T in hands.items()} for arm in range(2)}
+    return poses
+
+
+def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
+    return all(np.shape(value) == shape for value in by_frame.values())
+
+
+def object_poses(values: Values, frame: int) -> dict[str, Array]:
+    """Object -> pose (4, 4) in the robot's base, in one frame."""
+    return {
+        key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
+        for key, by_frame in rigid_poses(values).items()
+        if key.endswith(POSE) and key != _HAND and frame in by_frame
+    }
+
+
+def object_positions(values: Values, context: CheckContext, *, last: bool) -> dict[str, tuple[float, float]]:
+    """Object -> x and y in `world` in the first or the last readable frame."""
+    if not values:
+        return {}
+    poses = object_poses(values, max(values) if last else min(values))
+    in_world = {name: context.T_base_in_world @ T for name, T in poses.items()}
+    return {name: (float(T[0, 3]), float(T[1, 3])) for name, T in in_world.items()}
+
+
+def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[float, ...]]:
+    """Object -> x, y, z and yaw at the start: as recorded, or else from the first frame, in the robot's base."""
+    if record:
+        return dict(record.layout)
+    if not values:
+        return {}
+    return {name: (*map(float, T[:3, 3]), yaw(T)) for name, T in object_poses(values, min(values)).items()}
+
+
+def outcome_from_frames(values: Values, context: CheckContext) -> OutcomeRecord | None:
+    """The outcome that the last frame shows; None without stored poses of object and target."""
+    if not values:
+        return None
+    poses = object_poses(values, max(values))
+    carried, target = poses.get(context.object), poses.get(context.target)
+    if carried is None or target is None:
+        return None
+    offset = carried[:3, 3] - target[:3, 3]
+    dxy, dz = float(np.hypot(offset[0], offset[1])), float(offset[2])
+    outcome = OutcomeRecord(
+        success=False, cause=None, detail="", dxy_m=dxy, dz_m=dz, speed_mps=None, plan_error_m=None, tilt_rad=None
+    )
+    return outcome.model_copy(update={"success": outcome.is_within(context.threshold, context.max_height)})

@@ -1,0 +1,298 @@
+"""The dataset that an export reads, episode by episode: simulated episodes, or recordings of real arms.
+
+Frames of real recordings are the recorded ones, or at even times the nearest recorded ones.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.config.real_recordings import RealConfig
+from ..core.config.recording import RecordConfig
+from ..core.config.rig import RigConfig
+from ..core.dataset.dataset_paths import depth_name, image_name, lowdim_name
+from ..core.dataset.imported_records import RealEpisodeRecord, real_config
+from ..core.dataset.reader import (
+    RecordedEpisode,
+    StoredEpisode,
+    dataset_config,
+    open_episode,
+    open_recorded,
+    select_episodes,
+)
+from ..core.dataset.row_format import arm_prefixes, drive_names, weld_names
+from ..core.errors import DatasetError
+from ..core.files.resources import Locations
+from ..core.geometry.se3 import Array
+
+# Source of actions: commands, measurements one frame later, or none.
+ActionSource = Literal["recorded", "measured", "none"]
+Frames = Sequence[Mapping[str, Any]]  # the frames of an episode, see `dataset.lowdim`
+
+_WHOLE_FPS = 0.01  # share by which a frame rate may differ from a whole number: clocks differ by less
+_UNEVEN = 0.1  # share of the period; larger differences of a pause, or of an episode's usual pause, are reported
+ROUNDING_S = 1e-9  # s, tolerance of times, so that the last frame counts
+
+
+@dataclass(frozen=True)
+class ExportSource(ABC):
+    """Episodes of one dataset, all with the same cameras.
+
+    Attributes:
+        path: the dataset's directory.
+        directories: directories of the chosen episodes, in order.
+        first: the first of the episodes.
+        config: the dataset's config.
+    """
+
+    path: Path
+    directories: tuple[Path, ...]
+    first: RecordedEpisode
+    config: RecordConfig | RealConfig
+
+    def __len__(self) -> int:
+        return len(self.directories)
+
+    @abstractmethod
+    def episodes(self) -> Iterator[RecordedEpisode]:
+        """The episodes, opened one after the other.
+
+        Raises:
+            DatasetError: an episode is damaged, or differs from the first in its cameras, arms or rate.
+        """
+
+    @property
+    def rig(self) -> RigConfig:
+        """The recorded rig."""
+        return self.config.rig
+
+    @property
+    def cameras(self) -> dict[str, tuple[int, int]]:
+        """Camera -> width and height of its images, px."""
+        return self.first.record.cameras
+
+    @property
+    def prefixes(self) -> tuple[str, ...]:
+        """Prefix of the names of each arm's parts, in the order of recordings; empty for a lone arm."""
+        return arm_prefixes(self.rig)
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """Names of the drives in `joints`, in the order of recordings."""
+        return drive_names(self.rig)
+
+    @property
+    def frame_period(self) -> float:
+        """Time from one frame to the next, s."""
+        return self.first.record.frame_period_s
+
+
+@dataclass(frozen=True)
+class SimulatedSource(ExportSource):
+    """Simulated episodes of one dataset, all with the same cameras and the same frame period."""
+
+    first: StoredEpisode
+    config: RecordConfig
+
+    @property
+    def welds(self) -> tuple[str, ...]:
+        """Names of the welds in an action."""
+        return weld_names(self.config)
+
+    def episodes(self) -> Iterator[StoredEpisode]:
+        """See `ExportSource.episodes`."""
+        for directory in self.directories:
+            episode = open_episode(directory)
+            _require_alike(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
+            yield episode
+
+
+@dataclass(frozen=True)
+class RealEpisode(RecordedEpisode):
+    """A recording with chosen frames, which may repeat.
+
+    Attributes:
+        chosen: number of the recorded frame for each frame.
+    """
+
+    record: RealEpisodeRecord
+    chosen: tuple[int, ...]
+
+    def frames(self) -> list[dict[str, Any]]:
+        """The low-dimensional data of the chosen frames; raises as `RecordedEpisode.frames`."""
+        recorded = {k: self.frame(k, self.read_verified(lowdim_name(k))) for k in dict.fromkeys(self.chosen)}
+        return [recorded[k] for k in self.chosen]
+
+    def image(self, camera: str, number: int) -> bytes:
+        """The recorded JPEG of a chosen frame; raises as `RecordedEpisode.image`."""
+        return self.read_verified(image_name(camera, self.chosen[number]))
+
+
+@dataclass(frozen=True)
+class RealSource(ExportSource):
+    """Episodes of one dataset of real recordings, all with the same cameras and arms.
+
+    Attributes:
+        period: time from one exported frame to the next, s.
+        is_resampled: whether frames are the ones nearest to even times, instead of all recorded ones.
+    """
+
+    config: RealConfig
+    period: float
+    is_resampled: bool
+
+    @property
+    def frame_period(self) -> float:
+        """Time from one exported frame to the next, s."""
+        return self.period
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """Names of the drives in `joints`; without grippers if those were not recorded."""
+        rig, count = self.rig, self.first.record.drives
+        named = zip(self.prefixes, rig.recording_order, strict=True)
+        return tuple(prefix + name for prefix, k in named for name in rig.arms[k].robot.drives[:count])
+
+    def episodes(self) -> Iterator[RealEpisode]:
+        """See `ExportSource.episodes`."""
+        for directory in self.directories:
+            episode = open_recorded(directory)
+            _require_alike(episode, self.first, ("cameras", "arms", "drives"))
+            usual = episode.record.frame_period_s
+            if not self.is_resampled and abs(usual / self.period - 1) > _UNEVEN:
+                raise DatasetError(
+                    f"{directory} has a frame every {1000 * usual:.1f} ms, and the chosen episodes usually every "
+                    f"{1000 * self.period:.1f}: export it apart, see --episodes, or give --fps"
+                )
+            yield self._chosen(episode)
+
+    def _chosen(self, episode: RecordedEpisode) -> RealEpisode:
+        record = episode.record
+        assert isinstance(record, RealEpisodeRecord), "the dataset's config says so"
+        if not self.is_resampled:
+            return RealEpisode(episode.directory, record, tuple(range(record.frames)))
+        times = np.array([frame["timestamp"] for frame in episode.frames()])
+        chosen = nearest_to_even(times, self.period)
+        record = record.model_copy(update={"frames": len(chosen), "frame_period_s": self.period})
+        return RealEpisode(episode.directory, record, chosen)
+
+    def with_gripper_shares(self, values: ArrayLike) -> Array:
+        """Each arm's joints or commands (n, arms, drives), from rows of them (n, arms * drives).
+
+        Joints are in rad. Grippers, recorded as openings of one finger in m, become shares: 0 closed, 1 open. Shares
+        are not clipped.
+        """
+        record = self.first.record
+        rows = np.array(values, dtype=np.float64).reshape(-1, record.arms, record.drives)
+        for k, arm in enumerate(self.rig.recording_order):
+            robot = self.rig.arms[arm].robot
+            if robot.fingers is not None and record.drives > robot.dof:
+                rows[:, k, robot.dof] /= robot.fingers.full_opening
+        return rows
+
+    def actions(self, episode: RealEpisode, frames: Frames, source: ActionSource) -> Array:
+        """Each arm's actions (n, arms, drives): joints in rad, grippers as shares.
+
+        Args:
+            source: `recorded` commands, or joints `measured` one frame later; the last frame repeats its own.
+
+        Raises:
+            DatasetError: commands are requested and were not recorded.
+        """
+        if source == "measured":
+            return self.with_gripper_shares([frame["joints"] for frame in (*frames[1:], frames[-1])])
+        if not all("ctrl" in frame for frame in frames):
+            raise DatasetError(
+                f"{episode.directory} has no commands: they were not recorded. --actions measured takes what was "
+                "measured one frame later"
+            )
+        return self.with_gripper_shares([frame["ctrl"] for frame in frames])
+
+    def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
+        """A line on an episode that was recorded at uneven times and is written at even ones; None for any other."""
+        pauses = np.diff([frame["timestamp"] for frame in frames])
+        if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _UNEVEN:
+            return None
+        return (
+            f"{episode.directory.name}: its frames were recorded {1000 * pauses.min():.1f} to "
+            f"{1000 * pauses.max():.1f} ms apart, and are {1000 * self.period:.1f} ms apart here, "
+            f"{len(pauses) * self.period:.2f} s instead of {pauses.sum():.2f}; --fps has frames at even times"
+        )
+
+
+def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Sequence[str]) -> None:
+    for key in keys:
+        here, there = getattr(episode.record, key), getattr(first.record, key)
+        if here != there:
+            raise DatasetError(
+                f"{episode.directory} has other {key} than {first.directory.name} ({here}, not {there}): "
+                "export them apart, see --episodes"
+            )
+
+
+def nearest_to_even(times: Array, period: float) -> tuple[int, ...]:
+    """The number of the frame nearest to each multiple of `period` (s), from the first frame to the last.
+
+    Args:
+        times: of the frames (n,), s, increasing.
+    """
+    since = times - times[0]
+    even = np.arange(math.floor((since[-1] + ROUNDING_S) / period) + 1) * period
+    middles = (since[1:] + since[:-1]) / 2
+    # In the middle between two frames, give or take rounding, the earlier frame is chosen.
+    return tuple(np.searchsorted(middles, even - ROUNDING_S).tolist())
+
+
+def open_source(dataset: Path, episodes: str | None, locations: Locations) -> SimulatedSource:
+    """The chosen episodes of a simulated dataset.
+
+    Args:
+        episodes: numbers and ranges, such as `0,3,5-9`; None for all.
+
+    Raises:
+        DatasetError: there is no dataset, it is damaged, or holds real recordings.
+        UsageError: a named episode does not exist.
+    """
+    directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
+    return SimulatedSource(dataset, directories, open_episode(directories[0]), dataset_config(dataset, locations))
+
+
+def open_real_source(dataset: Path, episodes: str | None, locations: Locations, fps: float | None = None) -> RealSource:
+    """The chosen episodes of a dataset of real recordings.
+
+    Args:
+        episodes: numbers and ranges, such as `0,3,5-9`; None for all.
+        fps: frames per second at even times; None for the recorded frames, at their usual rate.
+
+    Raises:
+        DatasetError: there is no dataset, it is damaged, or was simulated.
+        UsageError: a named episode does not exist.
+    """
+    directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
+    config = real_config(dataset, locations)
+    opened = [open_recorded(directory) for directory in directories]
+    for episode in opened:
+        if isinstance(episode, StoredEpisode):
+            raise DatasetError(f"{episode.directory} was simulated, and its dataset holds real recordings: move it out")
+    rate = fps or _common_fps([episode.record.frame_period_s for episode in opened])
+    return RealSource(dataset, directories, opened[0], config, 1 / rate, fps is not None)
+
+
+def _common_fps(periods: Sequence[float]) -> float:
+    """Frames per second, from each episode's frame period (s); a rate close to a whole number is rounded to it."""
+    rate = 1 / float(np.median(periods))
+    whole = round(rate)
+    return float(whole) if abs(rate - whole) <= _WHOLE_FPS * rate else round(rate, 3)
+
+
+def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
+    """The cameras with depth images in an episode."""
+    return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)

@@ -1,0 +1,86 @@
+"""Output files of commands, which are checked before the work begins.
+
+A file that exists is refused without `--overwrite`. A folder that cannot be written to is always refused.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.files.writing import nearest_directory, write_output
+from yamsim_cli.terminal.console import print_note
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+
+MIN_FREE_BYTES = 1 << 16  # bytes of free space under which no output is begun: reports and pictures are larger
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
+VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
+ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
+
+
+def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
+    """The treatment of an output dataset that exists."""
+    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one of them")
+    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+
+
+def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse output files that exist or cannot be written.
+
+    Args:
+        flag: the option that names the files, for the message.
+        files: one file, whose folder has to exist, or several in folders that are made later.
+        overwrite: whether files that exist may be replaced.
+
+    Raises:
+        UsageError: a file exists and may not be replaced, is a directory, or has no folder.
+        ResourceError: the file system is read-only or full.
+    """
+    one = isinstance(files, Path)
+    for file in [files] if isinstance(files, Path) else files:
+        folder = file.absolute().parent
+        if file.is_dir():
+            raise UsageError(f"{flag} {file} is a directory; give a file, such as {file / 'report'}")
+        if file.exists() and not overwrite:
+            raise UsageError(f"{flag} {file} exists; replace it with --overwrite, or give another path")
+        if one and not folder.is_dir():
+            raise UsageError(f"{flag} {file}: there is no directory {folder}; make it first")
+        _require_writable(flag, nearest_directory(folder))
+
+
+def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
+    """Refuse the files of --out and --html as `require_unused` does, where they are given."""
+    for flag, file in (("--out", out), ("--html", html)):
+        if file is not None:
+            require_unused(flag, file, overwrite=overwrite)
+
+
+def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:
+    """Write a report to the file of --out, if given, and say so on stderr."""
+    if out is None:
+        return
+    from yamsim_cli.core.files.documents.json_text import json_text
+
+    write_output(out, json_text(report).encode())
+    print_note(f"Written to {out}.")
+
+
+def _require_writable(flag: str, folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ResourceError(f"{flag}: {folder} cannot be written to; choose another path")
+    free = shutil.disk_usage(folder).free
+    if free < MIN_FREE_BYTES:
+        raise ResourceError(f"{flag}: {folder} has {free} bytes left; free some space, or choose another path")

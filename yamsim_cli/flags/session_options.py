@@ -1,0 +1,130 @@
+"""Flags of rigs, tasks and sessions that several commands have, and the opener of their sessions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
+
+from yamsim_cli.kitchen_scenes import resolve_scene_task
+from yamsim_cli.objects.importing.name_resolution import import_if_file
+from yamsim_cli.session_opener import SessionOpener
+from yamsim_cli.terminal.console import note_at_end, print_note
+from yamsim_cli.terminal.fetch_bar import fetch_bar
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+_RIG = typer.Option(
+    "--rig", help="Rig: a name from configs/rigs/, ROBOT+GRIPPER such as yam_pro+linear_4310, or a YAML file."
+)
+Rig = Annotated[str | None, _RIG]
+RigName = Annotated[str, _RIG]
+Revision = Annotated[
+    str | None, typer.Option(help="Revision of the robots, in place of the rig's own; see `yamsim robots list`.")
+]
+Robot = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE",
+        help="Measured dynamics of your arm, as `yamsim identify` writes them: for all arms of that model. May be "
+        "repeated.",
+    ),
+]
+Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
+ConfigOption = Annotated[
+    str,
+    typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),
+]
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option("--camera", metavar="NAME", help="A camera to record; may be repeated."),
+]
+Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
+Object = Annotated[
+    str | None,
+    typer.Option(
+        "--object", metavar="NAME|FILE", help="What is picked up: a name from configs/objects/ or a YAML file."
+    ),
+]
+Target = Annotated[
+    str | None,
+    typer.Option(metavar="NAME|FILE", help="What the object is put onto or into: a name or file, as for --object."),
+]
+Grasp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="weld|contact",
+        help="What holds the object: a weld that is switched on, or friction alone, which needs a gripper with pads "
+        "(--rig single_linear).  [default: weld]",
+    ),
+]
+Arm = Annotated[
+    str | None,
+    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
+Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
+Threshold = Annotated[
+    float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
+]
+Wrist = Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")]
+Randomize = Annotated[
+    bool | None,
+    typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+]
+Randomization = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Ranges to vary by: a name from configs/randomization/ or a YAML file; `arms` has delays, noise, encoder "
+        "steps and errors of the gravity compensation.  [default: with --randomize, `default`]",
+    ),
+]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
+Quality = Annotated[
+    str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
+]
+MinSuccess = Annotated[
+    float | None,
+    typer.Option(
+        "--min-success", min=0, max=1, metavar="SHARE", help="Exit 5 if a smaller share of the trials succeeds."
+    ),
+]
+
+
+def _flag(setting: str) -> str:
+    return f"--{setting.replace('_', '-')}"
+
+
+# Opens the sessions of all commands: error messages name flags, and notes go to stderr.
+opener = SessionOpener(os.environ, print_note, _flag, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
+
+
+# Settings of a session that a command may have as parameters, see `SessionOpener.config`.
+_SETTINGS = (
+    "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
+    "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+)  # fmt: skip
+
+
+def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings for `opener.open` among a command's parameters, of which `item` is the setting `object`."""
+    return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
+
+
+def _set_offline(wanted: bool) -> bool:
+    if wanted:
+        opener.stay_offline()
+    return wanted
+
+
+# Takes effect when parsed, so that commands only have to declare it.
+Offline = Annotated[
+    bool,
+    typer.Option(
+        "--offline",
+        callback=_set_offline,
+        help="Fetch no missing meshes and draw primitives in their place, as with YAMSIM_OFFLINE=1.",
+    ),
+]

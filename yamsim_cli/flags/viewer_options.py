@@ -1,0 +1,90 @@
+"""Flags of commands that open a viewer: the choice of the viewer, and settings before MuJoCo is imported."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.terminal.console import print_note
+
+from .session_options import opener
+
+if TYPE_CHECKING:
+    from yamsim_cli.viewers.page_address import PageAddress
+
+_PORT = 8090  # of browser pages, unless --port is given
+
+Web = Annotated[
+    bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window on this display.")
+]
+Port = Annotated[
+    int | None,
+    typer.Option(min=0, max=65535, help=f"Port of the browser page, {_PORT} unless given; 0 takes a free one."),
+]
+Host = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the browser page listens: an address of this machine, 127.0.0.1 unless given; 0.0.0.0 is all."
+    ),
+]
+
+
+def page_address(port: int | None, host: str | None) -> PageAddress:
+    """The address of a browser page. The user is warned if others can reach the page."""
+    from yamsim_cli.viewers.page_address import LOOPBACK, PageAddress
+
+    address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
+    if not address.is_private:
+        print_note(
+            f"Anyone who reaches {address.host} can watch and move what the page shows: the page asks for no password "
+            "and encrypts nothing. Safer: leave --host out, and use ssh -L."
+        )
+    return address
+
+
+def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageAddress | None:
+    """The browser page's address, or None for MuJoCo's window.
+
+    Without `web`, the viewer is the page if a port or host is given or no window can open.
+
+    Raises:
+        UsageError: a port or host is given for a window.
+        ResourceError: a window is requested, and none can open.
+    """
+    missing = _missing_for_window()
+    for flag, value in (("--port", port), ("--host", host)):
+        if web is False and value is not None:
+            raise UsageError(f"{flag} {value} is for the browser page; leave it out, or give --web")
+    if web is False and missing:
+        raise ResourceError(f"--native needs {missing}: use --web")
+    in_browser = web or (web is None and any(given is not None for given in (port, host, missing)))
+    return page_address(port, host) if in_browser else None
+
+
+def prepare_viewer(page: PageAddress | None) -> None:
+    """Set MuJoCo's OpenGL for the viewer, before MuJoCo is imported."""
+    if page is None:
+        os.environ["MUJOCO_GL"] = "glfw"
+        return
+    opener.skip_gl()
+    quiet_page()
+
+
+def quiet_page() -> None:
+    """Keep viser from announcing its server on stdout: viser writes to rich's global console."""
+    import rich
+
+    rich.get_console().quiet = True
+
+
+def _missing_for_window() -> str | None:
+    if sys.platform == "darwin":
+        # macOS opens windows in the main thread only, and MuJoCo's interpreter keeps that thread free for them.
+        return None if "MJPYTHON_BIN" in os.environ else "MuJoCo's interpreter mjpython on macOS"
+    if sys.platform == "win32" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return None
+    return "a display, and neither DISPLAY nor WAYLAND_DISPLAY is set"

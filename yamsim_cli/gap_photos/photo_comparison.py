@@ -1,0 +1,284 @@
+"""Compares the simulated arms with photos of the real ones: outlines with the photos' edges, and masks with masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.attempt_data import ArmPosture
+from ..core.config.rendering import RenderConfig
+from ..core.config.rig import RigConfig
+from ..core.config.scene import SceneConfig
+from ..core.dataset.dataset_paths import image_name, lowdim_name
+from ..core.dataset.lowdim import load_frame
+from ..core.errors import DatasetError, ResourceError, UsageError, suggest
+from ..core.files.resources import Locations
+from ..core.geometry.camera import CameraModel
+from ..core.geometry.se3 import inverse
+from ..core.images.image import Image
+from ..core.images.image_files import read_image, to_grey
+from ..core.images.jpeg import encode_jpeg
+from ..core.progress import Progress
+from ..core.recorded_motion import RecordedMotion
+from ..photos.overlay.joint_files import ArmPostures
+from ..photos.overlay.outline_fit import mask_iou, score_outlines
+from ..photos.overlay.photo_arm_poses import find_arms
+from ..photos.overlay.photo_cameras import PhotoCameras
+from ..photos.overlay.photos import Photo, camera_matrix, chosen_camera, pinhole_camera
+from ..photos.overlay.rendered_arms import ArmRenderers
+from ..photos.picture_overlay import blend_arms, write_lines
+from ..real.gap.gap_figures import MotionGap
+from ..real.gap.gap_page import CaptionedJpeg
+
+
+@dataclass(frozen=True)
+class RecordedPhoto:
+    """A photo that was taken during a recording.
+
+    Attributes:
+        gap: the recording's gap.
+        frame: number of the measured sample, from 0.
+        sample: row of that sample in the motion.
+    """
+
+    gap: MotionGap
+    frame: int
+    sample: int
+    path: Path
+
+
+def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
+    """The name of one camera, and its photos in the compared parts of recordings.
+
+    Args:
+        camera: name of the camera, see `chosen_camera`.
+
+    Raises:
+        UsageError: no recording has photos, or none by that camera.
+    """
+    folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
+    cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
+    if not cameras:
+        raise UsageError("--pictures: no recording has photos; leave it out, or give episodes with rgb/")
+    camera = chosen_camera(cameras, camera)
+    if camera not in cameras:
+        raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest(camera, cameras)}")
+    taken = []
+    for gap in gaps:
+        known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
+        for frame, sample in enumerate(np.flatnonzero(known).tolist()):
+            if gap.name in folders and gap.compared[sample]:
+                path = folders[gap.name] / image_name(camera, frame)
+                if path.is_file():
+                    taken.append(RecordedPhoto(gap, frame, sample, path))
+    if not taken:
+        raise UsageError(
+            f"--pictures: camera {camera!r} has no photo of what was compared; choose another --from, --to"
+        )
+    return camera, taken
+
+
+def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[RecordedPhoto]:
+    """At most `maximum` of the photos, evenly chosen. The photo with the largest joint error is among them."""
+    if len(taken) <= maximum:
+        return list(taken)
+    worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
+    even = np.linspace(0, len(taken) - 1, maximum - 1).round().astype(int).tolist() if maximum > 1 else []
+    return [taken[k] for k in sorted({worst, *even})]
+
+
+def _error(photo: RecordedPhoto) -> float:
+    both = zip(photo.gap.motion.arms, photo.gap.simulated.arms, strict=True)
+    return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
+
+
+def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
+    """How a rig's arms stand at a sample of a motion, in the rig's order."""
+    stands = {}
+    for arm, number in zip(motion.arms, rig.recording_order, strict=True):
+        config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
+        dynamics, names = config.dynamics, config.robot.joint_names
+        # An encoder's offset is in the recorded joints.
+        off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
+        stands[number] = ArmPosture(arm.joints[sample] - off, opening)
+    return tuple(stands[number] for number in range(len(rig.arms)))
+
+
+def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
+    """A photo with its recorded camera and that camera's pose, as far as they were recorded.
+
+    Raises:
+        DatasetError: the frame cannot be read, or is damaged.
+    """
+    file = Path(recorded.gap.name) / lowdim_name(recorded.frame)
+    try:
+        frame = load_frame(file.read_bytes())
+        K, T_cam_in_base = (
+            None if (frame.get(key) or {}).get(camera) is None else camera_matrix(frame, key, camera)
+            for key in ("intrinsics", "extrinsics")
+        )
+    except OSError as error:
+        raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
+    except (TypeError, ValueError, DatasetError) as error:
+        raise DatasetError(f"{file}: cannot be used: {error}") from error
+    height, width = image.shape[:2]
+    T_base_in_cam = None
+    if T_cam_in_base is not None:
+        # Extrinsics are recorded in the base of the only arm, or of the left one.
+        T_cam_in_world = rig.T_base_in_world(rig.recording_order[0]) @ T_cam_in_base
+        T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
+    model = None if K is None else pinhole_camera(K, width, height)
+    return Photo(
+        recorded.path, model, postures_at(recorded.gap.simulated, recorded.sample, rig), "episode", T_base_in_cam
+    )
+
+
+_SHOWN = 2  # pictures on a page
+_OPACITY = 0.4  # of the simulated arms in a picture
+_QUALITY = 85  # of the pictures' JPEGs
+
+
+@dataclass(frozen=True)
+class PhotoRequest:
+    """Which photos of recordings to compare.
+
+    Attributes:
+        most: largest number of photos.
+        camera: the camera of all photos; None for the recording's, or else an estimate from the boards.
+        name: the camera's name in the recordings; None for the one that stands still.
+    """
+
+    most: int
+    camera: CameraModel | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class PhotoGap:
+    """The simulated arms compared with a photo.
+
+    Attributes:
+        outline: median distance of their outline to the photo's edges, px; None where no arm is in sight.
+        measured_outline: the same of the arms at their measured joints: the distance without a gap.
+        iou: overlap of the simulated and the measured arms, 0..1.
+        picture: the simulated arms over the photo.
+    """
+
+    recorded: RecordedPhoto
+    outline: float | None
+    measured_outline: float | None
+    iou: float
+    picture: Image
+
+
+def compare_photos(
+    gaps: Sequence[MotionGap],
+    rig: RigConfig,
+    request: PhotoRequest,
+    scene: SceneConfig,
+    quality: RenderConfig,
+    locations: Locations,
+    progress: Progress,
+) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
+    """The comparison with photos of recordings as plain data, and the worst photos as pictures.
+
+    Raises:
+        UsageError: no recording has photos, or none by that camera.
+        DatasetError: a frame is damaged.
+        ConfigError: the camera is calibrated for another image size.
+        ResourceError: no photo gives the camera's pose, or no OpenGL context can be made.
+    """
+    camera, taken = photos_in_parts(gaps, request.name)
+    chosen = select_photos(taken, request.most)
+    found: list[PhotoGap] = []
+    figures: list[PhotoGap] = []
+    lenses = PhotoCameras(rig, [one.path for one in chosen], request.camera)
+    with ArmRenderers(rig, scene, quality, locations) as renderers:
+        for k, one in enumerate(chosen):
+            progress(k, len(chosen))
+            if compared := _compared(one, camera, rig, lenses, renderers):
+                figures.append(compared)
+                found = sorted([*found, compared], key=_error_rank, reverse=True)[:_SHOWN]
+        progress(len(chosen), len(chosen))
+    if not figures:
+        raise ResourceError(
+            f"no photo of camera {camera!r} shows where it stood, first {chosen[0].path}: its frames have no "
+            "extrinsics, and no board is in sight; give recordings with extrinsics, or leave --pictures out"
+        )
+    return _plain(camera, figures, len(chosen) - len(figures)), [_shown(one) for one in found]
+
+
+def _compared(
+    recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
+) -> PhotoGap | None:
+    """The comparison of one photo; None where neither its frame nor a board gives the camera's pose."""
+    image = read_image(recorded.path)
+    photo = make_photo(recorded, camera, rig, image)
+    lens, grey = lenses.camera_of(photo, image), to_grey(image)
+    result = find_arms(rig, photo, grey, lens, trust_margin=False)
+    if not result.bases:
+        return None
+    renderer = renderers.renderer_for(lens.camera)
+    renderer.pose(result.bases, postures_at(recorded.gap.motion, recorded.sample, rig))
+    measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
+    renderer.pose(result.bases, postures_at(recorded.gap.simulated, recorded.sample, rig))
+    simulated, iou = score_outlines(result, renderer, grey), mask_iou(renderer.flat_labels() > 0, measured_mask)
+    arms = renderer.render()
+    picture = blend_arms(image, arms.colour, arms.labels, _OPACITY)
+    lines = [f"simulated, {recorded.gap.motion.times[recorded.sample]:.2f} s, frame {recorded.frame}"]
+    if simulated.edge_residual is not None:
+        lines.append(f"outline {simulated.edge_residual:.1f} px, overlap {iou:.3f}")
+    write_lines(picture, lines, arms.labels > 0)
+    return PhotoGap(recorded, simulated.edge_residual, measured.edge_residual, iou, picture)
+
+
+def _error_rank(found: PhotoGap) -> tuple[float, float]:
+    return -1.0 if found.outline is None else found.outline, 1 - found.iou
+
+
+def _plain(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, Any]:
+    worst = max(figures, key=_error_rank)
+    return {
+        "camera": camera,
+        "photos": len(figures),
+        "without_pose": without,
+        "outline_px": _spread([one.outline for one in figures], max),
+        "measured_outline_px": _spread([one.measured_outline for one in figures], max),
+        "iou": _spread([one.iou for one in figures], min),
+        "worst": _photo_reference(worst),
+        "frames": [
+            {
+                **_photo_reference(one),
+                "image": str(one.recorded.path),
+                "outline_px": one.outline,
+                "measured_outline_px": one.measured_outline,
+                "iou": one.iou,
+            }
+            for one in figures
+        ],
+    }
+
+
+def _photo_reference(found: PhotoGap) -> dict[str, Any]:
+    recorded = found.recorded
+    time = float(recorded.gap.motion.times[recorded.sample])
+    return {"recording": recorded.gap.name, "frame": recorded.frame, "time_s": time}
+
+
+def _spread(values: Sequence[float | None], worst: Any) -> dict[str, float] | None:
+    known = [value for value in values if value is not None]
+    return {"mean": float(np.mean(known)), "worst": float(worst(known))} if known else None
+
+
+def _shown(found: PhotoGap) -> CaptionedJpeg:
+    place = _photo_reference(found)
+    outline = "no arm in sight" if found.outline is None else f"outline {found.outline:.1f} px from the photo's edges"
+    caption = (
+        f"Frame {place['frame']} of {place['recording']} at {place['time_s']:.2f} s: the simulated arm over the photo; "
+        f"{outline}, overlap {found.iou:.3f}."
+    )
+    return CaptionedJpeg(caption, encode_jpeg(found.picture, _QUALITY))

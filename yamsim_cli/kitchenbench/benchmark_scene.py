@@ -1,0 +1,274 @@
+"""The station's session, and scenes of the benchmark realized on its table, with all things at rest."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
+
+from ..core.attempt_data import Layout
+from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.program_task import PROGRAM, ProgramTask
+from ..core.config.recording import RecordConfig
+from ..core.config.scene import Table
+from ..core.config.session import Session
+from ..core.episode.episode import Episode
+from ..core.episode.expert import arm_sides
+from ..core.episode.simulator import Simulator
+from ..core.expert.planning.arm_solvers import start_postures
+from ..core.geometry.se3 import Array, pose, rotation_z
+from ..core.scene.compiled import CompiledScene
+from ..core.sim.settling import settle_objects
+from ..core.sim.sim_world import ContainerRegion, SimWorld
+from ..session_opener import SessionOpener, parse_size
+from .asset_configs import (
+    COMPARTMENT,
+    CRUMPLED,
+    FOLD,
+    SHEETS,
+    cloth_config_of,
+    crumpled_start,
+    object_config_of,
+    table_for_sheet,
+)
+from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
+
+STATION = "yam_station_linear_4310_d405"
+TICK_HZ = 30  # Hz, of control ticks
+
+#: Kinds of goals that are realized.
+KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
+_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another thing
+
+_ANY_TASK = "tower"  # a scene of the benchmark replaces the session's task
+_STEPS, _CLOTH_STEPS = 16, 8  # physics steps a tick, and in scenes with cloth
+
+_EDGE = 0.10  # m, from a scene's things to the edge of a table that is widened for them
+_OVER = 0.5  # m over the table, from where things are let down
+_AWAY = 2.0  # m, between things above the table until they are let down
+_GAP = 0.001  # m, that things fall at the end
+_TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
+_OFF = 5.0  # mm; a thing that rests farther from its required place is reported as unrealized
+
+# Conditions of a blueprint that depend on how a policy acts, and conditions that are realized.
+_UP_TO_THE_POLICY = frozenset(
+    {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
+)
+_REALIZED = frozenset({"slot_width_cm", CRUMPLED})
+
+_LOG = logging.getLogger("yamsim")
+_OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
+
+
+def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _ANY_TASK) -> Session:
+    """A session of the station.
+
+    Args:
+        task: a task of yamsim; scenes of the benchmark replace it.
+
+    Raises:
+        UsageError: the size, the quality or the task is not valid.
+        ResourceError: images are requested, and nothing can be rendered here.
+    """
+    given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
+    where = _OPENER.locations()
+    if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
+        # Actions of Inspect Robots have no magnet.
+        given["grasp"] = "contact"
+    if images:
+        return _OPENER.open("default", parallel=False, **given)
+    return Session(_OPENER.config("default", where, **given), where).without_meshes()
+
+
+@dataclass(frozen=True)
+class BenchmarkScene:
+    """A scene of the benchmark, compiled and at rest. Close its simulator after use.
+
+    Attributes:
+        start: MuJoCo's positions (nq,) with everything at rest.
+        regions: name of a blueprint's object that is a part of a thing -> that part.
+        offsets_mm: thing -> horizontal distance from its required place to where it rests, mm.
+        unrealized: requirements of the blueprint that are not realized, as sentences.
+    """
+
+    blueprint: SceneBlueprint
+    simulator: Simulator
+    start: Array
+    regions: Mapping[str, ContainerRegion]
+    offsets_mm: Mapping[str, float]
+    unrealized: tuple[str, ...]
+
+    @property
+    def items(self) -> dict[str, ObjectConfig]:
+        """Name of a blueprint's thing -> its config."""
+        return {item.name: item for item in self.simulator.config.task.objects}
+
+    @property
+    def bases(self) -> list[Array]:
+        """Positions (2,) of the arms' bases in `world`, m."""
+        return [arm.T_base_in_world[:2, 3] for arm in self.simulator.scene.arms]
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """The sides of the scene's arms."""
+        return arm_sides(self.simulator.config)
+
+    def episode(self) -> Episode:
+        """A new episode, without a goal: the benchmark's checker judges."""
+        scene, timing = self.simulator.scene, self.simulator.config.task.timing
+        return Episode(
+            scene,
+            self.start,
+            timing,
+            self.sides,
+            None,
+            world=lambda data: SimWorld(
+                scene.model, data, scene.arms, self.sides, scene.things, regions=self.regions, cloths=scene.cloths
+            ),
+        )
+
+
+def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
+    """The scene of a blueprint.
+
+    Args:
+        base: a session of the station, whose task is replaced.
+
+    Raises:
+        LookupError: the blueprint has a kind of goal or an object that is not realized.
+        SimulationError: the scene cannot be compiled.
+    """
+    if blueprint.target_kind not in KINDS:
+        raise LookupError(
+            f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not realized; "
+            f"those are: {', '.join(sorted(KINDS))}"
+        )
+    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
+    nests = blueprint.target_kind != _HANDED_OVER
+    objects = [
+        cloth_config_of(item, blueprint, base.locations)
+        if item.asset in SHEETS or blueprint.target_kind == FOLD
+        else object_config_of(item, blueprint.conditions, base.locations, nests)
+        for item in things
+    ]
+    config = base.config
+    task = _task(blueprint, config, {item.name: item for item in objects})
+    scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
+    cast = _cast(blueprint)
+    simulator = Simulator(base.with_values(task=task, scene=scene), cast)
+    wanted = {item.name: T_in_world(item, blueprint) for item in things}
+    start = settle_objects(
+        simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep
+    ).qpos
+    start = crumpled_start(blueprint, simulator.scene, start, task.timing.timestep)
+    offsets = {
+        name: round(1000 * float(np.linalg.norm(_place(simulator.scene, start, name) - T[:2, 3])), 2)
+        for name, T in wanted.items()
+    }
+    return BenchmarkScene(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
+
+
+def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
+    """Horizontal position (2,) of a thing at MuJoCo's positions (nq,), m."""
+    if name in scene.cloths:
+        middle: Array = scene.cloths[name].points(qpos)[:, :2].mean(axis=0)
+        return middle
+    address = scene.object_qpos[name]
+    return qpos[address : address + 2]
+
+
+def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
+    """The scene as a task. Its goal and its expert are placeholders: the benchmark's checker judges."""
+    first = next(iter(objects))
+    folds = objects[first].cloth is not None
+    steps = _CLOTH_STEPS if any(item.cloth is not None for item in objects.values()) else _STEPS
+    place = {"x": (0.0, 0.0), "y": (0.0, 0.0)}
+    return ProgramTask.model_validate(
+        {
+            "name": blueprint.scene_id.replace("-", "_"),
+            "kind": PROGRAM,
+            "rig": config.rig.name,
+            "things": {name: {"of": (item,)} for name, item in objects.items()},
+            "starts": dict.fromkeys(objects, place),
+            "phrasings": {"training": (blueprint.instruction,)},
+            "goal": {"all": [{"folded" if folds else "upright": {"thing": first}}]},
+            "expert": ({"fold" if folds else "pick": {"thing": first}},),
+            "timing": {"physics_steps_per_tick": steps, "timestep": 1.0 / (TICK_HZ * steps)},
+            "start_joints": config.start_joints,
+        }
+    )
+
+
+def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
+    """The table, widened where a scene's things need that."""
+    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
+    table = config.scene.table
+    assert table is not None  # checked when the config was loaded
+    if blueprint.target_kind == FOLD:
+        for item in things:
+            table = table_for_sheet(table, item, origin_in_world(blueprint))
+        return table
+    reach = (
+        max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
+        / 100
+    )
+    half_width = table.half_size[1] + config.rig.span / 2
+    return table.widened(max(0.0, 2 * (reach + _EDGE - half_width)))
+
+
+def _cast(blueprint: SceneBlueprint) -> RoleAssignment:
+    kinds = {item.name: item.asset for item in blueprint.objects}
+    return RoleAssignment({**{name: (name,) for name in kinds}, **blueprint.roles}, kinds)
+
+
+def _regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
+    found = {}
+    for item in blueprint.objects:
+        if item.asset == COMPARTMENT:
+            assert item.parent is not None, "a compartment is part of a tray"
+            asset = ASSETS[item.asset]
+            size = np.array([asset.footprint_w_cm, asset.footprint_h_cm, asset.height_cm]) / 100
+            T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR), rotation_z(math.radians(item.yaw_deg)))
+            found[item.name] = ContainerRegion(item.parent, T, size)
+    return found
+
+
+def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
+    """MuJoCo's positions (nq,) with all things let down, one after the other, onto what is below them."""
+    scene, top = simulator.scene, simulator.config.table.top
+    # Things that are not let down yet are far from all others.
+    away = {name: pose((0.0, 0.0, top + _AWAY * (k + 1))) for k, name in enumerate(wanted)}
+    qpos = scene.start_qpos(Layout(away), start_postures(simulator.config))
+    for name, T_wanted in wanted.items():
+        T = T_wanted.copy()
+        if name in scene.cloths:
+            T[2, 3] = top + scene.cloths[name].radius + _GAP
+            scene.put(qpos, name, T)
+            continue
+        T[2, 3] = top + _OVER
+        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + _GAP
+        scene.put(qpos, name, T)
+    return qpos
+
+
+def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
+    """The requirements of a blueprint that are not realized, as sentences for a log."""
+    lines = []
+    for name, value in blueprint.conditions.items():
+        if name in _UP_TO_THE_POLICY:
+            lines.append(f"{name}={value}: up to the policy; nothing holds it to that")
+        elif name not in _REALIZED:
+            lines.append(f"{name}={value}: not realized")
+    for item in blueprint.objects:
+        if item.amount_g is not None:
+            lines.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
+        if (off := offsets.get(item.name, 0.0)) > _OFF:
+            lines.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
+    return tuple(lines)

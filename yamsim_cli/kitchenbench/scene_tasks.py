@@ -1,0 +1,146 @@
+"""Scenes of the benchmark as yamsim tasks, for recordings that do not need the benchmark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from inspect_robots import Scene
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint
+from kitchenbench.sim.blueprint import SceneBlueprint
+from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
+
+from ..core.config.goals.world import TABLE
+from ..core.config.program_task import PROGRAM
+from ..core.errors import UsageError, suggest
+from ..core.expert.skills.program import SKILLS
+from ..core.expert.skills.skill import Skill
+from .benchmark_scene import STATION, build_benchmark_scene, open_station_session, table_for_scene
+from .object_poses import feasible_poses
+from .skill_programs import build_scene_program
+
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # realizations of a scene in a task, out of this many epochs
+_FOR_S = 0.5  # s, hold time of the goal; the benchmark's checkers require a single state
+_KINDS = ("place_on", "stack", "place_in", "handoff")  # kinds of goals; sorting needs compartments, which are no things
+
+
+def scene_task_data(name: str) -> dict[str, Any]:
+    """The task of a scene, as the data of a task's YAML.
+
+    Things, sizes, the phrasing and the expert are those of one realization of the scene. The arrangements are the
+    realizations with the same things among the first epochs.
+
+    Args:
+        name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
+
+    Raises:
+        UsageError: there is no such scene, or it cannot be recorded.
+    """
+    scene, epoch = _scene(name)
+    first = _blueprint(scene, epoch)
+    if first.target_kind not in _KINDS:
+        raise UsageError(
+            f"kitchenbench/{name}: goals of kind {first.target_kind!r} are not recorded; those are: {', '.join(_KINDS)}"
+        )
+    base = open_station_session("64x48", images=False)
+    if table_for_scene(base.config, first) != base.config.scene.table:
+        raise UsageError(
+            f"kitchenbench/{name}: its things do not fit onto the station's table; try another realization, such "
+            f"as {name.partition('@')[0]}@{epoch + 1}"
+        )
+    realized = build_benchmark_scene(first, base)
+    try:
+        arrangements = []
+        for number in _epochs(epoch):
+            blueprint = _blueprint(scene, number)
+            if _things(blueprint) == _things(first):
+                places = feasible_poses(realized.simulator, blueprint)
+                arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
+            if len(arrangements) == _MAX_ARRANGEMENTS:
+                break
+    finally:
+        realized.simulator.close()
+    items, timing = realized.items, realized.simulator.config.task.timing
+    return {
+        "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
+        "kind": PROGRAM,
+        "rig": STATION,
+        "things": {name: {"of": [item.model_dump(mode="json", exclude_none=True)]} for name, item in items.items()},
+        "starts": {name: _region(name, arrangements) for name in items},
+        "arrangements": arrangements,
+        "phrasings": {"training": [first.instruction]},
+        "goal": {"all": [_goal(first)], "for_s": _FOR_S},
+        "expert": [_step(skill) for skill in build_scene_program(first, items, realized.bases)],
+        "timing": {"physics_steps_per_tick": timing.physics_steps_per_tick, "timestep": timing.timestep},
+    }
+
+
+def _scene(name: str) -> tuple[Scene, int]:
+    path, _, epoch = name.partition("@")
+    task, _, instance = path.partition("/")
+    if task not in tasks.TASK_FACTORIES:
+        raise UsageError(f"kitchenbench/{name}: unknown task {task!r}; {suggest(task, tasks.TASK_FACTORIES)}")
+    before = f"{task.replace('_', '-')}-"
+    scenes = {scene.id.removeprefix(before): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
+    if instance not in scenes:
+        raise UsageError(f"kitchenbench/{name}: {task} has no scene {instance!r}; {suggest(instance, scenes)}")
+    if epoch and not epoch.isdecimal():
+        raise UsageError(f"kitchenbench/{name}: {epoch!r} is no realization; give a number from 0 on")
+    return scenes[instance], int(epoch or 0)
+
+
+def _epochs(first: int) -> Iterator[int]:
+    yield first
+    yield from (number for number in range(_EPOCHS) if number != first)
+
+
+def _seed(scene: Scene, epoch: int) -> int:
+    """The seed of an epoch that Inspect Robots derives from its seed 0."""
+    return int(derive_seed(0, scene.init_seed, epoch))
+
+
+def _blueprint(scene: Scene, epoch: int) -> SceneBlueprint:
+    return build_blueprint(scene, _seed(scene, epoch))
+
+
+def _things(blueprint: SceneBlueprint) -> tuple[object, ...]:
+    slot = blueprint.conditions.get("slot_width_cm")
+    return (slot, blueprint.instruction, *((item.name, item.asset, item.size_cm) for item in blueprint.objects))
+
+
+def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
+    """A thing's name, and its origin in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
+    name, T = place
+    turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
+    return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
+
+
+def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
+    x, y, turn = np.array([one["places"][name] for one in arrangements]).T
+    return {
+        "on": TABLE,
+        **{key: [float(row.min()), float(row.max())] for key, row in (("x", x), ("y", y), ("yaw_deg", turn))},
+    }
+
+
+def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
+    """The goal that is equivalent to the benchmark's own checker."""
+    roles = blueprint.roles
+    match blueprint.target_kind:
+        case "place_on":
+            return {"over": {"thing": roles["item"][0], "surface": roles["surface"][0], "gap": CONTACT_TOL_M}}
+        case "stack":
+            return {"piled": {"things": list(roles["stack"]), "gap": CONTACT_TOL_M}}
+        case "place_in":
+            return {"in": {"thing": roles["item"][0], "container": roles["rack"][0], "share": CONTAIN_FRACTION}}
+    receiving = str(blueprint.success_params.get("receiving_arm", "either"))
+    return {"handed_over": {"thing": roles["item"][0], "to": receiving}}
+
+
+def _step(skill: Skill) -> dict[str, Any]:
+    name = next(name for name, known in SKILLS.items() if type(skill) is known)
+    return {name: skill.model_dump(mode="json", exclude_defaults=True)}

@@ -1,0 +1,124 @@
+"""The expert's skills for a scene of the benchmark, by the kind of its goal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
+
+from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.objects.shapes import RackShape
+from ..core.expert.skills.handover import Handover
+from ..core.expert.skills.pick import Pick
+from ..core.expert.skills.place import Place
+from ..core.expert.skills.skill import Skill
+from ..core.geometry.se3 import Array
+from .asset_configs import CRUMPLED, is_folded_in_thirds
+from .fold_small import FoldSmall, required_area
+from .object_poses import T_in_world
+from .sorting import Sort
+
+_BOW = 0.008  # m, between a dish and the bow at an end of the rack
+_DROP = 0.02  # m, that a stacked thing falls, since the fingers around its rim reach below it
+_LET_FALL = 0.015  # m over a plate, where cutlery is released: the height of the rim, the plate's top in the benchmark
+_FOR = "compartment_"  # before the kind of cutlery in a compartment's name
+
+
+def build_scene_program(
+    blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
+) -> list[Skill]:
+    """The skills for a scene's goal, in order.
+
+    Args:
+        items: name of a blueprint's object -> its config.
+        bases: positions (2,) of the arms' bases in `world`, m.
+
+    Raises:
+        LookupError: there is no expert for goals of its kind.
+    """
+    roles = blueprint.roles
+    match blueprint.target_kind:
+        case "place_on":
+            kinds = {item.name: item.asset for item in blueprint.objects}
+            drop = _LET_FALL if kinds[roles["surface"][0]] == "plate" else 0.0
+            return _pick_and_place(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0], drop=drop))
+        case "place_in":
+            return _pick_and_place(
+                roles["item"][0], _place_in_slot(blueprint, items, roles["item"][0], roles["rack"][0])
+            )
+        case "handoff":
+            return _handover_program(blueprint, roles["item"][0])
+        case "stack":
+            return _stack_program(blueprint, roles["stack"], bases)
+        case "sort":
+            into = {name.removeprefix(_FOR): name for name in roles["compartment"]}
+            return [Sort(things="sortable", into=into)]
+        case "fold":
+            return _fold_program(blueprint, items, roles["cloth"][0])
+    raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
+
+
+def _fold_program(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth: str) -> list[Skill]:
+    sheet = items[cloth].cloth
+    assert sheet is not None, "folds are of cloth"
+    item = next(one for one in blueprint.objects if one.name == cloth)
+    area, thirds = required_area(blueprint, item, sheet), is_folded_in_thirds(blueprint, item)
+    return [FoldSmall(thing=cloth, area=area, thirds=thirds, crumpled=CRUMPLED in blueprint.conditions)]
+
+
+def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:
+    return [Pick(thing=thing), placing]
+
+
+def _place_in_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
+    """Place a dish upright in the required slot, or in the nearest one where it fits between the bows.
+
+    Slots are counted from the left.
+    """
+    shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
+    assert isinstance(shape, RackShape), "a rack is made from sizes"
+    slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
+    room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
+    required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
+    fitting = slots[np.abs(slots) <= room]
+    x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
+    return Place(thing=item, on=rack, at=(float(x), 0.0))
+
+
+def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
+    """Pick by the other arm than the receiving one, if the scene names one, and hand over."""
+    height = float(blueprint.conditions.get("handoff_height_cm", 22.0)) / 100
+    match str(blueprint.success_params.get("receiving_arm", "either")):
+        case "left":
+            return [Pick(thing=item, arm="right"), Handover(thing=item, to="left", height=height)]
+        case "right":
+            return [Pick(thing=item, arm="left"), Handover(thing=item, to="right", height=height)]
+    return [Pick(thing=item), Handover(thing=item, to="other", height=height)]
+
+
+def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
+    """Stack onto the largest thing, or of equal ones onto the one with the shortest reach; larger things first."""
+    items = {item.name: item for item in blueprint.objects if item.name in names}
+    places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
+
+    def farthest(below: str) -> float:
+        """The longest reach of an arm, m, if the nearer arm brings each thing."""
+        paths = ((places[name], places[below]) for name in names if name != below)
+        return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
+
+    below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
+    others.sort(key=lambda name: (-_width(items[name]), _distance_between(places, name, below)))
+    skills: list[Skill] = []
+    for name in others:
+        skills += _pick_and_place(name, Place(thing=name, on=below, drop=_DROP))
+        below = name
+    return skills
+
+
+def _width(item: SceneObject) -> float:
+    return item.size_cm or ASSETS[item.asset].footprint_w_cm
+
+
+def _distance_between(places: dict[str, Array], one: str, other: str) -> float:
+    return float(np.linalg.norm(places[one] - places[other]))

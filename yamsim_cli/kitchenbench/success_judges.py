@@ -1,0 +1,123 @@
+"""Verdicts on a scene in motion: by the benchmark's checker, or by a task's own goal."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from kitchenbench.sim import make_success_checker
+
+from ..core.episode.episode_rules import EndRule
+from ..core.geometry.se3 import Array
+from ..core.scene.compiled import GeomOwner
+from ..core.sim.geom_shapes import geom_aabb
+from ..core.sim.sim_world import SimWorld
+from .benchmark_scene import BenchmarkScene
+from .scene_stepper import SceneStepper
+from .yamsim_scene import TaskScene
+
+_GRIPPER = "gripper_"  # before a side, name of that arm's two fingers in the checkers' queries
+
+
+class Judge(Protocol):
+    """Judges a scene in motion.
+
+    Attributes:
+        instruction: the task in words.
+        unrealized: requirements of the scene that are not realized, as sentences.
+        step_info: further values for the `info` of each step.
+    """
+
+    instruction: str
+    unrealized: tuple[str, ...]
+    step_info: dict[str, Any]
+
+    def look(self) -> tuple[bool, str]:
+        """Whether the goal is reached now, and an explanation for a person."""
+
+
+class KitchenJudge:
+    """The benchmark's own checker, called after each action. See `Judge`.
+
+    Attributes:
+        world: answers the checker's queries.
+    """
+
+    def __init__(self, realized: BenchmarkScene, motion: SceneStepper) -> None:
+        self.instruction, self.unrealized = realized.blueprint.instruction, realized.unrealized
+        self.step_info = {"contract_version": realized.blueprint.contract_version}
+        self.world = KitchenWorld(realized, motion)
+        self._checker = make_success_checker(realized.blueprint, self.world)
+
+    def look(self) -> tuple[bool, str]:
+        """The checker's verdict."""
+        verdict = self._checker(self.world)
+        return bool(verdict.success), str(verdict.explanation)
+
+
+class GoalJudge:
+    """A task's own goal, which the episode evaluates after each control tick. See `Judge`."""
+
+    def __init__(self, realized: TaskScene, motion: SceneStepper) -> None:
+        self.instruction = realized.instruction
+        self.unrealized: tuple[str, ...] = ()
+        self.step_info: dict[str, Any] = {"end_rule": EndRule.SUCCESS.value}
+        self._episode = motion.episode
+
+    def look(self) -> tuple[bool, str]:
+        """The goal's verdict."""
+        return self._episode.succeeds, self._episode.status
+
+
+class KitchenWorld:
+    """The state of a scene in motion, for the checkers' queries.
+
+    Names are those of the blueprint's objects, `gripper_left` and `gripper_right`; other names raise `KeyError`.
+    Lengths are in m, in `world`: x ahead of the arms, y to their left, z up.
+
+    Attributes:
+        scene: the state for yamsim's own goals and skills.
+    """
+
+    def __init__(self, realization: BenchmarkScene, motion: SceneStepper) -> None:
+        simulator = realization.simulator
+        compiled = simulator.scene
+        self._model, self._data = compiled.model, motion.data
+        names = list(compiled.things)
+        self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
+        self.scene: SimWorld = motion.episode.world
+        self._names = {*names, *realization.regions}
+        fingers = np.isin(compiled.geom_kind, (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)) & (
+            compiled.model.geom_contype != 0
+        )
+        self._grippers = {
+            _GRIPPER + side: np.flatnonzero(fingers & (compiled.geom_arm == k))
+            for k, side in enumerate(realization.sides)
+        }
+
+    def aabb(self, name: str) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) of an object's colliding geoms; of a gripper, those of its two fingers."""
+        if name in self._grippers:
+            corners = np.array([geom_aabb(self._model, self._data, int(geom)) for geom in self._grippers[name]])
+            return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        return self.scene.aabb(self._known(name))
+
+    def contained_fraction(self, item: str, container: str) -> float:
+        """The share, 0..1, of an item's volume in the bounding box of a container, or in a compartment."""
+        return self.scene.volume_fraction_in_box(self._known(item), self._known(container))
+
+    def contained_mass_g(self, substance: str, container: str) -> float:
+        """Mass of a thing in a container, g. Nothing is poured here, so a substance is a thing."""
+        if substance not in self._masses:
+            raise KeyError(substance)
+        return self._masses[substance] * self.contained_fraction(substance, container)
+
+    def opening_fraction(self, name: str) -> float:
+        """0: no realized object has a part that opens."""
+        self._known(name)
+        return 0.0
+
+    def _known(self, name: str) -> str:
+        if name not in self._names:
+            raise KeyError(name)
+        return name

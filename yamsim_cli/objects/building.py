@@ -1,0 +1,319 @@
+"""An object's config and its files, from a thing that was read from a file."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..core.errors import ResourceError
+from ..core.geometry.closed_surface import UniformMassProperties
+from ..core.geometry.height_map import crossings_along_z
+from ..core.geometry.se3 import Array, quat_from_rotation
+from ..core.geometry.stl import Faces, read_stl, stl_bytes
+from .collision_geometry import CollisionGeometry, CollisionMode, collision_geometry, rolling_radius, shift_part
+from .convex_decomposition import Share
+from .overhead_grasps import overhead_grasp
+from .part_surfaces import merged_surface, plain_inertia, scale_mass, solid_or_sheet
+from .primitives import PointBody
+from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
+from .visual_meshes import VisualMeshes, make_visual_meshes
+from .ycb_config import IN_DEPTH, ROLLING_SHARE
+
+_DENSITY = 1000.0  # kg/m3, default: most plastics, ripe fruit and water are near
+_FRICTION = 0.8
+_TORSION, _ROLLING = 0.005, 0.0005  # m, torsional and rolling friction
+# A surface on which things are placed is level within this distance of the middle, up to this unevenness, m.
+_MIDDLE, _LEVEL = 0.012, 0.004
+_FLAT = 1e-6  # least spread of a base's corners as a share of their largest: STL keeps 7 digits
+# Friction of joints for which the file has none: without friction a joint would never come to rest.
+_RUBS = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user states about a thing, in place of what the file states.
+
+    Attributes:
+        name: of the object.
+        mass: of the whole thing, kg; or `density`, kg/m3. Without either, as in the file, or 1,000 kg/m3.
+        collision: kind of the collision geometry; "auto" takes that of the file, else primitives where they fit, else
+            convex parts.
+        base: whether the base can be moved; by default as in the file.
+        friction: sliding friction; by default as in the file, or 0.8.
+    """
+
+    name: str
+    mass: float | None = None
+    density: float | None = None
+    collision: CollisionMode = "auto"
+    base: Literal["free", "fixed"] | None = None
+    friction: float | None = None
+
+
+@dataclass(frozen=True)
+class BuiltObject:
+    """An imported thing.
+
+    Attributes:
+        data: the object's config without the names of its mesh sets; see `with_set`.
+        files: file name -> content.
+        collision: of all parts, the base first.
+        mass: of the whole thing, kg.
+        mass_is_guessed: whether neither the file nor the user stated the mass.
+        is_closed: whether every part's surface is closed.
+        notes: what was left out, for users.
+    """
+
+    data: Mapping[str, Any]
+    files: Mapping[str, bytes]
+    collision: tuple[CollisionGeometry, ...]
+    mass: float
+    mass_is_guessed: bool
+    is_closed: bool
+    notes: tuple[str, ...]
+
+    def with_set(self, name: str) -> dict[str, Any]:
+        """The config with its files in a mesh set."""
+
+        def named(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
+            return [{"set": name, **mesh} for mesh in meshes]
+
+        data = dict(self.data)
+        (data["mesh"],) = named([data["mesh"]])
+        if "meshes" in data:
+            data["meshes"] = named(data["meshes"])
+        if "links" in data:
+            data["links"] = [{**link, "meshes": named(link["meshes"])} for link in data["links"]]
+        return data
+
+
+def build_object(
+    thing: ObjectDescription, options: ImportOptions, cache: Path, share: Share = lambda done: None
+) -> BuiltObject:
+    """The config and files of a thing in metres, z up.
+
+    Args:
+        cache: folder of convex decompositions.
+        share: called with the share of the work that is done, 0 to 1.
+
+    Raises:
+        ResourceError: no config can be made of the thing.
+    """
+    if not thing.parts[0].looks:
+        raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has nothing that can be seen")
+    base = merged_surface(thing.parts[0].looks)
+    _require_volume(base[0], options.name)
+    labels = _labels(thing)
+    solids = [solid_or_sheet(*merged_surface(part.looks)) if part.looks else None for part in thing.parts]
+    weights = _weights(thing, options, [None if solid is None else solid[0] for solid in solids])
+    collision = []
+    for number, (part, label) in enumerate(zip(thing.parts, labels, strict=True)):
+        part_share = functools.partial(_report_part, share, number, len(thing.parts))
+        geometry = collision_geometry(label, part.looks, part.shapes, options.collision, cache, part_share)
+        collision.append(geometry)
+    depth, level = _rim_depth(*base), _level_height(*base)
+    origin = _origin(base[0], weights[0], stands=level is not None)
+    looks = [make_visual_meshes(f"{label}_look", part.looks) for part, label in zip(thing.parts, labels, strict=True)]
+    data: dict[str, Any] = {
+        "name": options.name,
+        **_meshes(looks[0], origin),
+        "inertia": plain_inertia(replace(weights[0], centre=weights[0].centre - origin), options.name),
+        "contact": _contact(collision[0], options.friction or thing.friction or _FRICTION),
+        "collision": [shift_part(part, -origin) for part in collision[0].parts],
+        "rest_height": round(max(0.0, float(origin[2]) - _lowest(thing)), 5),
+    }
+    if level is not None:
+        data["support"] = round(max(0.0, level - float(origin[2])), 5)
+    if depth >= IN_DEPTH:
+        data["preposition"] = "in"
+    if (options.base or ("fixed" if thing.fixed else "free")) == "fixed":
+        data["base"] = "fixed"
+    if len(thing.parts) > 1:
+        data["links"] = [
+            _link(part, labels, number, weights[number], looks[number], collision[number], origin)
+            for number, part in enumerate(thing.parts)
+            if number
+        ]
+    if thing.parts[0].handles:
+        data["handles"] = [_shifted(handle, origin) for handle in thing.parts[0].handles]
+    if held := _grasp(base, weights[0].mass, origin):
+        data["grasp"] = held
+    return BuiltObject(
+        data,
+        _files(looks, collision, origin),
+        tuple(collision),
+        mass=sum(weight.mass for weight in weights),
+        mass_is_guessed=options.mass is None
+        and options.density is None
+        and any(part.weight is None for part in thing.parts),
+        is_closed=all(solid[1] for solid in solids if solid is not None),
+        notes=thing.notes,
+    )
+
+
+def _report_part(share: Share, number: int, parts: int, done: float) -> None:
+    share(number / parts + 1 / parts * done)
+
+
+def _require_volume(vertices: Array, name: str) -> None:
+    """Refuse a thing whose base lies in one plane or on one line, whatever that plane's direction."""
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    if len(vertices) < 4 or spread[-1] <= _FLAT * spread[0]:
+        raise ResourceError(
+            f"{name}: all {len(vertices)} corners of its base lie in one plane: no volume; give it a thickness"
+        )
+
+
+def _labels(thing: ObjectDescription) -> list[str]:
+    """A name of letters, digits and underscores for each part; "base" for the base."""
+    labels = ["base"]
+    for part in thing.parts[1:]:
+        label = re.sub(r"\W+", "_", part.name, flags=re.ASCII).strip("_") or "part"
+        label = label if label[0].isalpha() else f"part_{label}"
+        while label in labels:
+            label += "_"
+        labels.append(label[:60])
+    return labels
+
+
+def _weights(
+    thing: ObjectDescription, options: ImportOptions, solids: list[UniformMassProperties | None]
+) -> list[MassProperties]:
+    weights = []
+    for part, solid in zip(thing.parts, solids, strict=True):
+        if part.weight is not None and options.density is None:
+            weights.append(part.weight)
+        elif solid is None:
+            raise ResourceError(f"{options.name}: part {part.name!r} has neither a weight nor anything to be seen")
+        else:
+            density = options.density or _DENSITY
+            weights.append(MassProperties(solid.volume * density, solid.centre, solid.inertia * density))
+    if options.mass is not None:
+        factor = options.mass / sum(weight.mass for weight in weights)
+        weights = [scale_mass(weight, factor) for weight in weights]
+    return weights
+
+
+def _origin(vertices: Array, weight: MassProperties, *, stands: bool) -> Array:
+    """The origin (3,): under the middle of a thing on which others are placed, else the centre of mass; to 10 um."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = np.array([*_base_centre(vertices), low[2]]) if stands else weight.centre
+    origin: Array = np.round(np.clip(middle, low, high), 5)
+    return origin
+
+
+def _base_centre(vertices: Array) -> Array:
+    """The middle (x, y) of the lowest tenth of a thing: a handle at its side does not move this point."""
+    low, high = vertices[:, 2].min(), vertices[:, 2].max()
+    foot = vertices[vertices[:, 2] < low + 0.1 * (high - low)][:, :2]
+    middle: Array = (foot.min(axis=0) + foot.max(axis=0)) / 2
+    return middle
+
+
+def _surface_heights(vertices: Array, faces: Faces) -> Array:
+    """Heights of the highest surface at places around the middle; places without a surface are left out."""
+    ring = [(r * np.cos(a), r * np.sin(a)) for r in (0.25, 0.6, 1.0) for a in np.arange(8) * np.pi / 4 + 0.1]
+    found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MIDDLE * np.array([(0.013, 0.017), *ring]))
+    return np.array([heights[-1] for heights in found if len(heights)])
+
+
+def _level_height(vertices: Array, faces: Faces) -> float | None:
+    """The height of a level surface in the middle, seen from above, m; None if there is none."""
+    heights = _surface_heights(vertices, faces)
+    if len(heights) < 20 or np.ptp(heights) > _LEVEL:
+        return None
+    return float(np.median(heights))
+
+
+def _rim_depth(vertices: Array, faces: Faces) -> float:
+    """The depth of the middle under the rim, m."""
+    heights = _surface_heights(vertices, faces)
+    return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
+
+
+def _lowest(thing: ObjectDescription) -> float:
+    looks = [surface.moved(T) for part, T in zip(thing.parts, thing.poses(), strict=True) for surface in part.looks]
+    return min(float(surface.vertices[:, 2].min()) for surface in looks)
+
+
+def _contact(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
+    if (radius := rolling_radius(geometry.parts)) is not None:
+        return {"friction": [friction, _TORSION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
+    return {"friction": [friction, _TORSION, _ROLLING], "condim": 4}
+
+
+def _meshes(looks: VisualMeshes, origin: Array) -> dict[str, Any]:
+    first, *others = [{**mesh, "origin": [float(x) for x in origin]} for mesh in looks.meshes]
+    return {"mesh": first, **({"meshes": others} if others else {})}
+
+
+def _link(
+    part: RigidPart,
+    labels: list[str],
+    number: int,
+    weight: MassProperties,
+    looks: VisualMeshes,
+    geometry: CollisionGeometry,
+    origin: Array,
+) -> dict[str, Any]:
+    assert part.parent is not None and part.joint is not None  # only the base has none
+    shift = origin if part.parent == 0 else np.zeros(3)
+    joint = dict(part.joint)
+    if not joint.get("damping") and not joint.get("friction"):
+        joint |= _RUBS["slide" if joint["type"] == "slide" else "hinge"]
+    joint["start"] = min(max(0.0, joint["range"][0]), joint["range"][1])
+    link: dict[str, Any] = {
+        "name": labels[number],
+        **({"parent": labels[part.parent]} if part.parent else {}),
+        "position": [round(float(x), 6) for x in part.T_in_parent[:3, 3] - shift],
+        "quat": [round(float(q), 8) for q in quat_from_rotation(part.T_in_parent[:3, :3])],
+        "joint": {key: _plain(value) for key, value in joint.items()},
+        "inertia": plain_inertia(weight, labels[number]),
+        "meshes": [{**mesh, "origin": [0.0, 0.0, 0.0]} for mesh in looks.meshes],
+        "collision": [dict(entry) for entry in geometry.parts],
+    }
+    if part.handles:
+        link["handles"] = [_shifted(handle, np.zeros(3)) for handle in part.handles]
+    return link
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, 8)
+    return [round(float(x), 8) for x in value] if isinstance(value, list | tuple) else value
+
+
+def _shifted(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
+    name = re.sub(r"\W+", "_", str(handle["name"]), flags=re.ASCII)
+    position = [round(float(x), 6) for x in np.subtract(handle["position"], origin)]
+    return {**{key: _plain(value) for key, value in handle.items()}, "name": name, "position": position}
+
+
+def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
+    """All files; the collision meshes of the base are shifted to its origin."""
+    files: dict[str, bytes] = {}
+    for look in looks:
+        files |= look.files
+    for number, geometry in enumerate(collision):
+        for name, data in geometry.files.items():
+            vertices, faces = read_stl(data)
+            files[name] = stl_bytes(vertices - origin, faces) if number == 0 else data
+    return files
+
+
+def _grasp(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
+    """A grasp around the base; None if nothing of the base fits between two fingers."""
+    body = PointBody.inside(base[0] - origin, base[1])
+    if not len(body.points):
+        return None
+    heights = base[0][:, 2] - origin[2]
+    try:
+        return overhead_grasp(body, mass, float(heights.min()), float(heights.max()))
+    except (ValueError, AssertionError):
+        return None

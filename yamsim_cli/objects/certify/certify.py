@@ -1,0 +1,132 @@
+"""Certify a thing: all checks, in their order, each after those that it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.files.resources import Locations
+
+from . import grasp_check as grasp
+from . import physics_checks as physics
+from . import static_checks as static
+from .check_outcome import CheckOutcome, skipped_check
+from .static_checks import collision_kinds
+from .tested_object import TestedObject, read_tested_object
+
+# Called with the number of checks done, the number of all checks, and the next code.
+CheckDone = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class ThingCheck:
+    """One check of a certificate.
+
+    Attributes:
+        code: `<subject>.<fault>`, stable across versions.
+        title: the fault, as a clause.
+        advice: how to correct the fault.
+        needs: codes of the checks that must not have failed before this one is made.
+    """
+
+    code: str
+    title: str
+    advice: str
+    make: Callable[[TestedObject], CheckOutcome]
+    needs: tuple[str, ...] = ()
+
+
+_SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
+_HEAVY = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
+
+_ALL = (
+    ThingCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
+               static.check_size),
+    ThingCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.check_closed,
+               _SURFACES[:1]),
+    ThingCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made", static.check_normals,
+               _SURFACES[:2]),
+    ThingCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density, _SURFACES),
+    ThingCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m", static.check_centre_of_mass,
+               _SURFACES[:1]),
+    ThingCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
+               "mend `inertia.diagonal`, kg m2", static.check_inertia, ("size.implausible", "mass.density", "mass.centre")),
+    ThingCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
+               static.check_collision_geometry, _SURFACES),
+    ThingCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
+               physics.check_rest, _HEAVY),
+    ThingCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.check_drop,
+               _HEAVY),
+    ThingCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
+               physics.check_ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
+    ThingCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
+               physics.check_articulation, _HEAVY),
+    ThingCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
+               grasp.check_grasp, _HEAVY),
+)  # fmt: skip
+
+CHECKS: Mapping[str, ThingCheck] = {check.code: check for check in _ALL}
+
+
+@dataclass(frozen=True)
+class CertificationResult:
+    """The outcomes of all checks, by code."""
+
+    subject: TestedObject
+    outcomes: Mapping[str, CheckOutcome]
+
+    @property
+    def ok(self) -> bool:
+        """Whether no check failed; some may not have been made."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The codes of the failed checks."""
+        return tuple(code for code, outcome in self.outcomes.items() if outcome.ok is False)
+
+    def to_json_data(self) -> dict[str, Any]:
+        """The certificate as JSON, always the same for the same thing."""
+        item = self.subject.item
+        return {
+            "ok": self.ok,
+            "thing": item.name,
+            "checks": [
+                {"code": code, "ok": outcome.ok, "figures": dict(outcome.figures), "note": outcome.note}
+                for code, outcome in self.outcomes.items()
+            ],
+            "mass_kg": round(item.inertia.mass + sum(link.inertia.mass for link in item.links), 6),
+            "collision": {
+                "kind": collision_kinds(item.collision),
+                "parts": len(item.collision) + sum(len(link.collision) for link in item.links),
+            },
+        }
+
+
+def certify(
+    item: ObjectConfig,
+    meshes: Mapping[str, Path | None],
+    locations: Locations,
+    progress: CheckDone = lambda done, total, code: None,
+) -> CertificationResult:
+    """Make every check of a thing.
+
+    Args:
+        meshes: asset set -> folder; without the folders, visual surfaces are not checked.
+
+    Raises:
+        ResourceError: the thing cannot be read.
+    """
+    subject = read_tested_object(item, meshes, locations)
+    outcomes: dict[str, CheckOutcome] = {}
+    for number, (code, check) in enumerate(CHECKS.items()):
+        progress(number, len(CHECKS), code)
+        failed = [other for other in check.needs if outcomes[other].ok is False]
+        if failed:
+            outcomes[code] = skipped_check(f"means nothing before {', '.join(failed)} is mended")
+        else:
+            outcomes[code] = check.make(subject)
+    return CertificationResult(subject, outcomes)

@@ -1,0 +1,96 @@
+"""The outcome of a check: figures, a note, and views of the thing to be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
+
+from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
+
+_MARK = (0.85, 0.15, 0.10, 1.0)  # colour of the centre of mass
+_THIN = 0.35  # opacity of the thing around that mark
+
+
+@dataclass(frozen=True)
+class CheckView:
+    """A state of a scene to be drawn by its camera `view`."""
+
+    model: mujoco.MjModel
+    qpos: Array
+    caption: str
+
+
+@dataclass(frozen=True)
+class CheckOutcome:
+    """The outcome of one check.
+
+    Attributes:
+        ok: None if the check was not made.
+        figures: measured values, by names with units.
+        note: what is wrong, or why the check was not made; else empty.
+    """
+
+    ok: bool | None
+    figures: Mapping[str, float | int | str] = field(default_factory=dict)
+    note: str = ""
+    views: tuple[CheckView, ...] = ()
+
+
+def skipped_check(why: str) -> CheckOutcome:
+    """The outcome of a check that does not apply or cannot be made."""
+    return CheckOutcome(None, note=why)
+
+
+def round_significant(value: Any, digits: int = 4) -> float:
+    """A number rounded to significant digits."""
+    return float(f"{float(value):.{digits}g}")
+
+
+def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
+    """A view of the thing as it stands; `steep` is the camera's height over its distance."""
+    return _view(_spec(tested_object, steep), caption)
+
+
+def collision_view(tested_object: TestedObject) -> CheckView:
+    """A view of the collision geoms."""
+    view = _view(_spec(tested_object, 0.75), "what touches")
+    touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
+    view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
+    return view
+
+
+def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
+    """A view of the transparent thing with its centre of mass, or with the block of the same moments of inertia."""
+    inertia = tested_object.item.inertia
+    spec = _spec(tested_object, 0.75)
+    size = np.full(3, 0.03 * tested_object.size)
+    if block:
+        # The moments of a block are m (b2 + c2) / 12, and so on.
+        moments = np.array(inertia.diagonal)
+        size = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 1e-8)) / 2
+    kind = mujoco.mjtGeom.mjGEOM_BOX if block else mujoco.mjtGeom.mjGEOM_SPHERE
+    spec.body(tested_object.item.name).add_geom(
+        type=kind, size=size, pos=inertia.centre, quat=np.array(inertia.quat) / np.linalg.norm(inertia.quat),
+        rgba=_MARK, contype=0, conaffinity=0, mass=0, group=SEEN_GROUP, name="certificate_mark",
+    )  # fmt: skip
+    for material in spec.materials:
+        material.rgba = (*material.rgba[:3], _THIN)
+    return _view(spec, "as hard to turn as this block" if block else "its centre of mass")
+
+
+def _spec(tested_object: TestedObject, steep: float) -> mujoco.MjSpec:
+    low, high = tested_object.outline.min(axis=0), tested_object.outline.max(axis=0)
+    size = float(np.linalg.norm(high - low))
+    return with_camera(object_spec(tested_object.item, tested_object.meshes), (low + high) / 2, size, steep)
+
+
+def _view(spec: mujoco.MjSpec, caption: str) -> CheckView:
+    model = compile_or_raise(spec)
+    return CheckView(model, model.qpos0.copy(), caption)

@@ -1,0 +1,246 @@
+"""Whether the skill `pick` lifts a thing from a table, and whether the hand then holds it, turned and shaken."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import ArmConfig, RigConfig
+from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import (
+    Array,
+    inverse,
+    pose,
+    pose_from_quat,
+    quat_from_rotation,
+    rotation_from_vector,
+    rotation_vector,
+)
+from yamsim_cli.core.robots.robot import Robot
+from yamsim_cli.core.scene.arm_model import arm_spec, finger_addresses
+from yamsim_cli.core.scene.compilation import physics_failure
+from yamsim_cli.core.scene.compose import set_friction_cones
+from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp, simulate_pick
+
+from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
+from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
+
+_CLOSE, _HOLD, _TURN, _SHAKE = 0.8, 0.8, 1.6, 1.0  # s, time to close, to lift, and for each rotation and shake
+_STEP = 0.02  # s, between two commands
+_LIFT, _ANGLE = 0.05, np.radians(45)  # m, rad, lift, and rotation about the closing axis and the one across
+_AMPLITUDE, _RATE = 0.015, 3.0  # m, Hz, of the shaking
+_MOVED, _TURNED = 0.012, np.radians(20)  # m, rad, most slip between the pads that still counts as held
+
+_PREFIX, _BASE = "hand_", "hand_base"
+_MASS = 20.0  # kg, of the base: so heavy that a held thing does not move it
+_STIFF, _DAMP = 8e4, 2.6e3  # N/m, N s/m, of the base's drives, as stiff as a robot's flange
+_TURN_STIFF, _TURN_DAMP = 2e3, 60.0  # N m/rad, N m s/rad
+
+
+def check_grasp(tested_object: TestedObject) -> CheckOutcome:
+    """Whether the skill `pick` lifts the thing from a table, and two pads then hold the thing by the same grasp."""
+    item = tested_object.item
+    if item.links or item.base == "fixed":
+        return skipped_check("it is opened rather than lifted: its handles are for that")
+    if item.grasp is None or item.grasp.friction is None:
+        return skipped_check("it says nowhere how friction could hold it")
+    friction = item.grasp.friction
+    if friction.hands > 1:
+        return skipped_check("it takes two hands, and one alone was to try")
+    widest = _full_opening(tested_object.locations)
+    if all(point.opening >= widest for point in friction.points):
+        return skipped_check(
+            f"{2000 * item.grasp.opening:.4g} mm wide: more than the hand opens, {2000 * widest:.4g} mm"
+        )
+    try:
+        taken = simulate_pick(item, replace(tested_object.locations, meshes=tested_object.meshes))
+    except SkillFailedError as error:
+        return CheckOutcome(
+            False, {"force_n": round_significant(friction.force, 3)}, f"the skill `pick` fails: {error}"
+        )
+    return _check_hold(_GripperRig.for_object(tested_object), taken, item.grasp.clearance)
+
+
+def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> CheckOutcome:
+    """Whether a thing stays between the pads while the hand lifts, turns and shakes it."""
+    T = inverse(taken.T_thing_in_pinch)
+    gravity = hand.model.opt.gravity.copy()
+    # Gravity is off until the pads press.
+    hand.model.opt.gravity[:] = 0.0
+    hand.put(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
+    for share in np.linspace(0, 1, round(_CLOSE / 2 / _STEP)):
+        hand.squeeze(taken.opening + clearance * (1 - share))
+        hand.run(_STEP)
+    hand.squeeze(taken.opening - 2 * taken.force / hand.drive_gain)
+    hand.run(_CLOSE / 2)
+    hand.model.opt.gravity[:] = gravity
+    held = hand.T_thing_in_pinch
+    slips = [_move_along(hand, T, held, np.linspace(0, 1, round(_HOLD / _STEP)), _lift_pose)]
+    views = [CheckView(hand.model, hand.data.qpos.copy(), "lifted")]
+    there = np.sin(np.linspace(0, np.pi, round(_TURN / _STEP)))
+    slips += [_move_along(hand, T, held, there, functools.partial(_turn_pose, axis=axis)) for axis in (0, 1)]
+    times = np.linspace(0, _SHAKE, round(_SHAKE / _STEP))
+    slips += [_move_along(hand, T, held, times, functools.partial(_shake_pose, axis=axis)) for axis in range(3)]
+    views.append(CheckView(hand.model, hand.data.qpos.copy(), "after turning and shaking"))
+    moved, turned = (max(each[k] for each in slips) for k in (0, 1))
+    fault = ""
+    if physics_failure(hand.data) is not None or not np.isfinite(hand.data.qpos).all():
+        fault = "physics broke down"
+    elif moved > _MOVED or turned > _TURNED:
+        motions = ("lifted", "turned", "turned", "shaken", "shaken", "shaken")
+        when = next(word for word, (a, b) in zip(motions, slips, strict=True) if a > _MOVED or b > _TURNED)
+        fault = f"when {when}, it slips {moved * 1000:.3g} mm and turns {np.degrees(turned):.3g} degrees in the pads"
+    figures = {
+        "force_n": round_significant(taken.force, 3),
+        "lean_deg": round_significant(np.degrees(np.arccos(np.clip(-T[2, 2], -1, 1))), 3),
+        "slip_mm": round_significant(moved * 1000, 3),
+        "turn_deg": round_significant(np.degrees(turned), 3),
+    }
+    return CheckOutcome(not fault, figures, fault, tuple(views))
+
+
+def _move_along(
+    hand: _GripperRig, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]
+) -> tuple[float, float]:
+    """Move the hand along a path: the largest translation (m) and rotation (rad) of the thing in the pinch frame."""
+    most = (0.0, 0.0)
+    for share in path:
+        hand.aim(at(T, float(share)))
+        hand.run(_STEP)
+        moved, turned = _slip(held, hand.T_thing_in_pinch)
+        most = (max(most[0], moved), max(most[1], turned))
+    return most
+
+
+def _lift_pose(T: Array, share: float) -> Array:
+    return pose((0, 0, _LIFT * share)) @ T
+
+
+def _turn_pose(T: Array, share: float, axis: int) -> Array:
+    return pose((0, 0, _LIFT)) @ T @ pose((0, 0, 0), rotation_from_vector(_ANGLE * share * np.eye(3)[axis]))
+
+
+def _shake_pose(T: Array, time: float, axis: int) -> Array:
+    by = _AMPLITUDE * np.sin(2 * np.pi * _RATE * time) * np.eye(3)[axis]
+    return pose(np.array([0, 0, _LIFT]) + by) @ T
+
+
+def _arm(locations: Locations) -> ArmConfig:
+    return load_config(RigConfig, "rigs", PICK_RIG, locations).arms[0]
+
+
+def _full_opening(locations: Locations) -> float:
+    fingers = _arm(locations).robot.fingers
+    assert fingers is not None  # the rig has fingers
+    return fingers.full_opening
+
+
+@dataclass
+class _GripperRig:
+    """Gripper linear_4310 on a driven base, and a thing without ground; the base has the pinch frame.
+
+    Attributes:
+        T_start: pose (4, 4) of the base with its joints at 0.
+    """
+
+    subject: TestedObject
+    robot: Robot
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    T_start: Array
+
+    @classmethod
+    def for_object(cls, tested_object: TestedObject) -> _GripperRig:
+        """The hand at the origin, with the fingers at the model's default."""
+        arm = _arm(tested_object.locations)
+        child, robot = arm_spec(arm, None), arm.robot
+        for actuator in list(child.actuators):
+            if actuator.name in robot.joint_drives:
+                child.delete(actuator)
+        child.delete(child.joint(robot.joint_names[-1]))
+        link, pinch = child.body(robot.flange), child.site("pinch_site")
+        link.pos, link.quat = (0, 0, 0), (1, 0, 0, 0)
+        T = inverse(pose_from_quat(pinch.pos, pinch.quat))
+        spec = with_camera(
+            object_spec(tested_object.item, tested_object.meshes),
+            (0, 0, 0.04),
+            max(tested_object.size, 0.22),
+            steep=0.35,
+        )
+        base = spec.worldbody.add_body(name=_BASE, mass=_MASS, inertia=[0.2, 0.2, 0.2], gravcomp=1)
+        base.explicitinertial = True
+        slide = (mujoco.mjtJoint.mjJNT_SLIDE, _STIFF, _DAMP)
+        hinge = (mujoco.mjtJoint.mjJNT_HINGE, _TURN_STIFF, _TURN_DAMP)
+        for first, (kind, stiff, damp) in ((0, slide), (3, hinge)):
+            for axis in range(3):
+                name = f"{_BASE}_{first + axis}"
+                base.add_joint(name=name, type=kind, axis=np.eye(3)[axis])
+                drive = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+                drive.set_to_position(kp=stiff, kv=damp)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # MuJoCo warns of options of the arm, which do not matter here
+            frame = base.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
+            frame.attach_body(link, _PREFIX, "")
+        for body in spec.bodies:
+            if body.name.startswith(_PREFIX):
+                body.gravcomp = 1
+        set_friction_cones(spec)
+        model = compile_or_raise(spec)
+        return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
+
+    def put(self, T_pinch: Array, opening: float) -> None:
+        """Put the hand at rest at a pinch pose (4, 4) with each finger open (m), and the thing at the origin."""
+        body = self.model.body(_BASE)
+        body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
+        self.T_start = T_pinch
+        mujoco.mj_resetData(self.model, self.data)
+        address, sign = finger_addresses(self.model, self.robot, _PREFIX)
+        self.data.qpos[address] = opening * sign
+        self.squeeze(opening)
+        mujoco.mj_forward(self.model, self.data)
+
+    def aim(self, T_pinch: Array) -> None:
+        """Command the pose (4, 4) of the pinch."""
+        T = inverse(self.T_start) @ T_pinch
+        for number, value in enumerate((*T[:3, 3], *_angles(T[:3, :3]))):
+            self.data.ctrl[self.model.actuator(f"{_BASE}_{number}").id] = value
+
+    def squeeze(self, opening: float) -> None:
+        """Command the opening of each finger, m; less than the thing's size is a force."""
+        drive = self.model.actuator(f"{_PREFIX}gripper").id
+        self.data.ctrl[drive] = np.clip(opening, *self.model.actuator_ctrlrange[drive])
+
+    def run(self, seconds: float) -> None:
+        """Step physics for a time."""
+        step_seconds(self.model, self.data, seconds)
+
+    @property
+    def drive_gain(self) -> float:
+        """The gain of the gripper's drive, N/m; both pads share the force."""
+        return float(self.model.actuator_gainprm[self.model.actuator(f"{_PREFIX}gripper").id][0])
+
+    @property
+    def T_thing_in_pinch(self) -> Array:
+        """The pose (4, 4) of the thing in the pinch frame."""
+        site, body = self.data.site(f"{_PREFIX}pinch_site"), self.data.body(self.subject.item.name)
+        T: Array = inverse(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
+        return T
+
+
+def _slip(before: Array, after: Array) -> tuple[float, float]:
+    """The translation at the pads (m) and the rotation (rad) between two poses of the thing in the pinch frame."""
+    T = after @ inverse(before)
+    return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
+
+
+def _angles(rotation: Array) -> Array:
+    """Intrinsic x-y-z Euler angles (3,), rad."""
+    y = np.arcsin(np.clip(rotation[0, 2], -1, 1))
+    return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])

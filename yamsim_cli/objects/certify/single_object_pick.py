@@ -1,0 +1,178 @@
+"""A single thing on a table in front of one arm, and how the skill `pick` picks it up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import AttemptJob, FailureCause
+from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.config.goals.world import TABLE
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import GraspPoint, ObjectConfig
+from yamsim_cli.core.config.program_task import PROGRAM, ProgramTask
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.commands import path_actions
+from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.episode_rules import EpisodeRules
+from yamsim_cli.core.episode.sampling import describe_missing_start, sample_attempt
+from yamsim_cli.core.episode.simulator import Simulator, open_episode
+from yamsim_cli.core.expert.planning.arm_solvers import start_postures
+from yamsim_cli.core.expert.skills.grasp_candidates import friction_candidates
+from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
+from yamsim_cli.core.expert.skills.planning_context import PlanningContext, SkillFailedError
+from yamsim_cli.core.expert.skills.program import RecoveryLog, build_program, run_program
+from yamsim_cli.core.expert.skills.skill import Skill
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.scene.random_streams import Stream, random_generator
+
+#: The rig whose hand picks things up.
+PICK_RIG = "single_linear"
+
+_THING = "thing"
+_PLACE = (0.33, 0.15)  # m, in `world`: middle of the thing; well within reach, beside the hand's start
+_HEADINGS = (0.0, 90.0)  # degrees, of the thing; the second is tried if `pick` fails with the first
+_JOB = AttemptJob(0, 0)  # the seed and number from which everything random follows
+
+
+@dataclass(frozen=True)
+class PickedGrasp:
+    """The grasp of a thing that `pick` has lifted.
+
+    Attributes:
+        T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
+        opening: commanded opening of each finger around the thing, m.
+        force: of each finger, N.
+    """
+
+    T_thing_in_pinch: Array
+    opening: float
+    force: float
+
+
+def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
+    """Run `pick` on a thing in physics, and return the resulting grasp.
+
+    Args:
+        locations: with the folders of the thing's meshes, if it collides by meshes.
+
+    Raises:
+        SkillFailedError: `pick` failed in each heading of the thing; the error is that of the last one.
+        SimulationError: the scene cannot be compiled.
+    """
+    *first, last = _HEADINGS
+    for heading in first:
+        with suppress(SkillFailedError):
+            return _pick_at_heading(item, locations, heading)
+    return _pick_at_heading(item, locations, last)
+
+
+def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
+    """Return the grasp points of a thing that `pick` can use, those with the least lean of the hand first.
+
+    Nothing is simulated: a grasp point counts if in one of the headings the arm reaches it without contacts. A thing
+    that one hand cannot lift has none.
+
+    Args:
+        locations: as of `simulate_pick`.
+
+    Raises:
+        SkillFailedError: the thing has no room on the table.
+        SimulationError: the scene cannot be compiled.
+    """
+    if item.grasp is None or item.grasp.friction is None or item.links or item.base == "fixed":
+        return ()
+    points = item.grasp.friction.points
+    leans = np.full(len(points), np.inf)
+    for heading in _HEADINGS:
+        with _pick_setup(item, locations, heading) as setup:
+            leans = np.minimum(
+                leans, [_least_tilt(setup.context, item.with_grasp_points((point,))) for point in points]
+            )
+    return tuple(points[k] for k in np.argsort(leans, kind="stable") if np.isfinite(leans[k]))
+
+
+def _least_tilt(context: PlanningContext, item: ObjectConfig) -> float:
+    """Return the least lean of a hand from straight down at an object's grasp points, in whole degrees.
+
+    Returns:
+        Infinity if the hand cannot use any of them.
+    """
+    pick, hand = Pick(thing=_THING), context.hands[0]
+    for grip in friction_candidates(item):
+        if isinstance(pick.find_reachable_grasp(context, hand, _THING, grip), ReachableGrasp):
+            return round(math.degrees(math.acos(np.clip(-grip.T_pinch_in_thing[2, 2], -1, 1))))
+    return math.inf
+
+
+@dataclass(frozen=True)
+class _PickSetup:
+    """A thing at rest on the table, with the engine, the bench and the program."""
+
+    scene: CompiledScene
+    episode: Episode
+    context: PlanningContext
+    program: Sequence[Skill]
+    roles: RoleAssignment
+
+
+@contextmanager
+def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_PickSetup]:
+    session = Session(_config(item, locations, heading), locations)
+    task = session.config.task
+    with Simulator(session) as simulator:
+        cast = simulator.roles
+        attempt = sample_attempt(simulator, _JOB)
+        if attempt.start is None:
+            raise SkillFailedError(FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt))
+        episode = open_episode(simulator, attempt, EpisodeRules())
+        stands, rng = list(start_postures(session.config)), random_generator(_JOB, Stream.SEARCH)
+        bench = simulator.expert_tools.planning_context(episode.world, stands, rng)
+        yield _PickSetup(simulator.scene, episode, bench, build_program(task, cast), cast)
+
+
+def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -> PickedGrasp:
+    with _pick_setup(item, locations, heading) as setup:
+        for segment in run_program(setup.program, setup.context, setup.roles, RecoveryLog()):
+            setup.episode.act(path_actions(setup.scene, segment.paths))
+        hand = setup.context.hands[0]
+        return PickedGrasp(setup.context.update_held(hand).T_thing_in_pinch, hand.opening, hand.grip_force)
+
+
+def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
+    """Return the config of a recording whose program is `pick` alone."""
+    x, y = _PLACE
+    task = ProgramTask.model_validate(
+        {
+            "name": "take",
+            "kind": PROGRAM,
+            "rig": PICK_RIG,
+            "things": {_THING: {"of": (item,)}},
+            "starts": {_THING: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},
+            "phrasings": {"training": ("take it",)},
+            "goal": {"all": [{"above": {"thing": _THING, "other": TABLE, "by": 0.03}}]},
+            "expert": [{"pick": {"thing": _THING}}],
+        }
+    )
+    return RecordConfig.model_validate(
+        {
+            "rig": load_config(RigConfig, "rigs", PICK_RIG, locations),
+            "scene": load_config(SceneConfig, "scenes", "tabletop", locations),
+            "task": task,
+            "grasp": "contact",
+            "seed": _JOB.seed,
+            "wrist": False,
+            "image": {"size_px": (64, 48), "jpeg_quality": 85},
+            "render": load_config(RenderConfig, "quality", "fast", locations),
+        }
+    )

@@ -1,0 +1,145 @@
+"""The thing under test: its config, visual surfaces and collision points, and scenes of the thing alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.config.scene import FixedCamera, Light
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.loft import Surface, concatenate_surfaces, weld_vertices
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.cameras import add_camera, fixed_camera
+from yamsim_cli.core.scene.compilation import compile_spec
+from yamsim_cli.core.scene.objects.scene_object import add_object
+from yamsim_cli.core.sim.geom_shapes import body_surface, geom_corners
+
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # as the table's in configs/scenes/tabletop.yaml
+_GROUND_HALF = (1.0, 1.0, 0.05)  # m, half size: thick, so that no thing falls through
+_TIMESTEP = 0.002  # s
+_BACKGROUND = (0.80, 0.81, 0.82)  # colour behind the thing in pictures
+
+
+@dataclass(frozen=True)
+class TestedObject:
+    """A thing under test.
+
+    Attributes:
+        meshes: asset set -> folder, None where the set is not here.
+        locations: of the hand's model.
+        visual_surfaces: each visual mesh of the base as a surface with merged vertices, in the thing's frame; empty if a set is
+            not here.
+        collision_points: points (n, 3) on the base's collision geoms, in the thing's frame, m.
+    """
+
+    item: ObjectConfig
+    meshes: Mapping[str, Path | None]
+    locations: Locations
+    visual_surfaces: tuple[Surface, ...]
+    collision_points: Array
+
+    @property
+    def surface(self) -> Surface:
+        """All visual surfaces as one."""
+        return concatenate_surfaces(self.visual_surfaces)
+
+    @property
+    def outline(self) -> Array:
+        """Points (n, 3) on the visual surfaces, or on the collision geoms if the meshes are not here."""
+        return self.surface[0] if self.visual_surfaces else self.collision_points
+
+    @property
+    def size(self) -> float:
+        """The diagonal of the bounding box of the collision geoms, m."""
+        return float(np.linalg.norm(np.ptp(self.collision_points, axis=0)))
+
+
+def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> TestedObject:
+    """The thing of a config.
+
+    Raises:
+        ResourceError: a mesh cannot be read, or a mesh that the thing collides by is not here.
+        UsageError: the thing is cloth.
+    """
+    if item.cloth is not None:
+        raise UsageError(f"{item.name} is cloth, and certificates are of stiff things; give another object")
+    model = compile_or_raise(object_spec(item, meshes))
+    looks, points = [], []
+    here = all(meshes.get(name) is not None for name in item.mesh_sets)
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] != model.body(item.name).id:
+            continue
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+            points.append(geom_corners(model, geom))
+        elif here and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and "_look" in model.geom(geom).name:
+            looks.append(weld_vertices(*body_surface(model, [geom])))
+    return TestedObject(item, meshes, locations, tuple(looks), np.concatenate(points))
+
+
+def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed: bool = False) -> mujoco.MjSpec:
+    """A thing alone, without ground."""
+    spec = mujoco.MjSpec()
+    spec.compiler.autolimits = True
+    spec.compiler.balanceinertia = True  # impossible inertias compile, and fail their check
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = _TIMESTEP
+    add_object(spec, item, meshes, fixed=fixed)
+    for mesh in spec.meshes:
+        if "collide" not in mesh.name:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return spec
+
+
+def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
+    """The thing and a slab with its top at z = 0."""
+    spec = object_spec(tested_object.item, tested_object.meshes)
+    spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=_GROUND_HALF,
+        pos=[0, 0, -_GROUND_HALF[2]],
+        friction=_GROUND_FRICTION,
+        condim=4,
+        rgba=[0.62, 0.58, 0.53, 1],
+    )
+    return spec
+
+
+def with_camera(
+    spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
+) -> mujoco.MjSpec:
+    """The spec with lights, and a camera `view` that shows `size` (m) around a place from a height of `steep` sizes."""
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    light = Light(direction=(-0.35, 0.30, -1), diffuse=(0.6, 0.6, 0.6))
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=light.direction, diffuse=light.diffuse, castshadow=True
+    )
+    spec.add_texture(
+        name="certificate_sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=_BACKGROUND, rgb2=_BACKGROUND, width=16, height=16,
+    )  # fmt: skip
+    x, y, z = (float(v) for v in centre)
+    away = max(1.75 * size, 0.05)
+    eye = (x + 0.62 * away, y - 0.62 * away, z + steep * away)
+    add_camera(spec, fixed_camera("view", FixedCamera(position=eye, look_at=(x, y, z), fovy_deg=40)))
+    spec.stat.extent = max(3 * size, 0.1)
+    spec.stat.center = (x, y, z)
+    spec.visual.map.znear = 0.005
+    return spec
+
+
+def compile_or_raise(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The compiled spec. Raises `ResourceError`."""
+    return compile_spec(spec, "the thing", ResourceError)
+
+
+def step_seconds(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+    """Step physics for a time."""
+    mujoco.mj_step(model, data, round(seconds / model.opt.timestep))

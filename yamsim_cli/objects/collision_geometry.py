@@ -1,0 +1,129 @@
+"""Collision geometry of a part: fitted primitives, convex parts, a signed distance field, or a convex hull."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..core.geometry.closed_surface import is_closed
+from ..core.geometry.se3 import Array
+from ..core.geometry.stl import stl_bytes
+from .convex_decomposition import Body, Share, convex_hull, convexity, decompose
+from .part_surfaces import merged_surface
+from .primitive_fit import Scan, SolidFit, evaluate_fit, fit_hollow, fit_solid
+from .primitives import primitive_data
+from .readers.object_parts import Surface
+
+CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
+
+NEAR = 0.0015  # m, most distance of 99 % of the surface from its primitives
+_CONVEX = 0.995  # least share of its hull that a convex body fills
+
+
+@dataclass(frozen=True)
+class CollisionGeometry:
+    """The collision geometry of a part.
+
+    Attributes:
+        kind: "primitives", "decompose", "sdf" or "hull"; "file" for the geometry that the file has.
+        parts: as configs write them.
+        files: name -> STL that the parts name.
+        fit: of the primitives, if any were fitted.
+    """
+
+    kind: str
+    parts: tuple[Mapping[str, Any], ...]
+    files: Mapping[str, bytes]
+    fit: SolidFit | None = None
+
+
+def collision_geometry(
+    name: str,
+    looks: tuple[Surface, ...],
+    shapes: tuple[Mapping[str, Any] | Surface, ...] | None,
+    collision: CollisionMode,
+    cache: Path,
+    share: Share,
+) -> CollisionGeometry:
+    """The collision geometry of a part.
+
+    Args:
+        name: begins the names of the part's files.
+        shapes: the geometry that the file has, or None.
+        cache: of convex decompositions.
+
+    Raises:
+        ResourceError: a body cannot be decomposed.
+    """
+    if shapes is not None and collision == "auto":
+        return _of_file(name, shapes, cache, share)
+    meshes = tuple(shape for shape in shapes or () if isinstance(shape, Surface))
+    body = merged_surface(meshes if meshes and len(meshes) == len(shapes or ()) else looks)
+    if collision in ("auto", "primitives"):
+        fit = fit_primitives(body)
+        if collision == "primitives" or fit.most <= NEAR:
+            return CollisionGeometry("primitives", tuple(primitive_data(part) for part in fit.parts), {}, fit=fit)
+    if collision == "sdf":
+        return _of_meshes(name, "sdf", [body])
+    if collision == "hull" or (is_closed(body[1]) and convexity(body) > _CONVEX):
+        return _of_meshes(name, "hull", [convex_hull(body)])
+    return _of_meshes(name, "decompose", decompose(body, cache, share))
+
+
+def _of_file(
+    name: str, shapes: tuple[Mapping[str, Any] | Surface, ...], cache: Path, share: Share
+) -> CollisionGeometry:
+    parts: list[Mapping[str, Any]] = [shape for shape in shapes if not isinstance(shape, Surface)]
+    bodies: list[Body] = []
+    for shape in shapes:
+        if isinstance(shape, Surface):
+            body = merged_surface((shape,))
+            is_convex = shape.convex or (is_closed(body[1]) and convexity(body) > _CONVEX)
+            bodies += [convex_hull(body)] if is_convex else decompose(body, cache, share)
+    made = _of_meshes(name, "file", bodies)
+    return CollisionGeometry("file", (*parts, *made.parts), made.files)
+
+
+def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
+    parts, files = list[Mapping[str, Any]](), {}
+    for number, (vertices, faces) in enumerate(bodies):
+        file = f"{name}_{'sdf' if kind == 'sdf' else 'part'}_{number}.stl"
+        files[file] = stl_bytes(vertices, faces)
+        low, high = ([round(float(x), 5) for x in corner] for corner in (vertices.min(axis=0), vertices.max(axis=0)))
+        parts.append({"type": "sdf" if kind == "sdf" else "hull", "file": file, "low": low, "high": high})
+    return CollisionGeometry(kind, tuple(parts), files)
+
+
+def fit_primitives(body: Body) -> SolidFit:
+    """The primitives closest to a surface, measured over all of the surface, with its hollows."""
+    scan = Scan.from_mesh(*body)
+    solid = fit_solid(scan.points)
+    found = [evaluate_fit(solid.parts, scan.points)]
+    if hollow := fit_hollow(scan):
+        fit, (x, y) = hollow
+        # Rings are around the part's own z axis.
+        if abs(x) < 1e-4 and abs(y) < 1e-4:
+            found.append(evaluate_fit(fit.parts, scan.points))
+    return min(found, key=lambda fit: fit.rms)
+
+
+def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
+    """A collision part, shifted by (3,), m."""
+    at = {
+        key: [round(float(x), 6) for x in np.add(part[key], by)]
+        for key in ("centre", "start", "end", "low", "high")
+        if key in part
+    }
+    if part["type"] == "ring":
+        at = {key: [part[key][0], part[key][1] + float(by[2])] for key in ("inner", "outer")}
+    return {**part, **at}
+
+
+def rolling_radius(parts: tuple[Mapping[str, Any], ...]) -> float | None:
+    """The least radius of parts that are all balls and capsules, which roll; None for other parts."""
+    kinds = {part["type"] for part in parts}
+    return min(float(part["radius"]) for part in parts) if kinds <= {"sphere", "capsule"} else None

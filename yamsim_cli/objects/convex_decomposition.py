@@ -1,0 +1,165 @@
+"""Convex decomposition by CoACD in a child process, with a cache of results.
+
+Source: X. Wei, M. Liu, Z. Ling, H. Su, "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity
+and Tree Search", SIGGRAPH 2022; the package `coacd`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import ResourceError
+from ..core.files.writing import scratch_directory, sha256_bytes, write_file
+from ..core.geometry.closed_surface import is_closed, merge_vertices, uniform_mass_properties
+from ..core.geometry.se3 import Array
+from ..core.geometry.stl import Faces
+from ..core.scene.assets.child_process import python_call, run_child
+from ..core.scene.assets.sources import SourceError
+from .part_surfaces import simplified_mesh
+
+CACHE = "decomposed"  # folder of cached results, beside the mesh sets
+
+# Face counts of the reduced body, and its most deviation: the parts are a millimetre or two off anyway.
+_FACES, _NEAR_MM = (1_000, 2_000, 4_000, 8_000), 0.3
+
+# Parameters of CoACD, found by trying, see docs/figures.md: the remaining concavity, as a share of half the body's
+# length; the most parts; and the tree search for each cut.
+_SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
+_LIMIT_S = 300.0  # several times what a body of some thousand faces takes
+_MEMORY = 8_000_000_000  # bytes of the child
+_CORE_SECONDS = 1200  # of all cores together
+
+Share = Callable[[float], None]  # called with the share of the work that is done, 0 to 1
+Body = tuple[Array, Faces]
+
+
+def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
+    """Convex parts (vertices and triangles each) whose union approximates a body.
+
+    Args:
+        cache: a folder of earlier results, by the hash of the body and of all parameters.
+        limit_s: time limit.
+
+    Raises:
+        ResourceError: the extra is not installed, or the time or memory limit was reached.
+    """
+    if find_spec("coacd") is None:
+        raise ResourceError("taking a body apart needs coacd: pip install 'yamsim[import]', or --collision hull or sdf")
+    vertices, faces = merge_vertices(*body)
+    if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _NEAR_MM, closed=True)) is not None:
+        vertices, faces = fewer
+    how: dict[str, Any] = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
+    source = io.BytesIO()
+    np.savez(source, vertices=vertices, faces=faces)
+    text = json.dumps(how, sort_keys=True).encode()
+    file = cache / f"{sha256_bytes(vertices.tobytes() + faces.tobytes() + text)}.npz"
+    if (parts := _read(file)) is not None:
+        return parts
+    with scratch_directory("yamsim-parts-") as scratch:
+        (scratch / "body.npz").write_bytes(source.getvalue())
+        (scratch / "how.json").write_bytes(text)
+        data = _decompose_in_child(scratch, share, limit_s)
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        write_file(file, data)
+    except OSError as error:
+        raise ResourceError(f"{file} cannot be written: {error.strerror}") from error
+    parts = _read(file)
+    if parts is None:
+        raise ResourceError("taking the body apart gave no parts: try --collision sdf")
+    return parts
+
+
+def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
+    call = python_call("objects.convex.run_decomposition", str(scratch))
+    furthest = 0.0
+
+    def report_progress() -> int:
+        nonlocal furthest
+        log = (scratch / "stdout.txt").read_text(errors="replace")
+        # CoACD passes over all parts several times; the number of passes is not known in advance.
+        rounds = len(re.findall(r"iter \d+", log))
+        if re.search(r"Processing \[([\d.]+)%\]", log):
+            furthest = max(furthest, rounds / (rounds + 3))
+        share(furthest)
+        return 0
+
+    try:
+        result = run_child(call, scratch, limit_s=limit_s, idle_s=limit_s, watch=report_progress)
+    except SourceError as error:
+        raise ResourceError(
+            f"taking it apart into convex parts is {error}: reduce the mesh first, or take --collision sdf or hull"
+        ) from error
+    out = scratch / "parts.npz"
+    if result.returncode != 0 or not out.is_file():
+        last = (result.stderr.strip().splitlines() or [f"ended with {result.returncode}"])[-1][:200]
+        raise ResourceError(f"the body cannot be taken apart into convex parts ({last}): take --collision sdf or hull")
+    share(1.0)
+    return out.read_bytes()
+
+
+def run_decomposition(folder: str) -> None:
+    """Entry point of the child process: decompose the body in a folder, and write its parts there."""
+    import resource
+
+    import coacd
+
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (_CORE_SECONDS, _CORE_SECONDS))
+    scratch = Path(folder)
+    how = json.loads((scratch / "how.json").read_bytes())
+    with np.load(scratch / "body.npz", allow_pickle=False) as body:
+        mesh = coacd.Mesh(body["vertices"], body["faces"])
+    coacd.set_log_level("info")
+    parts = coacd.run_coacd(
+        mesh,
+        threshold=how["threshold"],
+        max_convex_hull=how["parts"],
+        # Remeshing would make many more faces of a closed body.
+        preprocess_mode="off" if how["closed"] else "on",
+        preprocess_resolution=40,
+        resolution=how["resolution"],
+        mcts_nodes=how["nodes"],
+        mcts_iterations=how["iterations"],
+        mcts_max_depth=how["depth"],
+        decimate=True,
+        max_ch_vertex=64,
+        seed=1,
+    )
+    arrays: dict[str, Any] = {}
+    for number, (vertices, faces) in enumerate(parts):
+        arrays[f"v{number}"], arrays[f"f{number}"] = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
+    np.savez(scratch / "parts.npz", **arrays)
+
+
+def _read(file: Path) -> list[Body] | None:
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            count = sum(name.startswith("v") for name in stored.files)
+            parts = [(stored[f"v{k}"], stored[f"f{k}"]) for k in range(count)]
+    except (OSError, ValueError, KeyError):
+        return None
+    return parts or None
+
+
+def convex_hull(body: Body) -> Body:
+    """The convex hull of a body."""
+    import manifold3d
+
+    found = manifold3d.Manifold.hull_points(np.asarray(body[0], np.float64)).to_mesh()
+    return np.array(found.vert_properties[:, :3], np.float64), np.array(found.tri_verts, np.int32)
+
+
+def convexity(body: Body) -> float:
+    """The volume of a closed body as a share of its hull's: 1 if the body is convex."""
+    around = uniform_mass_properties(*convex_hull(body)).volume
+    return abs(uniform_mass_properties(*body).volume) / around if around > 0 else 1.0

@@ -1,0 +1,148 @@
+"""Import a thing from a file: its meshes go into a set named by their content, and its config is written."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.files.writing import sha256_bytes, sha256_file, write_file
+from yamsim_cli.core.scene.assets import AssetStore, publish_user_set
+from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
+
+from ..building import BuiltObject, ImportOptions, build_object
+from ..convex_decomposition import CACHE, Share
+from ..readers.object_reader import UnitOptions, read_object
+
+_DIRECT = "imports"  # folder of the configs of files that were given in place of a config's name
+
+
+@dataclass(frozen=True)
+class ImportedObjectFile:
+    """A written config, and the thing it describes."""
+
+    path: Path
+    config: ObjectConfig
+    made: BuiltObject
+
+
+def object_name_of(path: Path) -> str:
+    """The name of a thing by its file, or by its folder if the file has a generic name such as `model`."""
+    stem = path.parent.name if path.stem.lower() in ("model", "mesh", "scene", "object", "textured") else path.stem
+    name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "thing"
+    return name if name[0].isalpha() else f"thing_{name}"
+
+
+def import_file(
+    file: Path,
+    units: UnitOptions,
+    options: ImportOptions,
+    locations: Locations,
+    out: Path | None,
+    share: Share = lambda done: None,
+) -> ImportedObjectFile:
+    """Import a file in one of the formats of `objects.readers`.
+
+    Args:
+        out: the YAML file to write; by default `<name>.yaml` in the user's own configs.
+        share: called with the share of the work that is done, 0 to 1.
+
+    Raises:
+        UsageError: the name is invalid, the config's file exists or has no folder, or the file states no unit or axis.
+        ResourceError: the file is refused, no config can be made of it, or a file cannot be written.
+    """
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", options.name):
+        raise UsageError(f"--name {options.name!r} is not valid: letters, digits and underscores, a letter first")
+    path = config_path(locations, options.name, out)
+    config, made, yaml = _build_and_publish(file, units, options, locations, share)
+    write_config(path, yaml)
+    return ImportedObjectFile(path, config, made)
+
+
+def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
+    """Import a file without options; the config is written beside the meshes. Raises as `import_file`."""
+    config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
+    path = locations.assets / _DIRECT / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
+    if not path.exists():
+        write_config(path, yaml)
+    return ImportedObjectFile(path, config, made)
+
+
+def config_path(locations: Locations, name: str, out: Path | None) -> Path:
+    """The path of a new config: `out`, or the place of a config of this name among the user's own.
+
+    Raises:
+        UsageError: there is no folder for the user's own configs, or the file exists.
+    """
+    if out is None and len(locations.data) < 2:
+        raise UsageError("no folder for configs of your own: set YAMSIM_DATA_DIR, or give --out FILE.yaml")
+    path = out or locations.data[0] / "configs" / "objects" / f"{name}.yaml"
+    if path.exists():
+        raise UsageError(f"{path} exists; move it away, or choose another --out")
+    return path
+
+
+def write_config(path: Path, yaml: str) -> None:
+    """Write a config, and create its folder. Raises `ResourceError`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, yaml.encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _build_and_publish(
+    file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
+) -> tuple[ObjectConfig, BuiltObject, str]:
+    """The config, the thing and the config's YAML; the meshes are published."""
+    if file.suffix.lower() == ".stl":
+        # STL states neither; most files for robots are in metres, z up.
+        units = replace(units, unit=units.unit or "m", up=units.up or "z")
+    made = build_object(read_object(file, units), options, locations.assets / CACHE, share)
+    sha256 = sha256_file(file)
+    about = {"source": file.name, "sha256": sha256, "told": asdict(units), "wishes": asdict(options)}
+    store = AssetStore(locations.assets)
+    set_name = publish_user_set(store, options.name, made.files, about)
+    data = made.with_set(set_name)
+    try:
+        config = ObjectConfig.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ResourceError(
+            f"{file}: no config can be made of it: {place}: {first['msg']}, found {first['input']!r:.60}"
+        ) from error
+    config = _with_reachable_grasps(config, replace(locations, meshes={set_name: store.root / set_name}))
+    if config.grasp is not None:
+        data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True)
+    return config, made, _comment(file, made, units, sha256) + dump_yaml(data)
+
+
+def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
+    """The config with only those grasps that the skill `pick` can use.
+
+    If the skill can use none, all of them stay, and the certificate reports the fault.
+    """
+    with suppress(SkillFailedError):
+        if places := reachable_grasp_points(config, locations):
+            return config.with_grasp_points(places)
+    return config
+
+
+def _comment(file: Path, made: BuiltObject, units: UnitOptions, sha256: str) -> str:
+    kinds = ", ".join(dict.fromkeys(geometry.kind for geometry in made.collision))
+    guess = " (a guess: nobody said)" if made.mass_is_guessed else ""
+    given = [(key, value) for key, value in asdict(units).items() if value is not None and value != 1.0]
+    flags = "".join(f" --{key} {value:g}" if key == "scale" else f" --{key} {value}" for key, value in given)
+    return (
+        f"# {file.name}, SHA-256 {sha256}. Written by `yamsim assets import {file.name}{flags}`.\n"
+        f"# It collides by {kinds} and weighs {made.mass * 1000:.4g} g{guess}.\n"
+    )

@@ -1,0 +1,33 @@
+"""Files of things in place of a config's name: `--object my_mug.glb`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..readers import ENDINGS
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.files.resources import Locations
+
+
+def import_if_file(name: str, locations: Locations, notify: Callable[[str], None]) -> str:
+    """The name of a thing's config: a file of a thing is imported, and any other name is returned as it is.
+
+    Args:
+        notify: called with a note about a guessed mass.
+
+    Raises:
+        UsageError, ResourceError: as `from_file.import_directly`.
+    """
+    if Path(name).suffix.lower() not in ENDINGS:
+        return name
+    from .file_import import import_directly
+
+    imported = import_directly(Path(name), locations)
+    if imported.made.mass_is_guessed:
+        notify(
+            f"{name}: {imported.made.mass * 1000:.3g} g is a guess: `yamsim assets import {name} --mass KG` says more."
+        )
+    return str(imported.path)

@@ -1,0 +1,338 @@
+"""Fits collision primitives to scans: solid primitives by least squares, floor and rings to the inside of vessels."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..core.geometry.closed_surface import sphere_directions
+from ..core.geometry.least_squares import LeastSquares, solve_least_squares
+from ..core.geometry.se3 import Array
+from ..core.geometry.shape_generators.generated_shape import simplify_polyline
+from ..core.geometry.stl import Faces, read_stl
+from ..core.geometry.surface_distance import sample_surface
+from .primitives import signed_distance
+
+_SAMPLES = 6000  # points of a scan; with as many, other samples change no fit by more than 0.1 mm
+
+_WORTH = 3e-4  # m, improvement of the fit that each further parameter of a shape must bring
+_DIMPLE = 0.0015  # m, depth under all tangent planes below which points lie in a dimple, which nothing touches
+_PLANES = 600  # tangent planes tried
+_LAID = 0.004  # m, height over the ground below which an end of a shape is moved to the ground
+_STEPS = 30  # most steps of a fit
+_NUDGE = 1e-5  # step of the finite differences
+_NO_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
+
+_DEEP = 0.3  # least depth of a vessel, as a share of its height
+_ROUNDNESS = 0.004  # m, most deviation of a vessel's radius over all directions
+_DIP = 0.006  # m, most descent of the inside on the way to the rim
+_BINS = 64  # directions, seen from the middle of the opening, in which the inside is measured
+_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, tried until the profile has few enough segments
+_PIECES = 6  # most segments of a profile
+_SEGMENTS = 24  # boxes of a ring
+_LEAST_WALL = 0.002  # m, things could pass through thinner walls
+
+Parts = tuple[Primitive, ...]
+Make = Callable[[Array], Parts]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Points sampled evenly from a surface; the same surface gives the same points.
+
+    Attributes:
+        points: (n, 3), m.
+        normals: outward normals (n, 3) at the points.
+        wall: thickness of a thin shell's wall, m: twice the volume over the area.
+    """
+
+    points: Array
+    normals: Array
+    wall: float
+
+    @classmethod
+    def read(cls, stl: bytes) -> Scan:
+        """The scan in a binary STL in metres. Raises `ResourceError` if the data is no binary STL."""
+        return cls.from_mesh(*read_stl(stl))
+
+    @classmethod
+    def from_mesh(cls, vertices: Array, faces: Faces) -> Scan:
+        """The scan of vertices (n, 3), m, and triangles (m, 3)."""
+        a, b, c = np.moveaxis(vertices[faces], 1, 0)
+        normals = np.cross(b - a, c - a)
+        twice = np.linalg.norm(normals, axis=1)
+        normals /= np.where(twice > 0, twice, 1)[:, None]
+        points, chosen = sample_surface((vertices, faces), _SAMPLES, np.random.default_rng(0))
+        volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+        # The sign of the volume corrects triangles of the opposite orientation.
+        return cls(points, normals[chosen] * np.sign(volume), 4 * abs(volume) / float(twice.sum()))
+
+    @property
+    def foot(self) -> float:
+        """The height of the lowest point, m."""
+        return float(self.points[:, 2].min())
+
+
+@dataclass(frozen=True)
+class SolidFit:
+    """Primitives fitted to a scan.
+
+    Attributes:
+        rms: root mean square of the scan's distances from the primitives, m.
+        most: 99th percentile of these distances, m.
+    """
+
+    parts: Parts
+    rms: float
+    most: float
+
+
+def evaluate_fit(parts: Parts, points: Array) -> SolidFit:
+    """The fit of given primitives to surface points (n, 3), m."""
+    distance = np.abs(signed_distance(parts, points))
+    return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
+
+
+def fit_solid(points: Array) -> SolidFit:
+    """The ball, cylinder, box, or row of up to three capsules that fits surface points (n, 3), m, best.
+
+    Dimples and holes, such as an apple's, do not count.
+    """
+    points = _outside(points)
+    best: tuple[float, SolidFit] | None = None
+    for make, start in _candidates(points):
+        fitted = solve_least_squares(_ShapeProblem(make, points), start, _STEPS)
+        assert fitted is not None  # the distances are defined everywhere
+        parts = _grounded(make(fitted[0]), float(points[:, 2].min()))
+        fit = evaluate_fit(parts, points)
+        cost = fit.rms + fit.most / 4 + _WORTH * len(start)
+        if best is None or cost < best[0]:
+            best = cost, fit
+    assert best is not None  # there are always candidates
+    return best[1]
+
+
+def _outside(points: Array) -> Array:
+    heights = points @ np.ascontiguousarray(sphere_directions(_PLANES).T)
+    depth = (heights.max(axis=0) - heights).min(axis=1)
+    near: Array = points[depth < _DIMPLE]
+    return near
+
+
+def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
+    low, high = np.percentile(points, (0.5, 99.5), axis=0)
+    centre, half = (low + high) / 2, (high - low) / 2
+    yield lambda p: _sphere(p, half[:2].min()), np.array([*centre, half.mean()])
+    yield _cylinder, np.array([*centre, half[:2].mean(), half[2]])
+    yaw = min(np.radians(np.arange(0, 90, 2)), key=lambda yaw: float(np.prod(_extent(points, yaw)[1])))
+    middle, size = _extent(points, yaw)
+    yield _box, np.array([*middle, centre[2], *size, half[2], yaw])
+    for count in (1, 2, 3):
+        yield _capsules, _row(points, count)
+
+
+def _sphere(p: Array, maximum: float) -> Parts:
+    """A sphere with a radius of at most `maximum`, so that it is not wider than the scan and fingers fit around it."""
+    return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), maximum)),)
+
+
+def _cylinder(p: Array) -> Parts:
+    return (Cylinder(type="cylinder", centre=_vector(p[:3]), radius=_size(p[3]), half_height=_size(p[4])),)
+
+
+def _box(p: Array) -> Parts:
+    size = (_size(p[3]), _size(p[4]), _size(p[5]))
+    return (Box(type="box", centre=_vector(p[:3]), half_size=size, yaw_deg=round(math.degrees(p[6]), 2)),)
+
+
+def _capsules(p: Array) -> Parts:
+    """A row of capsules, from the positions (x, y, z) of all joints followed by a radius for each capsule."""
+    count = (len(p) - 3) // 4
+    joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
+    return tuple(
+        Capsule(type="capsule", start=_vector(joints[k]), end=_vector(joints[k + 1]), radius=_size(radii[k]))
+        for k in range(count)
+    )
+
+
+def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
+    """Centre (x, y) and half-size of the bounding rectangle seen from above, rotated by `yaw`."""
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
+    return (low + high) / 2 @ turn, (high - low) / 2
+
+
+def _row(points: Array, count: int) -> Array:
+    """Initial parameters of a row of capsules: slices of equal length along the longest horizontal axis."""
+    centre = points.mean(axis=0)
+    along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
+    across = np.array([-along[1], along[0]])
+    t, w = ((points[:, :2] - centre[:2]) @ axis for axis in (along, across))
+    first, end = np.percentile(t, (0.2, 99.8))
+    edges = np.linspace(first, end, count + 1)
+    length = edges[-1] - edges[0]
+    joints, radii = list[Array](), list[float]()
+
+    def place(t: float, w: float, z: float) -> Array:
+        return np.array([*(centre[:2] + t * along + w * across), z])
+
+    for k in range(count):
+        inside = (t >= edges[k]) & (t <= edges[k + 1])
+        (w0, w1), (z0, z1) = (np.percentile(value[inside], (1, 99)) for value in (w, points[:, 2]))
+        radii.append((w1 - w0 + z1 - z0) / 4)
+        start = edges[k] + (min(radii[k], length / 2) if k == 0 else 0)
+        joints.append(place(start, (w0 + w1) / 2, (z0 + z1) / 2))
+        last = place(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
+    return np.concatenate([*joints, last, radii])
+
+
+@dataclass(frozen=True)
+class _FitState:
+    """A shape's parameters, and the distances of points from its surface (n,)."""
+
+    make: Make
+    points: Array
+    numbers: Array
+
+    @cached_property
+    def distance(self) -> Array:
+        return signed_distance(self.make(self.numbers), self.points)
+
+    @property
+    def cost(self) -> float:
+        return float(self.distance @ self.distance)
+
+    @cached_property
+    def _slope(self) -> Array:
+        """The Jacobian (n, k) of the distances by the parameters, by finite differences."""
+        nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _NUDGE * np.eye(len(self.numbers)))
+        return np.column_stack([(distance - self.distance) / _NUDGE for distance in nudged])
+
+    @property
+    def normal(self) -> Array:
+        return self._slope.T @ self._slope
+
+    @property
+    def gradient(self) -> Array:
+        return -self._slope.T @ self.distance
+
+
+class _ShapeProblem(LeastSquares[Array, _FitState]):
+    """Least squares of points' distances from a shape, over the shape's parameters."""
+
+    def __init__(self, make: Make, points: Array) -> None:
+        self._make, self._points = make, points
+
+    def linearize(self, state: Array, before: _FitState | None) -> _FitState:
+        return _FitState(self._make, self._points, state)
+
+    def apply_step(self, state: Array, step: Array) -> Array:
+        return state + step
+
+    def is_converged(self, state: Array, known: _FitState, step: Array, gain: Array) -> bool:
+        return bool(0 < gain < _NO_GAIN * known.cost)
+
+
+def _grounded(parts: Parts, ground: float) -> Parts:
+    """The parts, moved or extended so that those near the ground touch the ground and none is below it."""
+    laid: list[Primitive] = []
+    for part in parts:
+        match part:
+            case Sphere():
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + part.radius)}))
+            case Capsule():
+                ends = {key: getattr(part, key) for key in ("start", "end")}
+                for key, (x, y, z) in ends.items():
+                    if z - part.radius - ground < _LAID:
+                        ends[key] = (x, y, ground + part.radius)
+                laid.append(part.model_copy(update=ends))
+            case Cylinder():
+                top = part.centre[2] + part.half_height
+                half = (top - ground) / 2
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + half), "half_height": half}))
+            case Box():
+                half = (part.centre[2] + part.half_size[2] - ground) / 2
+                size = (*part.half_size[:2], half)
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + half), "half_size": size}))
+            case _:
+                laid.append(part)
+    return tuple(laid)
+
+
+def _vector(p: Sequence[float] | Array) -> tuple[float, float, float]:
+    return float(p[0]), float(p[1]), float(p[2])
+
+
+def _size(value: float) -> float:
+    return max(float(abs(value)), 1e-4)
+
+
+def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
+    """Floor and rings of a round, upright vessel, and the place (x, y) of its axis, m; None for any other thing.
+
+    The fit's frame has its origin on the axis, and heights as in the scan.
+    """
+    low, high = np.percentile(scan.points, (0.2, 99.8), axis=0)
+    axis = (low[:2] + high[:2]) / 2
+    points = scan.points - [*axis, 0]
+    radius = np.hypot(points[:, 0], points[:, 1])
+    if not _is_round(points, radius):
+        return None
+    profile = _profile(points, radius, scan.normals, float(high[2]))
+    if profile is None or profile[-1, 1] - profile[0, 1] < _DEEP * (high[2] - low[2]):
+        return None
+    corners = next(
+        found for tolerance in _TOLERANCES if len(found := simplify_polyline(profile, tolerance)) <= _PIECES + 1
+    )
+    parts = _parts(corners, scan.foot, max(scan.wall, _LEAST_WALL))
+    return evaluate_fit(parts, points), (float(axis[0]), float(axis[1]))
+
+
+def _is_round(points: Array, radius: Array) -> bool:
+    """Whether the outermost points in all directions are equally far from the axis."""
+    sector = ((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * 36).astype(int) % 36
+    reach = np.array([radius[sector == k].max(initial=0) for k in range(36)])
+    return bool(np.ptp(reach) < 2 * _ROUNDNESS)
+
+
+def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
+    """Radius and height (n, 2) of the inside from its middle outwards, m; None if there is no inside."""
+    outwards = np.einsum("ij,ij->i", normals[:, :2], points[:, :2]) / np.maximum(radius, 1e-9)
+    inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
+    if not inside.any():
+        return None
+    # The angle seen from just above the opening orders the inside's points from the middle outwards.
+    angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
+    bins = (angle / angle.max() * (_BINS - 1)).astype(int)
+    found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_BINS)]
+    profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
+    # This rejects a lid that lies upside down, whose middle is above its edge.
+    rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _DIP
+    return profile if rises else None
+
+
+def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
+    """The primitives of a profile: a flat floor for its first segment, and rings for the others."""
+    top = float(corners[:2, 1].mean())
+    edge = float(corners[1, 0])
+    half = max((top - foot) / 2, wall / 4)
+    floor = Cylinder(type="cylinder", centre=(0.0, 0.0, top - half), radius=edge, half_height=half)
+    rings = [
+        Ring(
+            type="ring",
+            # The first ring overlaps the floor, which leaves no gap.
+            inner=(float(r0 if k else edge - wall / 2), float(z0 if k else top)),
+            outer=(float(r1), float(z1)),
+            thickness=wall,
+            segments=_SEGMENTS,
+        )
+        for k, ((r0, z0), (r1, z1)) in enumerate(itertools.pairwise(corners[1:]))
+        if r1 - r0 > 1e-5
+    ]
+    return (floor, *rings)

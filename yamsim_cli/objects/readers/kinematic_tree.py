@@ -1,0 +1,212 @@
+"""Parts of a thing from the links and joints of a description file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.geometry.se3 import Array, inverse
+
+from .object_parts import MassProperties, RigidPart, Surface
+
+_MOST_LINKS = 64
+_ENDLESS_DEG = 1800.0  # degrees, range to each side of a hinge without stops: enough for anything that a hand can do
+_HANDLE_OPENING = 0.01  # m, opening of each finger at a handle that a file only marks
+
+
+@dataclass
+class LinkDescription:
+    """A link, and its pose (4, 4) in the model with every joint at 0."""
+
+    name: str
+    T: Array
+    weight: MassProperties | None = None
+    looks: list[Surface] = field(default_factory=list)
+    shapes: list[Mapping[str, Any] | Surface] = field(default_factory=list)
+    handles: list[Mapping[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class JointDescription:
+    """A joint between links by name; the parent is None for the world.
+
+    Attributes:
+        moves: data of a `config.things.articulation.LinkJoint` in the child's frame; None for a fixed joint.
+    """
+
+    name: str
+    parent: str | None
+    child: str
+    moves: Mapping[str, Any] | None
+
+
+def build_parts(
+    links: Sequence[LinkDescription], joints: Sequence[JointDescription]
+) -> tuple[tuple[RigidPart, ...], bool]:
+    """The parts, parents first, and whether the base is fixed to the world. Rigidly joined links become one part.
+
+    Raises:
+        RefusedError: the links are too many, or form no tree, or several.
+    """
+    if not links:
+        raise RefusedError("empty", "it has no link")
+    if len(links) > _MOST_LINKS:
+        raise RefusedError("too-large", f"it has {len(links)} links; at most {_MOST_LINKS}")
+    by_name, root, fixed = _find_root(links, joints)
+    order, owner = _order(root.name, joints), {root.name: root}
+    kept: list[tuple[LinkDescription, JointDescription | None]] = [(root, None)]
+    for joint in order:
+        link, parent = by_name[joint.child], owner[joint.parent or ""]
+        if joint.moves is None:
+            _merge(parent, link)
+            owner[link.name] = parent
+        else:
+            owner[link.name] = link
+            kept.append((link, joint))
+    place = {link.name: k for k, (link, _) in enumerate(kept)}
+    parts = []
+    for link, above in kept:
+        part = RigidPart(
+            link.name,
+            parent=None,
+            T_in_parent=np.eye(4),
+            weight=link.weight,
+            looks=tuple(link.looks),
+            shapes=tuple(link.shapes) or None,
+            handles=tuple(link.handles),
+        )
+        if above is not None:
+            parent = owner[above.parent or ""]
+            T = inverse(parent.T) @ link.T
+            part = replace(part, parent=place[parent.name], T_in_parent=T, joint=above.moves)
+        parts.append(part)
+    return tuple(parts), fixed
+
+
+def _find_root(
+    links: Sequence[LinkDescription], joints: Sequence[JointDescription]
+) -> tuple[dict[str, LinkDescription], LinkDescription, bool]:
+    """Name -> link, the root link, and whether the root is fixed to the world. Raises `RefusedError`."""
+    by_name = {link.name: link for link in links}
+    if len(by_name) < len(links):
+        raise RefusedError("damaged", "two of its links have the same name")
+    above: dict[str, JointDescription] = {}
+    for joint in joints:
+        for name in (joint.child, *((joint.parent,) if joint.parent is not None else ())):
+            if name not in by_name:
+                raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which is not there")
+        if joint.child in above:
+            raise RefusedError("damaged", f"link {joint.child!r} has two parent joints: loops are not read")
+        above[joint.child] = joint
+    for link in links:
+        at, steps = link.name, 0
+        while at in above and above[at].parent is not None:
+            at, steps = above[at].parent or "", steps + 1
+            if steps > len(links):
+                raise RefusedError("cycle", "its joints form a circle")
+    roots = [link for link in links if link.name not in above or above[link.name].parent is None]
+    if len(roots) > 1:
+        names = ", ".join(link.name for link in roots[:5])
+        raise RefusedError("several-things", f"it holds {len(roots)} things that nothing joins ({names}): keep one")
+    root = roots[0]
+    fixed = root.name in above
+    if fixed and above[root.name].moves is not None:
+        raise RefusedError("joint-kind", f"link {root.name!r} moves on the world: give it a base link")
+    return by_name, root, fixed
+
+
+def _order(root: str, joints: Sequence[JointDescription]) -> list[JointDescription]:
+    found: list[JointDescription] = []
+    wave = [root]
+    while wave:
+        nexts = [joint for name in wave for joint in joints if joint.parent == name]
+        found += nexts
+        wave = [joint.child for joint in nexts]
+    return found
+
+
+def _merge(parent: LinkDescription, link: LinkDescription) -> None:
+    T = inverse(parent.T) @ link.T
+    parent.looks += [surface.moved(T) for surface in link.looks]
+    parent.shapes += [transform_shape(shape, T) for shape in link.shapes]
+    parent.handles += [_moved_handle(handle, T) for handle in link.handles]
+    if link.weight is not None:
+        moved = transform_mass_properties(link.weight, T)
+        parent.weight = moved if parent.weight is None else _sum(parent.weight, moved)
+
+
+def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
+    moved = {key: (T[:3, :3] @ handle[key]).tolist() for key in ("approach", "axis")}
+    return {**handle, **moved, "position": (T @ [*handle["position"], 1.0])[:3].tolist()}
+
+
+def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, Any] | Surface:
+    """A collision shape at a pose (4, 4)."""
+    from .primitive_shapes import collision_shape
+
+    if isinstance(shape, Surface):
+        return shape.moved(T)
+    at = np.eye(4)
+    match shape["type"]:
+        case "capsule":
+            ends = {key: (T @ [*shape[key], 1.0])[:3].tolist() for key in ("start", "end")}
+            return {**shape, **ends}
+        case "sphere":
+            return {**shape, "centre": (T @ [*shape["centre"], 1.0])[:3].tolist()}
+        case "cylinder":
+            at[:3, 3] = shape["centre"]
+            return collision_shape("cylinder", np.array([shape["radius"], shape["half_height"]]), T @ at)
+        case _:
+            angle = np.radians(shape.get("yaw_deg", 0.0))
+            at[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            at[:3, 3] = shape["centre"]
+            return collision_shape("box", np.array(shape["half_size"]), T @ at)
+
+
+def transform_mass_properties(weight: MassProperties, T: Array) -> MassProperties:
+    """A weight in another frame, of which T (4, 4) is the pose of its own."""
+    R = T[:3, :3]
+    return MassProperties(weight.mass, (T @ [*weight.centre, 1.0])[:3], R @ weight.tensor @ R.T)
+
+
+def _sum(first: MassProperties, second: MassProperties) -> MassProperties:
+    mass = first.mass + second.mass
+    centre = (first.mass * first.centre + second.mass * second.centre) / max(mass, 1e-12)
+    tensor = np.zeros((3, 3))
+    for weight in (first, second):
+        d = weight.centre - centre
+        tensor += weight.tensor + weight.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return MassProperties(mass, centre, tensor)
+
+
+def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassProperties | None:
+    """A weight as in a file; None without mass. Raises `RefusedError` if the mass is impossible."""
+    if mass == 0:
+        return None
+    if not 0 < mass <= 1e4:
+        raise RefusedError("impossible", f"it says a mass of {mass:g} kg")
+    return MassProperties(mass, np.asarray(centre, np.float64), np.asarray(tensor, np.float64))
+
+
+def joint_range(low: float, high: float, *, turns: bool, name: str) -> list[float]:
+    """The range of a joint, m or degrees, from the stops in a file, m or rad; endless hinges get some turns."""
+    if not turns:
+        if not (abs(low) <= 2 and abs(high) <= 2):
+            raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
+        ends = [low, high]
+    else:
+        ends = [max(math.degrees(low), -_ENDLESS_DEG), min(math.degrees(high), _ENDLESS_DEG)]
+    if not ends[0] < ends[1]:
+        raise RefusedError("impossible", f"joint {name!r} has an empty range: {low:g} to {high:g}")
+    return ends
+
+
+def handle_from_frame(name: str, T: Array) -> Mapping[str, Any]:
+    """Data of a handle at a marked frame (4, 4) in its link: z into the handle, y along the closing axis."""
+    position, approach, axis = (column.tolist() for column in (T[:3, 3], T[:3, 2], T[:3, 1]))
+    return {"name": name, "position": position, "approach": approach, "axis": axis, "opening": _HANDLE_OPENING}

@@ -1,0 +1,155 @@
+"""Checks of mesh files' headers before any memory is allocated for their content."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any
+
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+
+# Bytes and number of an accessor's components. Source: glTF 2.0 specification, section 3.6.2.2.
+_COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_PLY_BYTES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
+    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("double", "float64"), 8),
+}
+
+
+def check_header(data: bytes, suffix: str, most_faces: int) -> None:
+    """Raise `RefusedError` if a file states more elements than its bytes can hold, or than a thing needs."""
+    if not data:
+        raise RefusedError("empty", "it has no bytes")
+    match suffix:
+        case ".stl":
+            _stl(data, most_faces)
+        case ".ply":
+            _ply(data, most_faces)
+        case ".glb":
+            _glb(data, most_faces)
+        case ".gltf":
+            _check_gltf_tree(_json(data), None, most_faces)
+        case ".obj":
+            if len(re.findall(rb"^f\s", data, re.MULTILINE)) > most_faces:
+                raise _too_many_faces(most_faces)
+
+
+def _too_many_faces(maximum: int) -> RefusedError:
+    return RefusedError("too-many-faces", f"it has more than {maximum:,} faces: reduce it first")
+
+
+def _stl(data: bytes, maximum: int) -> None:
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count and count:
+        if count > maximum:
+            raise _too_many_faces(maximum)
+        return
+    if not data.lstrip()[:5].lower() == b"solid":
+        raise RefusedError("damaged", f"as a binary STL it says {count:,} faces, and has bytes for {len(data) // 50:,}")
+    if data.count(b"facet normal") > maximum:
+        raise _too_many_faces(maximum)
+    if b"endsolid" not in data:
+        raise RefusedError("damaged", "the text of this STL is cut off: no endsolid")
+
+
+def _ply(data: bytes, maximum: int) -> None:
+    end = data.find(b"end_header")
+    if not data.startswith(b"ply") or end < 0 or end > 100_000:
+        raise RefusedError("damaged", "it has no PLY header")
+    least, binary, count = 0, b"format ascii" not in data[:end], 0
+    for line in data[:end].decode("ascii", "replace").splitlines():
+        words = line.split()
+        if words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdecimal():
+                raise RefusedError("damaged", f"its header says {line.strip()[:60]!r}")
+            count = int(words[2])
+            if words[1] == "face" and count > maximum:
+                raise _too_many_faces(maximum)
+        elif words[:1] == ["property"] and len(words) >= 3:
+            least += count * (_PLY_BYTES.get(words[1] if words[1] != "list" else words[2], 1) if binary else 2)
+    if least > len(data) - end:
+        raise RefusedError("damaged", f"its header promises {least:,} bytes or more, and {len(data) - end:,} follow")
+
+
+def _glb(data: bytes, maximum: int) -> None:
+    if data[:4] != b"glTF" or len(data) < 20:
+        raise RefusedError("damaged", "it does not begin as a GLB does")
+    version, total = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
+    if version != 2 or total > len(data):
+        raise RefusedError("damaged", f"it says glTF {version}, {total:,} bytes, and has {len(data):,}")
+    length = int.from_bytes(data[12:16], "little")
+    if data[16:20] != b"JSON" or 20 + length > len(data):
+        raise RefusedError("damaged", "its first chunk is no JSON, or cut off")
+    start = 20 + length
+    binary = int.from_bytes(data[start : start + 4], "little") if len(data) >= start + 8 else 0
+    if start + 8 + binary > len(data) and binary:
+        raise RefusedError("damaged", f"its buffer of {binary:,} bytes is cut off")
+    _check_gltf_tree(_json(data[20:start]), binary, maximum)
+
+
+def _json(text: bytes) -> Any:
+    try:
+        tree = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RefusedError("damaged", f"its JSON cannot be read: {str(error)[:100]}") from error
+    if not isinstance(tree, dict):
+        raise RefusedError("damaged", "its JSON is no mapping")
+    return tree
+
+
+def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
+    """Check that accessors lie in their views, views in their buffers, and that nodes form trees."""
+    try:
+        _accessors(tree, binary, maximum)
+        _nodes(tree)
+    except (TypeError, KeyError, AttributeError, IndexError, ValueError) as error:
+        raise RefusedError("damaged", f"its JSON is inconsistent ({type(error).__name__}: {error})") from error
+
+
+def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
+    views = tree.get("bufferViews", [])
+    for view in views:
+        if min(view.get("byteOffset", 0), view["byteLength"], view["buffer"]) < 0:
+            raise RefusedError("damaged", "it has a view of negative size")
+        size = tree["buffers"][view["buffer"]].get("byteLength", 0)
+        own = binary if binary is not None and view["buffer"] == 0 and "uri" not in tree["buffers"][0] else size
+        if view.get("byteOffset", 0) + view["byteLength"] > min(size, own + 3):
+            raise RefusedError("damaged", "it has a view beyond its buffer")
+    for accessor in tree.get("accessors", []):
+        count, width = accessor["count"], _WIDTHS[accessor["type"]] * _COMPONENTS[accessor["componentType"]]
+        if count < 0 or count > 3 * maximum:
+            raise _too_many_faces(maximum)
+        if "bufferView" in accessor:
+            view = views[accessor["bufferView"]]
+            stride = view.get("byteStride", width)
+            if accessor.get("byteOffset", 0) + (count - 1) * stride + width > view["byteLength"]:
+                raise RefusedError("damaged", f"an accessor of {count:,} elements reaches beyond its view")
+        elif count * width > 3 * maximum:
+            raise RefusedError("damaged", "an accessor without a view is too long")
+
+
+def _nodes(tree: Any) -> None:
+    nodes = tree.get("nodes", [])
+    if len(nodes) > 10_000:
+        raise RefusedError("too-many-faces", f"it has {len(nodes):,} nodes; a thing needs no more than 10,000")
+    parents: dict[int, int] = {}
+    for number, node in enumerate(nodes):
+        for child in node.get("children", []):
+            if not 0 <= child < len(nodes):
+                raise RefusedError("damaged", f"node {number} has a child that is not there")
+            if child in parents:
+                raise RefusedError("cycle", f"node {child} has two parents")
+            parents[child] = number
+        for key in ("matrix", "translation", "rotation", "scale"):
+            if not all(math.isfinite(value) for value in node.get(key, ())):
+                raise RefusedError("no-numbers", f"node {number} has a {key} of no numbers")
+    for number in range(len(nodes)):
+        at, steps = number, 0
+        while at in parents:
+            at, steps = parents[at], steps + 1
+            if steps > len(nodes):
+                raise RefusedError("cycle", "its nodes form a circle")

@@ -1,0 +1,118 @@
+"""A thing that was read from a file: parts with surfaces, collision shapes and weight, in metres, z up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.stl import Faces
+
+Rgba = tuple[float, float, float, float]
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class SurfaceMaterial:
+    """A material.
+
+    Attributes:
+        rgba: the colour; with a texture, the factor of the texture.
+        texture: a PNG file, or None.
+    """
+
+    rgba: Rgba = GREY
+    texture: bytes | None = None
+    specular: float = 0.2
+    shininess: float = 0.3
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles (m, 3) over vertices (n, 3), m, with one material.
+
+    Attributes:
+        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the picture's lower left; or None.
+        convex: whether the surface collides by its convex hull.
+    """
+
+    vertices: Array
+    faces: Faces
+    material: SurfaceMaterial = SurfaceMaterial()
+    uv: Array | None = None
+    convex: bool = False
+
+    def moved(self, T: Array) -> Surface:
+        """The surface under an affine map (4, 4); a reflection reverses the triangles."""
+        vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
+        if np.linalg.det(T[:3, :3]) >= 0:
+            return replace(self, vertices=vertices)
+        uv = None if self.uv is None else self.uv[:, ::-1]
+        return replace(self, vertices=vertices, faces=self.faces[:, ::-1], uv=uv)
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Mass, kg, centre of mass (3,), m, and inertia (3, 3) about that centre, kg m2, in the part's frame."""
+
+    mass: float
+    centre: Array
+    tensor: Array
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """One body of a thing.
+
+    Attributes:
+        name: in the file.
+        parent: index of the parent part, None for the base; parents come first.
+        T_in_parent: pose (4, 4) with the joint at 0; the identity for the base.
+        joint: data of a `config.things.articulation.LinkJoint`; None for the base.
+        weight: as in the file, or None.
+        looks: visual surfaces.
+        shapes: collision shapes of the file: data of `config.things.primitives`, or surfaces; None if there are none.
+        handles: data of `config.things.articulation.Handle`.
+    """
+
+    name: str
+    parent: int | None
+    T_in_parent: Array
+    joint: Mapping[str, Any] | None = None
+    weight: MassProperties | None = None
+    looks: tuple[Surface, ...] = ()
+    shapes: tuple[Mapping[str, Any] | Surface, ...] | None = None
+    handles: tuple[Mapping[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class ObjectDescription:
+    """A thing as in its file.
+
+    Attributes:
+        name: in the file, or empty.
+        parts: the base first.
+        fixed: whether the base is fixed to the world.
+        unit_m: length of the file's unit, m; None if not stated.
+        up: "x", "y" or "z"; None if not stated.
+        friction: sliding friction, if stated.
+        notes: what was left out, for users.
+    """
+
+    name: str
+    parts: tuple[RigidPart, ...]
+    fixed: bool = False
+    unit_m: float | None = 1.0
+    up: str | None = "z"
+    friction: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def poses(self) -> list[Array]:
+        """Each part's pose (4, 4) in the base's frame with every joint at 0."""
+        poses: list[Array] = []
+        for part in self.parts:
+            poses.append(part.T_in_parent if part.parent is None else poses[part.parent] @ part.T_in_parent)
+        return poses

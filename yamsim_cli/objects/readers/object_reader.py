@@ -1,0 +1,186 @@
+"""Read a file of a thing in a child process, and convert the thing to metres with z up."""
+
+from __future__ import annotations
+
+import json
+import stat
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.files.untrusted.confined_folder import MOST_BYTES
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.files.writing import scratch_directory
+from yamsim_cli.core.geometry.se3 import Array, pose
+from yamsim_cli.core.scene.assets.child_process import python_call, run_child
+from yamsim_cli.core.scene.assets.sources import SourceError
+
+from . import ENDINGS
+from .object_parts import ObjectDescription
+from .reader_process import REFUSED, read_written
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+
+_LARGEST, _SMALLEST = 2.0, 0.003  # m, sizes of things that an arm can handle
+_LIKELY = (0.01, 0.8)  # m, likely sizes, which decide the units that are suggested
+_SECONDS, _SECONDS_A_MB = 15.0, 0.7  # s of a core, time limit, and its growth with each megabyte
+_BUSY = 4.0  # factor of the wall-clock limit on a busy machine
+_NEEDED = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra; binary STL needs none
+
+
+@dataclass(frozen=True)
+class UnitOptions:
+    """What the user states about a file's lengths and axes, in place of what the file states.
+
+    Attributes:
+        unit: one of `UNITS`.
+        up: the file's axis that is up: x, y or z.
+        scale: factor of all lengths.
+    """
+
+    unit: str | None = None
+    up: str | None = None
+    scale: float = 1.0
+
+
+def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
+    """The thing in a file, in metres, z up.
+
+    Raises:
+        UsageError: neither the file nor the user states the unit or the up axis, or the size is implausible.
+        ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
+    """
+    try:
+        return in_metres(_read_as_is(path), units)
+    except RefusedError as error:
+        kind = UsageError if error.code in ("unit", "up", "size") else ResourceError
+        raise kind(f"{path}: {error} [{error.code}]") from error
+
+
+def _read_as_is(path: Path) -> ObjectDescription:
+    """The thing in a file, with the file's unit and axes. Raises `RefusedError` or `ResourceError`."""
+    missing = [name for name in _NEEDED if find_spec(name) is None]
+    if missing and path.suffix.lower() != ".stl":
+        raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
+    if path.suffix.lower() not in ENDINGS:
+        raise RefusedError("unknown-kind", f"what ends in {path.suffix!r} is not read; valid: {', '.join(ENDINGS)}")
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise RefusedError("missing", f"it cannot be read: {error.strerror}") from error
+    if not stat.S_ISREG(status.st_mode):
+        raise RefusedError("not-a-file", "it is no regular file")
+    if status.st_size > MOST_BYTES:
+        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MOST_BYTES // 10**6}")
+    seconds = _SECONDS + _SECONDS_A_MB * status.st_size / 1e6
+    with scratch_directory("yamsim-read-") as scratch:
+        return _read_in_child(path.resolve(), scratch, seconds)
+
+
+def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescription:
+    out = scratch / "out"
+    out.mkdir()
+    call = python_call("objects.readers.child.main", str(path), str(path.parent), str(out), int(np.ceil(seconds)))
+    # One thread, since each thread reserves memory.
+    quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
+    limit = _BUSY * seconds
+    try:
+        result = run_child([*quiet, *call], scratch, limit_s=limit, idle_s=limit)
+    except SourceError as error:
+        raise RefusedError("too-slow", f"reading it is {error}: reduce it first") from error
+    if (out / REFUSED).is_file():
+        refusal = json.loads((out / REFUSED).read_bytes())
+        raise RefusedError(refusal["code"], refusal["text"])
+    if result.returncode == 0:
+        try:
+            return read_written(out)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RefusedError("crashed", f"the reader's result is incomplete ({error})") from error
+    last = (result.stderr.strip().splitlines() or ["no message"])[-1]
+    if "MemoryError" in last or "Cannot allocate" in result.stderr or "bad_alloc" in result.stderr:
+        raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size")
+    if result.returncode in (-24, -9):
+        raise RefusedError("too-slow", f"reading it takes more than {seconds:.0f} s of a core: reduce it first")
+    raise RefusedError("crashed", f"the reader crashed on it ({result.returncode}: {last[:160]})")
+
+
+def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
+    """A thing converted to metres, z up. Raises `RefusedError`."""
+    size = _extent(thing)
+    no_up = units.up is None and thing.up is None
+    if units.unit is None and thing.unit_m is None:
+        sizes = {unit: size * metre * units.scale for unit, metre in UNITS.items()}
+        likely = [unit for unit, lengths in sizes.items() if _LIKELY[0] <= lengths.max() <= _LIKELY[1]]
+        shown = " or ".join(f"--unit {unit} ({_format_size(sizes[unit])})" for unit in likely or UNITS)
+        also = ", and --up z, y or x" if no_up else ""
+        raise RefusedError("unit", f"it does not say its unit: give {shown}{also}")
+    if no_up:
+        raise RefusedError("up", "it does not say which way is up: give --up z, --up y or --up x")
+    metre = (UNITS[units.unit] if units.unit else thing.unit_m or 1.0) * units.scale
+    _check_size(size * metre, units)
+    return _converted(thing, metre, _rotation_to_z(units.up or thing.up or "z"))
+
+
+def _check_size(size: Array, units: UnitOptions) -> None:
+    longest = float(size.max())
+    if _SMALLEST <= longest <= _LARGEST:
+        return
+    bare = longest / (UNITS[units.unit] if units.unit else 1.0)
+    mends = {f"--unit {unit}": bare * metre for unit, metre in UNITS.items()}
+    fitting = [
+        f"{flag} makes it {length:.3g} m long" for flag, length in mends.items() if _LIKELY[0] <= length <= _LIKELY[1]
+    ]
+    mend = "; ".join(fitting) or "give --scale"
+    raise RefusedError(
+        "size",
+        f"it would be {_format_size(size)} large, and a thing is {_SMALLEST * 1000:g} mm to {_LARGEST:g} m: {mend}",
+    )
+
+
+def _format_size(size: Array) -> str:
+    return " x ".join(f"{length:.3g}" for length in size) + " m"
+
+
+def _extent(thing: ObjectDescription) -> Array:
+    poses = zip(thing.parts, thing.poses(), strict=True)
+    corners = [surface.moved(T).vertices for part, T in poses for surface in part.looks]
+    if not corners:
+        raise RefusedError("empty", "it has no visible surface")
+    points = np.concatenate(corners)
+    extent: Array = points.max(axis=0) - points.min(axis=0)
+    return extent
+
+
+def _rotation_to_z(up: str) -> Array:
+    """The rotation (3, 3) that turns an axis to +z."""
+    if up == "y":
+        return np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    if up == "x":
+        return np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]])
+    return np.eye(3)
+
+
+def _converted(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
+    """The thing with all lengths scaled, and the base rotated with its frame."""
+    if metre == 1.0 and np.array_equal(turn, np.eye(3)):
+        return thing
+    base, *others = thing.parts
+    if not others and not base.shapes and not base.weight:
+        looks = tuple(surface.moved(pose(rotation=metre * turn)) for surface in base.looks)
+        return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
+    if metre != 1.0:
+        raise RefusedError("size", "a description says its own lengths: --unit and --scale are for mesh files")
+    from .kinematic_tree import transform_mass_properties, transform_shape
+
+    T = pose(rotation=turn)
+    turned = replace(
+        base,
+        looks=tuple(surface.moved(T) for surface in base.looks),
+        shapes=None if base.shapes is None else tuple(transform_shape(shape, T) for shape in base.shapes),
+        weight=None if base.weight is None else transform_mass_properties(base.weight, T),
+    )
+    hung = (replace(part, T_in_parent=T @ part.T_in_parent) if part.parent == 0 else part for part in others)
+    return replace(thing, parts=(turned, *hung))

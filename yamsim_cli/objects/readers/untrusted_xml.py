@@ -1,0 +1,96 @@
+"""XML of untrusted files, without entities and with limits, and the numbers and rotations in it."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+
+from yamsim_cli.core.files.untrusted.refusals import RefusedError
+from yamsim_cli.core.geometry.se3 import Array
+
+Element = ElementTree.Element
+
+_MOST_BYTES = 64_000_000
+_MOST_ELEMENTS = 200_000
+_DEEPEST = 64
+
+
+def parse_untrusted_xml(data: bytes) -> Element:
+    """The root of a document. Raises `RefusedError` if it is no XML, defines entities, or is too large."""
+    import defusedxml.ElementTree
+    from defusedxml import DefusedXmlException
+
+    if len(data) > _MOST_BYTES:
+        raise RefusedError("too-large", f"XML of {len(data) // 10**6} MB; at most {_MOST_BYTES // 10**6}")
+    try:
+        root: Element = defusedxml.ElementTree.fromstring(data, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise RefusedError("xml-entities", "it defines entities or a document type") from error
+    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
+        raise RefusedError("damaged", f"it is no XML: {error}") from error
+    _check_shape(root)
+    return root
+
+
+def _check_shape(root: Element) -> None:
+    level, depth, count = [root], 0, 0
+    while level:
+        depth, count = depth + 1, count + len(level)
+        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+            raise RefusedError("too-large", f"it has more than {_MOST_ELEMENTS:,} elements, or {_DEEPEST} levels")
+        level = [child for element in level for child in element]
+    for element in root.iter():
+        # Namespaces do not matter here.
+        if isinstance(element.tag, str):
+            element.tag = element.tag.rpartition("}")[2]
+
+
+def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
+    """A number of finite numbers in a text. Raises `RefusedError` if there are more, fewer or others."""
+    words = (text or "").split()
+    if not words and default is not None:
+        return list(default)
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} are no numbers") from None
+    if len(values) != count:
+        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} are not {count} numbers")
+    if not all(math.isfinite(value) for value in values):
+        raise RefusedError("no-numbers", f"{' '.join(words)[:60]!r} are not finite")
+    return values
+
+
+def number(text: str | None, default: float | None = None) -> float:
+    """One finite number. Raises as `numbers`."""
+    return numbers(text, 1, None if default is None else (default,))[0]
+
+
+def collada_asset(data: bytes) -> tuple[float, str]:
+    """Unit (m) and up axis of a COLLADA file, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
+    root = parse_untrusted_xml(data)
+    unit, up = root.find("asset/unit"), root.find("asset/up_axis")
+    axis = "" if up is None else (up.text or "").strip()
+    metre = number(None if unit is None else unit.get("meter"), 1.0)
+    if not 1e-6 <= metre <= 1e4:
+        raise RefusedError("impossible", f"its unit is {metre:g} m")
+    return metre, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(axis, "y")
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """The rotation (3, 3) by angles about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def inertia_matrix(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Array:
+    """The symmetric inertia matrix (3, 3) of its six elements."""
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

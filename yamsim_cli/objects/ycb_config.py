@@ -1,0 +1,148 @@
+"""The config of a YCB object from its scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..core.files.documents.yaml_document import dump_yaml
+from ..core.geometry.se3 import Array
+from .overhead_grasps import overhead_grasp
+from .primitive_fit import Scan, SolidFit, fit_hollow, fit_solid
+from .primitives import PointBody, primitive_data
+
+IN_DEPTH = 0.03  # m, least depth of a vessel into which, and not onto which, things are placed
+# Rolling friction of balls and capsules, as a share of the radius: keeps them still on a slope of 3 degrees, as real
+# fruit and felt balls are.
+ROLLING_SHARE = 0.05
+_FRICTION = (0.8, 0.005)  # sliding; torsional, m
+
+
+@dataclass(frozen=True)
+class ScannedObject:
+    """What a scan does not contain.
+
+    Attributes:
+        set, file: the asset set and the file in that set.
+        source: of name and mass, for the comment on top of the config.
+    """
+
+    name: str
+    mass_g: float
+    rgba: tuple[float, float, float, float]
+    set: str
+    file: str
+    source: str
+
+
+@dataclass(frozen=True)
+class YcbConfig:
+    """An object's config as YAML with a comment on top, its data, and the fit of its primitives to the scan."""
+
+    yaml: str
+    data: dict[str, Any]
+    fit: SolidFit
+
+
+def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
+    """The config of a thing from an upright scan, by primitives fitted to the scan.
+
+    A vessel's origin is on its axis, level with its foot. The origin of any other thing is its centre of mass.
+    """
+    solid, hollow = fit_solid(scan.points), fit_hollow(scan)
+    if hollow and hollow[0].rms < solid.rms:
+        fit, axis = hollow
+        origin = np.array([*axis, scan.foot])
+        parts = tuple(_moved(part, np.array([0.0, 0.0, -scan.foot])) for part in fit.parts)
+    else:
+        fit, hollow = solid, None
+        low, high = scan.points.min(axis=0) - 0.01, scan.points.max(axis=0) + 0.01
+        alone = _middle(fit.parts[0]) if len(fit.parts) == 1 else None
+        origin = PointBody.fill(fit.parts, low, high).centre if alone is None else alone
+        parts = tuple(_moved(part, -origin) for part in fit.parts)
+    points = scan.points - origin
+    body = PointBody.fill(parts, points.min(axis=0) - 0.01, points.max(axis=0) + 0.01)
+    moments, quat = body.inertia(thing.mass_g / 1000)
+    foot = min(_foot(part) for part in parts)
+    data: dict[str, Any] = {
+        "name": thing.name,
+        "mesh": {"set": thing.set, "file": thing.file, "origin": _rounded(origin), "rgba": list(thing.rgba)},
+        "inertia": {
+            "mass_g": thing.mass_g,
+            "centre": [0.0, 0.0, round(float(body.centre[2]), 5) if hollow else 0.0],
+            "diagonal": [float(f"{moment:.3e}") for moment in moments],
+            "quat": [round(float(q), 5) for q in quat],
+        },
+        "contact": _contact(parts),
+        "collision": [primitive_data(part) for part in parts],
+        "rest_height": 0.0 if hollow else round(-foot, 4),
+    }
+    if hollow and np.ptp(points[:, 2]) >= IN_DEPTH:
+        data["preposition"] = "in"
+    if not hollow:
+        data["grasp"] = overhead_grasp(body, thing.mass_g / 1000, foot, float(points[:, 2].max()))
+    return YcbConfig(_comment(thing, parts, fit) + dump_yaml(data), data, fit)
+
+
+def _comment(thing: ScannedObject, parts: tuple[Primitive, ...], fit: SolidFit) -> str:
+    kinds = [part.type for part in parts]
+    made = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    return (
+        f"# {thing.source}. Written by `yamsim assets import`.\n"
+        f"# Fitted to the scan by least squares: {made}; {fit.rms * 1000:.1f} mm off it (rms), 99 % of it within "
+        f"{fit.most * 1000:.1f} mm.\n"
+    )
+
+
+def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
+    round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
+    if len(round_) < len(parts):
+        return {"friction": [*_FRICTION, 0.0005], "condim": 4}
+    return {"friction": [*_FRICTION, round(ROLLING_SHARE * min(round_), 4)], "condim": 6}
+
+
+def _middle(part: Primitive) -> Array | None:
+    """The centre of mass (3,) of a solid primitive, m; None for a ring."""
+    match part:
+        case Capsule():
+            return np.add(part.start, part.end) / 2
+        case Ring():
+            return None
+        case _:
+            return np.array(part.centre)
+
+
+def _moved(part: Primitive, by: Array) -> Primitive:
+    def at(place: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (round(float(a + b), 5) for a, b in zip(place, by, strict=True))
+        return x, y, z
+
+    match part:
+        case Capsule():
+            return part.model_copy(update={"start": at(part.start), "end": at(part.end)})
+        case Ring():
+            edges = {key: (getattr(part, key)[0], getattr(part, key)[1] + float(by[2])) for key in ("inner", "outer")}
+            return part.model_copy(update=edges)
+        case _:
+            return part.model_copy(update={"centre": at(part.centre)})
+
+
+def _foot(part: Primitive) -> float:
+    match part:
+        case Sphere():
+            return part.centre[2] - part.radius
+        case Capsule():
+            return min(part.start[2], part.end[2]) - part.radius
+        case Cylinder():
+            return part.centre[2] - part.half_height
+        case Box():
+            return part.centre[2] - part.half_size[2]
+        case Ring():
+            return min(part.inner[1], part.outer[1]) - part.thickness
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), 5) for value in values]

@@ -1,0 +1,213 @@
+"""Compares the outline of a rendered arm with the edges in a photo, to score a pose and to improve it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.geometry.se3 import Array, pose, rotation_from_vector
+
+Grey = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# Lengths are in grains. A grain is one pixel, or several in a large photo, whose details are several pixels wide.
+_GRAINS_ACROSS = 1000
+REACH = 12.0  # grains from the outline, within which an edge of the photo is searched
+_FINE = 2  # points to a grain on the line along which an edge is searched
+_SPACING = 3  # grains between outline points
+_LEAST_SLOPE = 4.0  # grey levels to a grain, least change of brightness at an edge
+_LEAST_SHARE = 0.4  # of the largest change on the same line, least change at an edge
+_TUKEY = 4.685  # typical residuals, above which a residual does not count (Tukey's biweight, 95 % efficiency)
+_INDEPENDENT = 60.0  # outline points that count as independent
+_BORDER = 3  # grains from the picture's border, within which outlines are left out
+_ROUNDS = 6  # of a refinement
+_NARROWER = 0.62  # ratio of a round's reach to the one before, so that the arm's own edges remain at last
+
+
+@dataclass(frozen=True)
+class MaskOutline:
+    """Points of a mask's outline: pixels (n, 2), and unit normals (n, 2) pointing out of the mask."""
+
+    points: Array
+    normals: Array
+
+
+@dataclass(frozen=True)
+class EdgeOffsets:
+    """The photo's edge at each outline point (n,), as an offset in px along its normal; NaN if none is within `reach`.
+
+    Attributes:
+        reach: how far was searched, px.
+    """
+
+    offsets: Array
+    reach: float
+
+    @property
+    def found(self) -> float:
+        """Share of the outline's points that have an edge within reach."""
+        return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
+
+    @property
+    def residual(self) -> float | None:
+        """Median distance to the photo's edge, px, where a missing edge counts as `reach`; None without an outline."""
+        if len(self.offsets) == 0:
+            return None
+        return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
+
+
+def grain_px(shape: tuple[int, ...]) -> int:
+    """Pixels to a grain in a picture of a shape (height, width, ...)."""
+    return max(1, round(max(shape) / _GRAINS_ACROSS))
+
+
+def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
+    """The outline of a mask (height, width), holes included, without the parts along the picture's border.
+
+    Args:
+        others: pixels (height, width) of things that may lie in front; the outline next to them is left out.
+    """
+    grain = grain_px(mask.shape)
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    # Normals are those of the mask's softened edge: steps from pixel to pixel point in eight directions only.
+    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.0 * grain)
+    slope = np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)
+    chosen = [contour[:: _SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
+    if not chosen:
+        return MaskOutline(np.zeros((0, 2)), np.zeros((0, 2)))
+    at = np.concatenate(chosen)
+    height, width = mask.shape
+    border = _BORDER * grain
+    keep = (at >= border).all(axis=1) & (at[:, 0] < width - border) & (at[:, 1] < height - border)
+    if others is not None:
+        near = cv2.dilate(others.astype(np.uint8), np.ones((4 * grain + 1, 4 * grain + 1), np.uint8)) > 0
+        keep &= ~near[at[:, 1], at[:, 0]]
+    at = at[keep]
+    out = -slope[at[:, 1], at[:, 0]].astype(np.float64)
+    length = np.linalg.norm(out, axis=1)
+    clear = length > 1e-3 / grain
+    normals = out[clear] / length[clear, None]
+    # A contour runs through the centres of the mask's outermost pixels. The edge is half a pixel further out.
+    return MaskOutline(at[clear] + 0.5 * normals, normals)
+
+
+def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOffsets:
+    """The photo's edge that is nearest to each outline point, along its normal.
+
+    Args:
+        grey: the photo (height, width).
+        reach: how far to search, grains.
+    """
+    grain = grain_px(grey.shape)
+    if len(line.points) == 0:
+        return EdgeOffsets(np.zeros(0), reach * grain)
+    steps = np.arange(-reach * _FINE - 1, reach * _FINE + 2) / _FINE
+    at = line.points[:, None, :] + steps[None, :, None] * grain * line.normals[:, None, :]
+    smooth = cv2.GaussianBlur(grey, (0, 0), grain).astype(np.float32)
+    profile = cv2.remap(
+        smooth,
+        at[..., 0].astype(np.float32),
+        at[..., 1].astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _FINE / 2
+    inner = steps[1:-1]
+    peak = np.zeros_like(slope, dtype=bool)
+    peak[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])
+    peak &= slope >= np.maximum(_LEAST_SLOPE, _LEAST_SHARE * slope.max(axis=1, keepdims=True))
+    distance = np.where(peak, np.abs(inner)[None, :], np.inf)
+    nearest = distance.argmin(axis=1)
+    rows = np.arange(len(nearest))
+    found = np.isfinite(distance[rows, nearest])
+    offsets = np.where(found, inner[nearest] + _peak_shift(slope, nearest) / _FINE, np.nan) * grain
+    return EdgeOffsets(offsets, reach * grain)
+
+
+def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
+    """Distance (n,) in steps from each row's peak to the top of the parabola through the peak and its neighbours."""
+    rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
+    before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
+    bend = np.minimum(before - 2 * here + after, -1e-9)
+    shift: Array = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    return shift
+
+
+@dataclass(frozen=True)
+class PoseCorrection:
+    """A step of a pose: a turn (rad) about `centre` and a shift (m), both along the camera's axes."""
+
+    step: Array
+    centre: Array
+
+    def applied(self, T_in_cam: Array) -> Array:
+        """A pose (4, 4) in the camera's frame, moved by this step."""
+        turn = rotation_from_vector(self.step[:3])
+        moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
+        return pose(moved, turn @ T_in_cam[:3, :3])
+
+    @property
+    def size(self) -> float:
+        """About how far the step moves a thing that is 0.3 m large, m."""
+        return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
+
+
+@dataclass(frozen=True)
+class EdgeEquations:
+    """The normal equations (6, 6) and (6,) of a `PoseCorrection`'s step, from the edges along an outline."""
+
+    normal: Array
+    gradient: Array
+
+
+def edge_equations(
+    line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
+) -> EdgeEquations:
+    """The normal equations of the step that brings an outline onto the photo's edges.
+
+    Args:
+        line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
+        depth: z (n,) of the surface at each outline point, in the camera's frame, m.
+        offsets: distance (n,) to the photo's edge along each normal, px; NaN for none.
+        centre: the point (3,) in the camera's frame about which the pose turns.
+        edge_sigma: standard deviation of an edge's place, px.
+    """
+    use = np.isfinite(offsets) & (depth > 0)
+    points, normals, off = line.points[use], line.normals[use], offsets[use]
+    z = depth[use]
+    ray = np.column_stack([(points[:, 0] - K[0, 2]) / K[0, 0], (points[:, 1] - K[1, 2]) / K[1, 1]])
+    at = np.column_stack([ray * z[:, None], z])
+    across = normals * np.array([K[0, 0], K[1, 1]]) / z[:, None]
+    by_shift = np.column_stack([across, -(across * ray).sum(axis=1)])
+    jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
+    scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
+    weight = np.clip(1 - (off / (_TUKEY * scale)) ** 2, 0, None) ** 2
+    # Neighbouring outline points see the same edge, so that they count together as a few dozen independent ones.
+    weight *= min(1.0, _INDEPENDENT / max(len(off), 1)) / edge_sigma**2
+    weighted = jacobian * weight[:, None]
+    return EdgeEquations(weighted.T @ jacobian, weighted.T @ off)
+
+
+def solve_correction(
+    equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array
+) -> PoseCorrection:
+    """The step that brings a pose's outlines onto the photo's edges, weighed against the pose that the boards give.
+
+    Args:
+        equations: normal equations of all outlines that move with the pose.
+        centre: the point (3,) in the camera's frame about which the pose turns.
+        information: inverse covariance (6, 6) of the boards' pose: turn about `centre` (rad) and shift (m).
+        so_far: sum (6,) of the steps since the boards' pose.
+    """
+    normal = information + sum(part.normal for part in equations)
+    gradient = sum(part.gradient for part in equations) - information @ so_far
+    return PoseCorrection(np.linalg.solve(normal, gradient).astype(np.float64), centre)
+
+
+def search_radii() -> list[float]:
+    """How far edges are searched in each round of a refinement, grains; farthest in the first."""
+    return [REACH * _NARROWER**k for k in range(_ROUNDS)]

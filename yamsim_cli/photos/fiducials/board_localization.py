@@ -1,0 +1,219 @@
+"""From a photo to the pose of each board, or to the reason why there is none.
+
+Markers are found, and every pose that their corners allow is fitted to the whole print (`align`). The best pose is
+accepted only where no other pose explains the photo nearly as well: a flat board seen from afar has two poses. A board
+of which too few markers can be read is recognized as a whole (`recognition`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse
+
+from .board_detection import (
+    PRINT_SIGMA,
+    USUAL_LIMITS,
+    BoardDetection,
+    BoardStatus,
+    PoseLimits,
+    judge_detection,
+    marker_shift_rms,
+    pose_covariance,
+)
+from .fitting.pose_alignment import (
+    INFLATION,
+    USUAL_BLUR,
+    LogScalePrior,
+    align_pose,
+    marginalize_shape,
+    measure_agreement,
+)
+from .fitting.pose_fits import PoseFit, fit_pose, initial_poses
+from .fitting.print_view import PrintPiece, whole_board_piece
+from .markers import DetectedMarker, find_markers, group_markers
+from .recognition.board_recognizer import BoardRecognizer
+
+Grey = NDArray[np.uint8]
+
+_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
+
+
+def locate_boards(
+    grey: Grey,
+    camera: CameraModel,
+    boards: Sequence[Board],
+    T_boards_in_ref: Sequence[Array] = (),
+    before: Sequence[Array | None] = (),
+    limits: PoseLimits = USUAL_LIMITS,
+) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
+    """Look for boards in a photo (height, width) that `camera` took.
+
+    Args:
+        T_boards_in_ref: approximate pose (4, 4) of each board in one frame. A board that cannot be read is searched
+            beside one that can, and a located board decides between two poses of another. Poses are not fitted to it.
+        before: pose (4, 4) of each board in the camera's frame in a photo just before; None where not known.
+        limits: the uncertainty up to which a pose counts as located.
+
+    Returns:
+        One sighting for each board, and by dictionary all markers that were read, also those of other boards.
+
+    Raises:
+        ConfigError: a board's dictionary does not exist.
+    """
+    markers = find_markers(grey, sorted({board.dictionary for board in boards}))
+    photo = grey.astype(np.float32)
+    sightings = [_locate_read_board(photo, camera, board, markers, limits) for board in boards]
+    recognizer = BoardRecognizer(grey, photo, camera, len(boards), limits)
+    located = [seen.status is BoardStatus.OK for seen in sightings]
+    for k, seen in enumerate(sightings):
+        if seen.status is not BoardStatus.OK and not seen.is_duplicated:
+            was = [T] if k < len(before) and (T := before[k]) is not None else []
+            sightings[k] = recognizer.sighting(
+                seen, _poses_by_other_boards(k, sightings, T_boards_in_ref), was, anywhere=True
+            )
+    # Boards that were just recognized say where boards before them in the list are.
+    for k, seen in enumerate(sightings):
+        if seen.status is not BoardStatus.OK and not seen.is_duplicated:
+            new = [
+                one if not was else replace(one, T_board_in_cam=None)
+                for one, was in zip(sightings, located, strict=True)
+            ]
+            sightings[k] = recognizer.sighting(seen, _poses_by_other_boards(k, new, T_boards_in_ref))
+    return sightings, markers
+
+
+def _poses_by_other_boards(
+    k: int, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
+) -> list[Array]:
+    """The k-th board's pose (4, 4) in the camera's frame, one by each other board that is located."""
+    if not T_boards_in_ref:
+        return []
+    return [
+        T @ inverse(T_boards_in_ref[j]) @ T_boards_in_ref[k]
+        for j, other in enumerate(sightings)
+        if j != k and other.status is BoardStatus.OK and (T := other.T_board_in_cam) is not None
+    ]
+
+
+def boards_without_pose(
+    grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
+) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
+    """The boards seen in a photo (height, width) whose camera is not known well enough for any pose, as from `locate`.
+
+    Args:
+        camera: any camera, to group markers.
+        reason: why no pose is given, for users.
+    """
+    markers = find_markers(grey, sorted({board.dictionary for board in boards}))
+    sightings = []
+    for board in boards:
+        found = group_markers(markers[board.dictionary], board, camera)
+        ids = tuple(sorted(board.ids[k] for k in found[0].places)) if found else ()
+        sightings.append(BoardDetection(board, ids, BoardStatus.POOR_FIT, reason) if ids else _not_found(board))
+    return sightings, markers
+
+
+def _not_found(board: Board) -> BoardDetection:
+    return BoardDetection(board, (), BoardStatus.NOT_FOUND, "none of its markers was found")
+
+
+def _locate_read_board(
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    markers: Mapping[str, Sequence[DetectedMarker]],
+    limits: PoseLimits,
+) -> BoardDetection:
+    found = group_markers(markers[board.dictionary], board, camera)
+    if not found:
+        return _not_found(board)
+    best = found[0]
+    ids = tuple(sorted(board.ids[k] for k in best.places))
+    if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
+        reason = f"its markers are in {len(found)} places: hide or remove the other prints"
+        return BoardDetection(board, ids, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
+    fits: list[PoseFit] = []
+    for T in initial_poses(best, board, camera):
+        if fit := fit_pose(photo, camera, board, best.places, T, fits):
+            fits.append(fit)
+            # The other start could at most be a rival of this fit, and `judge` looks for rivals.
+            if fit.contradicting == 0 or fit.explains_well:
+                break
+    if not fits:
+        return BoardDetection(
+            board, ids, BoardStatus.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
+        )
+    fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
+    return judge_detection(photo, camera, board, fit, fits, limits=limits)
+
+
+def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
+    """A sighting with another pose, and its reprojection error there in the photo (height, width)."""
+    piece = whole_board_piece(seen.board, [seen.board.ids.index(number) for number in seen.markers])
+    check = measure_agreement(
+        grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
+    )
+    rms = None if check is None else marker_shift_rms(check.tiles[0])
+    return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
+
+
+def locate_together(
+    grey: Grey, camera: CameraModel, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
+) -> list[BoardDetection] | None:
+    """Boards with known poses in one frame, located as one board: far apart, they determine each other's tilt.
+
+    Args:
+        sightings: at least one, each with a pose.
+        T_boards_in_ref: pose (4, 4) of each board in the shared frame.
+
+    Returns:
+        New sightings; None where the boards do not lie so for any size of print.
+    """
+    pieces = [
+        PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
+        for seen, T in zip(sightings, T_boards_in_ref, strict=True)
+    ]
+    # The search starts at the shared frame by the most certain board.
+    best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
+    T_board_in_cam, smear = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
+    assert T_board_in_cam is not None
+    # The print's size is found too: an error of a quarter of a percent in a fixed size would tilt the boards by 0.2
+    # degrees.
+    growth = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
+    T_start = T_board_in_cam.copy()
+    T_start[:3, 3] *= math.exp(growth.start)
+    T_start = T_start @ inverse(T_boards_in_ref[best])
+    photo = grey.astype(np.float32)
+    alignment = align_pose(photo, camera, pieces, T_start, smear, log_scale_prior=growth)
+    if alignment is None or abs(alignment.log_scale) > _MOST_GROWTH:
+        return None
+    alignment = marginalize_shape(photo, camera, pieces, alignment, growth)
+    T_ref, joint = alignment.T_ref_in_cam, []
+    for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
+        covariance, shared = pose_covariance(alignment, camera, T[:3, 3])
+        rms = marker_shift_rms(alignment.tiles[k])
+        joint.append(
+            BoardDetection(
+                seen.board, seen.markers, BoardStatus.OK, "", T_ref @ T, covariance, shared, rms, alignment.blur
+            )
+        )
+    return joint
+
+
+def _common_log_scale(sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
+    """The log of the prints' size over the board's, at which the boards lie as far apart as they are known to."""
+    logs = []
+    for (one, T_one), (two, T_two) in itertools.combinations(zip(sightings, T_boards_in_ref, strict=True), 2):
+        assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
+        seen = float(np.linalg.norm(two.T_board_in_cam[:3, 3] - one.T_board_in_cam[:3, 3]))
+        logs.append(math.log(float(np.linalg.norm(T_two[:3, 3] - T_one[:3, 3])) / seen))
+    return float(np.clip(np.mean(logs), -2 * _MOST_GROWTH, 2 * _MOST_GROWTH)) if logs else 0.0

@@ -1,0 +1,96 @@
+"""Blur by a lens out of focus and by a camera that moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Grey = NDArray[np.float32]
+
+_POINTS_A_PX, _LEAST_POINTS = 4, 9  # points of a straight motion, for each px of its length and at least
+_BLUR_STEP = 0.03  # of the blur, step of the numeric derivative by blur
+# Slopes take two pixels on each side: with one, the slopes of a sharp picture would be a third too flat.
+_SLOPE = np.array([1, -8, 0, 8, -1], np.float32) / 12
+_IDENTITY = np.ones(1, np.float32)
+_BORDER = cv2.BORDER_REPLICATE
+
+
+@dataclass(frozen=True)
+class BlurKernel:
+    """The blur and motion of a picture.
+
+    Attributes:
+        blur: sigma of the lens's blur, px.
+        motion: even motion (right, down; px) during the exposure; both signs are the same.
+    """
+
+    blur: float
+    motion: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def length(self) -> float:
+        """Length of the motion, px."""
+        return math.hypot(*self.motion)
+
+    @property
+    def radius(self) -> float:
+        """The distance (px) within which most of a point is smeared."""
+        return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
+
+    def in_larger_pixels(self, coarser: int) -> BlurKernel:
+        """The same in a picture of larger pixels."""
+        return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
+
+    def blurred(self, picture: Grey) -> Grey:
+        """A picture (rows, columns[, channels]), smeared."""
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
+        if self.length:
+            blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BORDER)
+        return np.asarray(blurred, dtype=np.float32)
+
+    def by_motion(self, picture: Grey) -> tuple[Grey, Grey]:
+        """Derivatives of the smeared picture (rows, columns) by the motion, right and down."""
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
+        line = self._line(slope=True)
+        across, down = (
+            np.asarray(cv2.filter2D(slope, -1, line, borderType=_BORDER), dtype=np.float32)
+            for slope in picture_gradients(np.asarray(blurred, dtype=np.float32))
+        )
+        return across, down
+
+    def by_blur(self, picture: Grey, smeared: Grey) -> Grey:
+        """Derivative of the smeared picture (rows, columns[, channels]) by the blur."""
+        more = _BLUR_STEP * self.blur
+        by_blur: Grey = (BlurKernel(self.blur + more, self.motion).blurred(picture) - smeared) / np.float32(more)
+        return by_blur
+
+    def _line(self, slope: bool) -> Grey:
+        """The kernel (k, k) of the motion; with `slope`, each point weighted by its place along the motion."""
+        x, y = self.motion
+        side = math.ceil(self.length / 2 + 1)
+        kernel = np.zeros((2 * side + 1, 2 * side + 1), np.float32)
+        along = np.linspace(-0.5, 0.5, max(_LEAST_POINTS, math.ceil(self.length * _POINTS_A_PX)) + 1)
+        # The first and the last point stand for half a step only.
+        weight = np.full(len(along), 1.0)
+        weight[[0, -1]] = 0.5
+        weight /= weight.sum()
+        # `filter2D` correlates: a picture that moves by +s is sampled at -s.
+        values = weight * along if slope else weight
+        column, row = np.floor(side - along * x).astype(int), np.floor(side - along * y).astype(int)
+        right, below = side - along * x - column, side - along * y - row
+        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            share = np.abs(1 - dx - right) * np.abs(1 - dy - below)
+            np.add.at(kernel, (row + dy, column + dx), values * share)
+        # The derivative by the motion of the sample at -s is minus the slope there.
+        return -kernel if slope else kernel
+
+
+def picture_gradients(picture: Grey) -> tuple[Grey, Grey]:
+    """Slopes of a picture (rows, columns), right and down, per px."""
+    across = cv2.sepFilter2D(picture, cv2.CV_32F, _SLOPE, _IDENTITY, borderType=_BORDER)
+    down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY, _SLOPE, borderType=_BORDER)
+    return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)

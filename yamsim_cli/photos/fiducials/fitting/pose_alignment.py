@@ -1,0 +1,350 @@
+"""Refine a pose by the boards' whole picture rather than by a few corners.
+
+The boards' print is drawn as the camera would see it from a supposed pose, with the lens's blur. Pose and blur are
+moved until drawing and photo agree best: robust least squares over all pixels, with free brightness and contrast for
+each marker. Corners that are found one by one lie on blurred edges and are displaced by neighbouring cells; here
+neighbours and blur are part of the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector
+
+from .blur_kernel import BlurKernel
+from .normal_equations import (
+    MarkerTile,
+    NormalEquations,
+    PixelDerivatives,
+    PrintProblem,
+    combine_equations,
+    linearize_print,
+)
+from .print_shape import CREASED_SHARE, marginalize_modes, mode_count, placement_modes, shape_modes
+from .print_view import PhotoRegion, PrintPiece, print_plane, view_print
+
+Grey = NDArray[np.float32]
+
+BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur does not show, and more hides a marker
+_MOST_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
+USUAL_BLUR = BlurKernel(0.9)  # start of a fit where the smear is not known
+
+# Standard deviations with the print's shape and placement marginalized, over those from noise alone. At 1.3, 95 %
+# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tools.bench.print_shape`, seeds
+# below 200, and `tools.bench.filament`); 1.4 leaves a margin.
+INFLATION = 1.4
+
+_GROWTH_PX = 4.0  # px, shift of the print for a log of its size of 1, after the distance has compensated most of it
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A fitted pose, and the agreement of print and photo there.
+
+    Attributes:
+        T_ref_in_cam: pose (4, 4).
+        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
+            `centre` (m, along them), from the photo's noise and, of `marginalize_shape`, from what the print's shape leaves
+            open.
+        by_lens: (6, k) derivatives of the pose, in the same units, by the lens parameters of `CameraModel.mistakes`.
+        by_print: (6,) derivative by the natural logarithm of the print's size; 0 if the size was fitted too, since the
+            covariance then includes it.
+        centre: the point (3,) of the reference frame that these are about: the mean of the pieces' origins.
+        blur: blur and motion, px.
+        noise: standard deviation of the residuals, grey levels.
+        cost: weighted sum of squared residuals over `pixels` pixels.
+        tiles: for each piece, marker -> agreement of drawing and photo.
+        log_scale: natural logarithm of the print's size over the board's; 0 if not fitted.
+        flat: probability that the print is flat, as on a rigid plate; 1 if not estimated.
+    """
+
+    T_ref_in_cam: Array
+    covariance: Array
+    by_lens: Array
+    by_print: Array
+    centre: Array
+    blur: BlurKernel
+    noise: float
+    cost: float
+    pixels: int
+    tiles: tuple[dict[int, MarkerTile], ...]
+    log_scale: float = 0.0
+    flat: float = 1.0
+
+
+@dataclass(frozen=True)
+class LogScalePrior:
+    """The prior of the natural logarithm of a scale that is fitted too, and where to start."""
+
+    mean: float
+    sigma: float
+    start: float = 0.0
+
+
+def align_pose(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[PrintPiece],
+    T_ref_in_cam: Array,
+    blur: BlurKernel = USUAL_BLUR,
+    log_scale_prior: LogScalePrior | None = None,
+    coarse: bool = False,
+) -> Alignment | None:
+    """Move a pose until the boards' print agrees best with the photo.
+
+    Args:
+        photo: grey levels (height, width).
+        T_ref_in_cam: where to start, right to about a marker's cell.
+        blur: where to start; motion is fitted only if the start has some.
+        log_scale_prior: prior of the print's size, to fit it too; None for the boards' size.
+        coarse: stop sooner, when the cost is known but the pose is less exact.
+
+    Returns:
+        None where a piece is not in the picture, or the fit breaks down.
+    """
+    fit = _problem(photo, camera, pieces, T_ref_in_cam, blur.length > 0, log_scale_prior, coarse)
+    if fit is None:
+        return None
+    found = fit.solve(_PoseState(T_ref_in_cam, blur, log_scale_prior.start if log_scale_prior else 0.0))
+    return None if found is None else fit.alignment(*found)
+
+
+def measure_agreement(
+    photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
+) -> Alignment | None:
+    """The agreement of print and photo at a given pose, which is not moved; residuals are weighted for `noise`."""
+    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
+    if fit is None:
+        return None
+    system = fit.system(state, noise)
+    return None if system is None else fit.alignment(state, system)
+
+
+def marginalize_shape(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[PrintPiece],
+    found: Alignment,
+    log_scale_prior: LogScalePrior | None = None,
+    creased: float = CREASED_SHARE,
+) -> Alignment:
+    """An alignment with the print's bow, twist and crease marginalized: another pose and a wider covariance.
+
+    Args:
+        photo: grey levels (height, width).
+        pieces, log_scale_prior: those of `found`.
+        creased: prior probability of a creased print.
+    """
+    fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.blur.length > 0, log_scale_prior)
+    if fit is None:
+        return found
+    return fit.shaped(_PoseState(found.T_ref_in_cam, found.blur, found.log_scale), found, creased)
+
+
+def _problem(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[PrintPiece],
+    T: Array,
+    moving: bool,
+    log_scale_prior: LogScalePrior | None = None,
+    roughly: bool = False,
+) -> _PoseProblem | None:
+    """The least squares of some pieces near a pose; None where a piece is not in the picture."""
+    views = [view for piece in pieces if (view := view_print(photo, camera, piece, print_plane(piece, T))) is not None]
+    if not views or len(views) < len(pieces):
+        return None
+    centre: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
+    return _PoseProblem(views, camera, centre, moving, log_scale_prior, roughly)
+
+
+@dataclass(frozen=True)
+class _PoseState:
+    T: Array
+    blur: BlurKernel
+    log_scale: float = 0.0
+
+
+# Indices of the parameters: blur, motion, turn and shift, the print's growth, and the uncertain lens parameters.
+_BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
+
+
+_Columns = Callable[[PixelDerivatives, PrintPiece, Array, float], Array]
+
+
+class _PoseProblem(PrintProblem[_PoseState]):
+    """Least squares over the pose's six parameters, the blur, and, if wanted, motion and the print's size."""
+
+    def __init__(
+        self,
+        views: Sequence[PhotoRegion],
+        camera: CameraModel,
+        centre: Array,
+        moving: bool,
+        log_scale_prior: LogScalePrior | None,
+        roughly: bool,
+    ) -> None:
+        super().__init__(roughly)
+        self._views = views
+        self._camera = camera
+        self._centre = centre
+        self._log_scale = log_scale_prior
+        motion = range(_MOTION.start, _MOTION.stop) if moving else ()
+        self._free = (_BLUR, *motion, *range(_POSE.start, _POSE.stop), *((_GROWTH,) if log_scale_prior else ()))
+        coarser = [view.coarser for view in views]
+        self._coarsest = max(coarser)
+        self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
+
+    def system(self, state: _PoseState, noise: float | None) -> NormalEquations | None:
+        return self._system(state, noise, self._columns)
+
+    def _system(self, state: _PoseState, noise: float | None, columns: _Columns) -> NormalEquations | None:
+        larger = math.exp(state.log_scale)
+        system = combine_equations(
+            [
+                linearize_print(
+                    view,
+                    print_plane(view.piece, state.T, larger),
+                    state.blur,
+                    lambda pixels, piece=view.piece: columns(pixels, piece, state.T, larger),  # type: ignore[misc]
+                )
+                for view in self._views
+            ],
+            noise,
+            self._free,
+        )
+        if system is None or self._log_scale is None:
+            return system
+        strength, missing = (system.noise / self._log_scale.sigma) ** 2, self._log_scale.mean - state.log_scale
+        normal, gradient = system.every_normal.copy(), system.every_gradient.copy()
+        normal[_GROWTH, _GROWTH] += strength
+        gradient[_GROWTH] += strength * missing
+        misfit = system.misfit + strength * missing**2
+        return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
+
+    def _columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
+        """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and the uncertain lens parameters."""
+        R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
+        on_board = at @ (R @ T_board[:3, :2]).T
+        from_centre = on_board + R @ (T_board[:3, 3] - self._centre)
+        point = from_centre + R @ self._centre + T[:3, 3]
+        depth = point[:, 2]
+        by_ray = pixels.by_ray
+        by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
+        along = (by_ray * pixels.rays).sum(axis=1)
+        # A longer lens mostly changes the distance. That part is left out here and added in `alignment`, since the
+        # rest is small beside it.
+        by_focal = along + by_shift[:, 2] * self._depth(T)
+        by_lens = [by_focal]
+        if self._camera.intrinsics_covariance:
+            by_lens += [*(pixels.by_shift * self._camera.focal).T, along * (pixels.rays**2).sum(axis=1)]
+        by_size = (by_shift * on_board).sum(axis=1)
+        (x, y, z), (a, b, c) = from_centre.T, by_shift.T
+        # The cross product, several times faster than numpy's.
+        turns = (y * c - z * b, z * a - x * c, x * b - y * a)
+        return np.column_stack([*turns, by_shift, by_size, *by_lens])
+
+    def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
+        """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape and placement modes."""
+        columns = self._columns(pixels, piece, T, larger)
+        # A shift of the print along the axes of its board, at each pixel.
+        along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
+        by_x, by_y = placement_modes(piece.board, pixels.at)
+        own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
+        others = {view.piece.board: np.zeros((len(columns), mode_count(view.piece.board))) for view in self._views}
+        of_pieces = [np.column_stack(own) if view.piece is piece else others[view.piece.board] for view in self._views]
+        return np.column_stack([columns, *of_pieces])
+
+    def shaped(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
+        """`found` with the print's shape marginalized; unchanged where that breaks down."""
+        system = self._system(state, found.noise, self._shape_columns)
+        if system is None:
+            return found
+        free, boards = list(system.free), [view.piece.board for view in self._views]
+        known = len(system.every_gradient) - sum(mode_count(board) for board in boards)
+        held = [k for k in range(known) if k not in free]
+        variance = (INFLATION * found.noise) ** 2
+        try:
+            pose_of = marginalize_modes(
+                system.every_normal, system.every_gradient, variance, free, held, boards, creased
+            )
+        except np.linalg.LinAlgError:
+            return found
+        turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
+        by_lens = pose_of.moves[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
+        by_lens[5, 0] += self._depth(state.T)
+        # A fold moves the print by the distance from the crease.
+        lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
+        neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
+        growth = held.index(_GROWTH) if _GROWTH in held else None
+        return replace(
+            found,
+            T_ref_in_cam=self.apply_step(state, pose_of.step).T,
+            covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
+            by_lens=by_lens,
+            by_print=found.by_print if growth is None else pose_of.moves[turns, growth],
+            flat=pose_of.flat,
+        )
+
+    def _depth(self, T: Array) -> float:
+        return float((T[:3, :3] @ self._centre + T[:3, 3])[2])
+
+    def apply_step(self, state: _PoseState, step: Array) -> _PoseState:
+        every = self._every(step)
+        turn, shift = every[_POSE][:3], every[_POSE][3:]
+        R = rotation_from_vector(turn) @ state.T[:3, :3]
+        at = state.T[:3, :3] @ self._centre + state.T[:3, 3] + shift
+        blur = float(np.clip(state.blur.blur + every[_BLUR], *self._blur_range))
+        motion = np.array(state.blur.motion) + every[_MOTION]
+        motion *= min(1.0, _MOST_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
+        smear = BlurKernel(blur, (float(motion[0]), float(motion[1])))
+        return _PoseState(pose(at - R @ self._centre, R), smear, state.log_scale + float(every[_GROWTH]))
+
+    def _every(self, step: Array) -> Array:
+        """A step of all parameters before the lens's, 0 for those that are not fitted."""
+        every = np.zeros(_LENS.start)
+        every[list(self._free)] = step
+        return every
+
+    def moved_px(self, state: _PoseState, step: Array) -> float:
+        """By the shift, by the turn of a print of 0.1 m, and by the size."""
+        every = self._every(step)
+        turn, shift = every[_POSE][:3], every[_POSE][3:]
+        metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
+        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(every[_GROWTH]))
+
+    def alignment(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
+        """The alignment at a state; None where the pixels do not determine the pose."""
+        normal, free = system.normal, list(system.free)
+        held = [k for k in range(len(system.every_gradient)) if k not in free]
+        moves = np.zeros((len(free), len(system.every_gradient)))
+        try:
+            covariance: Array = np.linalg.inv(normal).astype(np.float64) * system.noise**2
+            moves[:, held] = -np.linalg.solve(normal, system.every_normal[np.ix_(free, held)])
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(covariance).all():
+            return None
+        turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
+        by_lens = moves[turns, _LENS]
+        by_lens[5, 0] += self._depth(state.T)
+        return Alignment(
+            state.T,
+            covariance[np.ix_(turns, turns)],
+            by_lens,
+            moves[turns, _GROWTH],
+            self._centre,
+            state.blur,
+            system.noise,
+            system.misfit,
+            system.pixels,
+            system.tiles,
+            state.log_scale,
+        )

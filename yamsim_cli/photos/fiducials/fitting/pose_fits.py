@@ -1,0 +1,210 @@
+"""Poses that a board's print allows: starts from corners, fits to the print, and rivals that fit as well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_vector
+
+from ...lens_distortion import project_points, viewing_rays
+from ..markers import MarkerGroup
+from .normal_equations import MarkerTile
+from .pose_alignment import Alignment, align_pose, measure_agreement
+from .print_view import whole_board_piece
+
+SAME_PRINT = 0.75  # correlation of print and photo, below which a marker is hidden, moved or something else
+EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other smear and no other start
+# An outlier is a marker of which more stays unexplained than of most others, and that correlates badly. Source: photos
+# of whole boards have at most 2.5 times as much unexplained, creased ones 4, half covered ones 40 and more.
+_OUTLIER_RATIO = 5.0  # of the median of what stays unexplained
+_OUTLIER_CORRELATION = 0.9  # correlation above which no marker is an outlier
+_MOST_ROUNDS = 3  # an outlier pulls the pose off the other markers, so outliers are searched again without it
+_MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes its rival
+_CORRELATED = 4.0  # neighbouring pixels to one independent pixel
+_SAME_POSE = math.radians(4.0)  # rad, turn between poses below which they are the same
+_BESIDE_TURN = 0.25  # of the turn between two poses, within which the pose by another board decides for one of them
+_WORST_RIVAL = 4.0  # ratio of mean squared residuals before fitting, above which a rival cannot win
+
+
+@dataclass(frozen=True)
+class PoseFit:
+    """A pose fitted to a board's print: the markers that agree with the pose, and how many seen ones do not."""
+
+    alignment: Alignment
+    agreeing: tuple[int, ...]
+    contradicting: int
+
+    @property
+    def T(self) -> Array:
+        """Pose (4, 4) of the board in the camera's frame."""
+        return self.alignment.T_ref_in_cam
+
+    @property
+    def explains_well(self) -> bool:
+        """Whether drawing and photo agree at most of the agreeing markers."""
+        return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
+
+    @property
+    def mean_square(self) -> float:
+        """Mean squared residual, grey levels squared."""
+        return self.alignment.cost / self.alignment.pixels
+
+
+def planar_poses(points: Array, seen: Array) -> list[Array]:
+    """Poses (4, 4) at which points (n, 3) of a plane are seen along viewing rays (n, 2), by OpenCV's IPPE."""
+    count, turns, shifts, _ = cv2.solvePnPGeneric(points, seen, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+    return [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
+
+
+def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list[Array]:
+    """Poses (4, 4) that a planar board's corners allow, the likelier one first. Unlikely ones are left out."""
+    points = board.corners()[list(group.places)].reshape(-1, 3)
+    pixels = group.corners.reshape(-1, 2)
+    # IPPE has no distortion model and takes viewing rays.
+    count, turns, shifts, _ = cv2.solvePnPGeneric(
+        points, viewing_rays(camera, pixels), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )
+    K, distortion = np.array(camera.K), np.array(camera.distortion)
+    starts = []
+    for k in range(count):
+        turn, shift = cv2.solvePnPRefineLM(points, pixels, K, distortion, turns[k], shifts[k])
+        T = pose(shift.ravel(), cv2.Rodrigues(turn)[0])
+        if not np.isfinite(T).all() or not faces_camera(T):
+            continue
+        off = project_points(camera, points @ T[:3, :3].T + T[:3, 3]) - pixels
+        starts.append((float(np.sqrt((off**2).sum(axis=1).mean())), T))
+    starts.sort(key=lambda start: start[0])
+    return [T for _, T in starts]
+
+
+def faces_camera(T_board_in_cam: Array) -> bool:
+    """Whether the board is in front of the camera with its printed side towards it."""
+    return bool(T_board_in_cam[2, 3] > 0 and T_board_in_cam[:3, 2] @ T_board_in_cam[:3, 3] < 0)
+
+
+def fit_pose(
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    places: Sequence[int],
+    T: Array,
+    known: Sequence[PoseFit] = (),
+) -> PoseFit | None:
+    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it.
+
+    Returns:
+        None where nothing fits, or only a pose that is `known`.
+    """
+    first = align_pose(photo, camera, [whole_board_piece(board, places)], T)
+    if first is None or not faces_camera(first.T_ref_in_cam):
+        return None
+    if any(angle_between(first.T_ref_in_cam, fit.T) < _SAME_POSE for fit in known):
+        return None
+    check = measure_agreement(photo, camera, [whole_board_piece(board)], first.T_ref_in_cam, first.blur, first.noise)
+    if check is None:
+        return None
+    tiles = check.tiles[0]
+    agreeing = tuple(k for k, tile in tiles.items() if tile.correlation >= SAME_PRINT)
+    if not agreeing:
+        return None
+    if set(agreeing) != set(places):
+        again = align_pose(photo, camera, [whole_board_piece(board, agreeing)], first.T_ref_in_cam, first.blur)
+        if again is None or not faces_camera(again.T_ref_in_cam):
+            return None
+        first = again
+    return PoseFit(first, agreeing, len(tiles) - len(agreeing))
+
+
+def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
+    """The fit without outliers, such as markers that are covered in part and pull the pose."""
+    candidates = whole_board_piece(board, fit.agreeing)
+    tiles = fit.alignment.tiles[0]
+    for _ in range(_MOST_ROUNDS):
+        kept = tuple(k for k in candidates.markers if k in tiles and k not in _outliers(tiles))
+        if kept == fit.agreeing:
+            break
+        smear, noise = fit.alignment.blur, fit.alignment.noise
+        again = align_pose(photo, camera, [whole_board_piece(board, kept)], fit.T, smear)
+        if again is None or not faces_camera(again.T_ref_in_cam):
+            break
+        fit = PoseFit(again, kept, fit.contradicting + len(fit.agreeing) - len(kept))
+        check = measure_agreement(photo, camera, [candidates], fit.T, again.blur, noise)
+        if check is None:
+            break
+        tiles = check.tiles[0]
+    return fit
+
+
+def _outliers(tiles: Mapping[int, MarkerTile]) -> set[int]:
+    """Markers of which the drawing, even shifted, explains far less than of most."""
+    left = np.array([tile.residual_variance for tile in tiles.values()])
+    least = _OUTLIER_RATIO * max(float(np.median(left)), 1e-9)
+    return {
+        k for k, tile in tiles.items() if tile.residual_variance > least and tile.correlation < _OUTLIER_CORRELATION
+    }
+
+
+def find_competing_fit(
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    fit: PoseFit,
+    fits: Sequence[PoseFit],
+    predicted_poses: Sequence[Array] = (),
+) -> PoseFit | None:
+    """Another pose that explains the same markers nearly as well; None where there is none.
+
+    Args:
+        predicted_poses: the board's approximate poses (4, 4), one by each other board.
+    """
+    piece = whole_board_piece(board, fit.agreeing)
+    corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
+    exact = corners @ fit.T[:3, :3].T + fit.T[:3, 3]
+    others = [*planar_poses(corners, exact[:, :2] / exact[:, 2:]), *(other.T for other in fits)]
+    for T in others:
+        if angle_between(T, fit.T) < _SAME_POSE or not faces_camera(T):
+            continue
+        alignment = fit.alignment
+        before = measure_agreement(photo, camera, [piece], T, alignment.blur, alignment.noise)
+        if before is None or before.cost / before.pixels > _WORST_RIVAL * fit.mean_square:
+            continue
+        after = align_pose(photo, camera, [piece], T, alignment.blur, coarse=True)
+        if (
+            after is None
+            or angle_between(after.T_ref_in_cam, fit.T) < _SAME_POSE
+            or not faces_camera(after.T_ref_in_cam)
+        ):
+            continue
+        rival = PoseFit(after, fit.agreeing, 0)
+        if not is_clearly_better(fit, rival) and not _other_boards_agree(fit, rival, predicted_poses):
+            return rival
+    return None
+
+
+def _other_boards_agree(fit: PoseFit, rival: PoseFit, predicted_poses: Sequence[Array]) -> bool:
+    """Whether all other boards agree that a fit is likelier than its rival."""
+    near = _BESIDE_TURN * angle_between(fit.T, rival.T)
+    return (
+        bool(predicted_poses)
+        and fit.mean_square < rival.mean_square
+        and all(angle_between(fit.T, T) < near for T in predicted_poses)
+    )
+
+
+def is_clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
+    """Whether the photo is so much likelier under one pose that the rival is excluded."""
+    evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
+    return evidence >= _MIN_EVIDENCE
+
+
+def angle_between(T_a: Array, T_b: Array) -> float:
+    """The angle in radians between two poses' orientations."""
+    return float(np.linalg.norm(rotation_vector(T_a[:3, :3].T @ T_b[:3, :3])))

@@ -1,0 +1,173 @@
+"""Where a board's print lies in a photo, without any camera: the homography from the board to the photo.
+
+Any lens without distortion maps a flat print by eight numbers, here four points of the picture. They are fitted as
+poses are: the print is drawn and moved until it agrees with the photo. `estimate` then evaluates which cameras and
+poses explain the four points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array
+
+from ...lens_distortion import viewing_rays
+from ..fitting.blur_kernel import BlurKernel
+from ..fitting.normal_equations import (
+    NormalEquations,
+    PixelDerivatives,
+    PrintProblem,
+    combine_equations,
+    linearize_print,
+)
+from ..fitting.pose_alignment import BLUR_RANGE
+from ..fitting.pose_fits import SAME_PRINT
+from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
+from ..markers import MarkerGroup
+
+# Error of each point in a photo without noise, compared px: the print is drawn by a few points a pixel. Source: 350
+# outlines of random views; with this error and the noise, 95 % of squared distances are within those of a normal
+# distribution, in sharp and blurred, small and large photos.
+_LEAST_PX = 0.003
+# Standard deviations over those from noise alone: the print's shape and placement are not marginalized here.
+# Source: `python -m tools.bench.intervals`.
+_INFLATION = 2.0
+_USUAL_BLUR = 0.9  # px, start of a fit
+_FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur, no motion, and the map
+
+
+@dataclass(frozen=True)
+class BoardOutline:
+    """A board's place in a photo.
+
+    Attributes:
+        on_board: four points (4, 2) of the board, m.
+        points: the same points in the photo (4, 2), px.
+        covariance: (8, 8) of `points`, x and y alternating, px squared.
+        markers: indices into `board.ids` of the markers that agree.
+    """
+
+    board: Board
+    on_board: Array
+    points: Array
+    covariance: Array
+    markers: tuple[int, ...]
+
+
+def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
+    """Where the print of a group of markers lies; None where the photo does not determine the place.
+
+    Args:
+        photo: grey levels (height, width).
+    """
+    height, width = photo.shape
+    # Any lens would do, since the result is in pixels again.
+    camera = CameraModel.pinhole(width, height, float(max(width, height)))
+    corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
+    plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
+    # OpenCV returns None where corners lie in one line.
+    if plane is None:
+        return None
+    found = _fitted(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
+    if found is None:
+        return None
+    # Markers that are hidden in part or misread are left out.
+    agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT)
+    if not agreeing:
+        return None
+    if len(agreeing) < len(found[2].tiles[0]):
+        found = _fitted(photo, camera, board, agreeing, found[1].plane)
+        if found is None:
+            return None
+    fit, state, system = found
+    return fit.outline(state, system, camera, agreeing)
+
+
+@dataclass(frozen=True)
+class _MapState:
+    """The map (3, 3) from (x, y, 1) on the board to viewing rays, its last element 1; the blur (sigma, px)."""
+
+    plane: Array
+    blur: float
+
+
+def _fitted(
+    photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], plane: Array
+) -> tuple[_PlaneProblem, _MapState, NormalEquations] | None:
+    plane = plane / plane[2, 2]
+    view = view_print(photo, camera, PrintPiece(board, np.eye(4), tuple(places)), plane)
+    if view is None:
+        return None
+    fit = _PlaneProblem(view, camera.focal)
+    found = fit.solve(_MapState(plane, _USUAL_BLUR))
+    return None if found is None else (fit, *found)
+
+
+class _PlaneProblem(PrintProblem[_MapState]):
+    def __init__(self, view: PhotoRegion, focal: float) -> None:
+        super().__init__()
+        self._view, self._focal = view, focal
+        board = view.piece.board
+        # In half boards, the eight numbers have similar sizes.
+        self._per_metre = 2 / max(board.width, board.height)
+        half = np.array([board.width, board.height]) / math.sqrt(12)
+        self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
+
+    def system(self, state: _MapState, noise: float | None) -> NormalEquations | None:
+        def columns(pixels: PixelDerivatives) -> Array:
+            return self._by_map(state, pixels.at, pixels.rays, pixels.by_ray)
+
+        return combine_equations(
+            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FREE
+        )
+
+    def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
+        """Derivatives (n, 8) by the map, from those by the viewing rays, `by_ray` (n, 2)."""
+        w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
+        u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
+        along = (by_ray * seen).sum(axis=1, keepdims=True)
+        return np.column_stack([by_ray[:, :1] * u, by_ray[:, 1:] * u, -along * u[:, :2]])
+
+    def apply_step(self, state: _MapState, step: Array) -> _MapState:
+        change = np.append(step[1:], 0.0).reshape(3, 3) * (self._per_metre, self._per_metre, 1.0)
+        coarser = self._view.coarser
+        blur = float(np.clip(state.blur + step[0], BLUR_RANGE[0] * coarser, BLUR_RANGE[1] * coarser))
+        return _MapState(state.plane + change, blur)
+
+    def moved_px(self, state: _MapState, step: Array) -> float:
+        return float(np.abs(self._by_points(state) @ step[1:]).max())
+
+    def _rays(self, state: _MapState) -> Array:
+        in_cam = np.column_stack([self._on_board, np.ones(4)]) @ state.plane.T
+        seen: Array = in_cam[:, :2] / in_cam[:, 2:]
+        return seen
+
+    def _by_points(self, state: _MapState) -> Array:
+        """Derivative (8, 8) of the four points, px, by the map."""
+        seen, focal = self._rays(state), self._focal
+        by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
+        return np.stack(by, axis=1).reshape(8, 8)
+
+    def outline(
+        self, state: _MapState, system: NormalEquations, camera: CameraModel, markers: tuple[int, ...]
+    ) -> BoardOutline | None:
+        """The outline at a state; None where the pixels do not determine the map."""
+        try:
+            covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(covariance).all():
+            return None
+        by = self._by_points(state)
+        points = self._rays(state) * camera.focal + (camera.K[0][2], camera.K[1][2])
+        noise = by @ covariance @ by.T * _INFLATION**2 + (_LEAST_PX * self._view.coarser) ** 2 * np.eye(8)
+        return BoardOutline(self._view.piece.board, self._on_board, points, noise, markers)

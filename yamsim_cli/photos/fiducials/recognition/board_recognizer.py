@@ -1,0 +1,287 @@
+"""Boards that are seen but cannot be read: recognized as a whole, by all the bits of their print at once.
+
+Patches of the photo (`candidates`), another board beside and a photo taken just before say where a board may be. Each
+such place is fitted to the whole print, like a pose from markers. The fit counts only if the bits that the photo shows
+there agree with the board's by far more than chance (`bits`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array
+
+from ...lens_distortion import project_points, viewing_rays
+from ..board_detection import (
+    BoardDetection,
+    BoardStatus,
+    PoseLimits,
+    judge_detection,
+    measure_appearance,
+    suggest_improvements,
+    suggest_photo_improvements,
+)
+from ..fitting.blur_kernel import BlurKernel
+from ..fitting.pose_alignment import USUAL_BLUR, Alignment, align_pose
+from ..fitting.pose_fits import EXPLAINED, PoseFit, faces_camera, planar_poses
+from ..fitting.print_view import PhotoRegion, PrintPiece, draw_print, print_plane, view_print, whole_board_piece
+from .board_candidates import BoardCandidate, board_quads, candidates, dark_quads, edge_quads, refine_candidates
+from .marker_bits import BitEvidence, measure_evidence
+
+Grey = NDArray[np.uint8]
+
+FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the board is recognized
+# Places and turns that are tried for each board. Source: photos without boards (`make bench-fiducials`), which have 20
+# to 60 patches and their turns, and some 250 moves of each moved patch.
+_PLACES = 1200
+_LOOKS_A_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
+_LIKE_A_BOARD = -8.0  # log of chance, below which a place probably shows the board
+_WORTH_ANOTHER = -3.0  # log of chance, below which a fit that does not agree well is tried again
+_SAME_MOTION = 3.0  # px, difference of lengths within which two motions are the same
+_MOST_FITS = 2  # candidates of one kind that are fitted
+_WORTH_A_FIT = 0.6  # of the best candidate's agreement, least agreement that is fitted
+_AROUND = 0.5  # of the board's size in the picture, distance within which a place known from elsewhere is searched
+_WELL_ENOUGH = 0.85  # median correlation above which no other pose is fitted
+_APART = 0.5  # of a patch's size, distance of centres above which two patches are different places
+
+# Smears that a fit may start from.
+_BLURS = (0.9, 2.0, 3.5)  # px, sigmas
+_LENGTHS, _DIRECTIONS = (4.0, 8.0, 12.0), 8  # px, of motions, and how many directions over half a turn
+_BLUR_MOVING = 1.0  # px, sigma of the blur of a moving camera
+_MOTION_SHARE = 0.85  # of what the best blur leaves unexplained, below which a motion is taken
+# The pixels that the longest motion can explain are compared for all smears.
+_COMPARED = BlurKernel(_BLURS[1])
+
+
+class BoardRecognizer:
+    """BoardAppearance for boards in one photo.
+
+    Args:
+        grey, photo: the photo (height, width), as bytes and as floats.
+        boards: number of boards that are looked for in all.
+    """
+
+    def __init__(
+        self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int, limits: PoseLimits
+    ) -> None:
+        self._grey, self._photo, self._camera, self._boards, self._limits = grey, photo, camera, boards, limits
+        self._likeliest: tuple[float, Alignment] | None = None
+
+    @cached_property
+    def _dark_prints(self) -> list[Array]:
+        return dark_quads(self._grey, whole=True)
+
+    @cached_property
+    def _dark_markers(self) -> list[Array]:
+        return dark_quads(self._grey, whole=False)
+
+    @cached_property
+    def _edge_patches(self) -> list[Array]:
+        return edge_quads(self._grey)
+
+    def sighting(
+        self,
+        seen: BoardDetection,
+        predicted_poses: Sequence[Array],
+        before: Sequence[Array] = (),
+        anywhere: bool = False,
+    ) -> BoardDetection:
+        """The sighting of a board that could not be read well enough, recognized; or `seen` itself.
+
+        Args:
+            predicted_poses: the board's approximate poses (4, 4) in the camera's frame, one by each other board.
+            before: the board's pose in a photo taken just before, if there is one.
+            anywhere: whether the whole photo is searched too.
+        """
+        board, fits = seen.board, list[PoseFit]()
+        self._likeliest = None
+        for T in (*before, *predicted_poses):
+            if (T_moved := self._shifted(board, T)) is not None:
+                fits += self._fits(board, [T_moved])
+        if anywhere:
+            for found in self._candidates(board):
+                if fits:
+                    break
+                for candidate in _best_candidates(found):
+                    fits += self._fits(board, self._starts(board, candidate))
+        if not fits:
+            return replace(seen, advice=self._advice(board)) if anywhere else seen
+        best = min(fits, key=lambda fit: fit.mean_square)
+        size = board.width * self._camera.focal / best.T[2, 3]
+        if any(self._distance_px(fit, best) > _APART * size for fit in fits):
+            reason = "it is in the photo twice: hide or remove the other print"
+            return BoardDetection(board, seen.markers, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
+        return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
+
+    def _candidates(self, board: Board) -> Iterator[list[BoardCandidate]]:
+        """Candidates of each kind; the kinds that are slower to find come later."""
+        yield candidates(self._grey, board, self._dark_prints)
+        yield candidates(self._grey, board, board_quads(self._dark_markers, board))
+        yield refine_candidates(self._grey, board, self._edge_patches)
+
+    def _advice(self, board: Board) -> tuple[str, ...]:
+        """What would help to recognize a board, from the place that looks most like the board."""
+        if self._likeliest is not None and self._likeliest[0] < _LIKE_A_BOARD:
+            found = suggest_improvements(measure_appearance(board, self._camera, self._photo, self._likeliest[1]))
+            if found:
+                return found
+        return suggest_photo_improvements(self._grey)
+
+    def _distance_px(self, one: PoseFit, other: PoseFit) -> float:
+        at = project_points(self._camera, np.array([one.T[:3, 3], other.T[:3, 3]]))
+        return float(np.linalg.norm(at[0] - at[1]))
+
+    def _starts(self, board: Board, candidate: BoardCandidate) -> list[Array]:
+        """The poses (4, 4) that a patch's corners allow, the likelier one first."""
+        poses = planar_poses(board.outer_corners(), viewing_rays(self._camera, candidate.corners))
+        return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
+
+    def _fits(self, board: Board, poses: Sequence[Array]) -> list[PoseFit]:
+        found = list[PoseFit]()
+        for T in poses:
+            if fit := self._fit(board, T):
+                found.append(fit)
+                # The other pose could at most be a rival of this fit, and `judge` looks for rivals.
+                if fit.contradicting == 0 and _is_explained(fit.alignment, _WELL_ENOUGH):
+                    break
+        return found
+
+    def _fit(self, board: Board, T: Array) -> PoseFit | None:
+        whole = whole_board_piece(board)
+        found = self._recognized(whole, T)
+        if found is not None and not _is_explained(found[0]) and found[1].log_chance < _WORTH_ANOTHER:
+            # From a nearer pose, the smear is estimated better.
+            again = self._recognized(whole, found[0].T_ref_in_cam, found[0].blur)
+            if again is not None and again[1].log_chance < found[1].log_chance:
+                found = again
+        if found is None:
+            return None
+        first, bits = found
+        if self._likeliest is None or bits.log_chance < self._likeliest[0]:
+            self._likeliest = bits.log_chance, first
+        # All places of the photo count as trials.
+        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _PLACES * _LOOKS_A_FIT)):
+            return None
+        if len(bits.markers) < len(first.tiles[0]):
+            fewer = align_pose(
+                self._photo, self._camera, [whole_board_piece(board, bits.markers)], first.T_ref_in_cam, first.blur
+            )
+            if fewer is None or not faces_camera(fewer.T_ref_in_cam):
+                return None
+            first = fewer
+        return PoseFit(first, bits.markers, len(bits.agreement) - len(bits.markers))
+
+    def _view(self, piece: PrintPiece, T: Array) -> tuple[PhotoRegion | None, Array]:
+        plane = print_plane(piece, T)
+        return view_print(self._photo, self._camera, piece, plane), plane
+
+    def _recognized(
+        self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
+    ) -> tuple[Alignment, BitEvidence] | None:
+        """A piece, aligned from a pose and the likeliest smear there, and the evidence of its bits.
+
+        Args:
+            tried: the smear that was used before; None is returned where that smear is still likely.
+        """
+        view, plane = self._view(piece, T)
+        smear = None if view is None else estimate_blur(view, plane)
+        if smear is None or (tried is not None and abs(smear.length - tried.length) < _SAME_MOTION):
+            return None
+        fit = align_pose(self._photo, self._camera, [piece], T, smear)
+        if fit is None or not faces_camera(fit.T_ref_in_cam):
+            return None
+        view, plane = self._view(piece, fit.T_ref_in_cam)
+        return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
+
+    def _shifted(self, board: Board, T: Array) -> Array | None:
+        """A pose, moved parallel to the picture to the best match of the print nearby; None if it faces away."""
+        if not faces_camera(T):
+            return None
+        corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
+        centre = project_points(self._camera, T[None, :3, 3])[0]
+        half = np.abs(corners - centre).max(axis=0)
+        height, width = self._grey.shape
+        reach = np.ceil(half + _AROUND * 2 * half.max()).astype(int)
+        low = np.maximum(np.round(centre).astype(int) - reach, 0)
+        high = np.minimum(np.round(centre).astype(int) + reach + 1, (width, height))
+        view, plane = self._view(whole_board_piece(board), T)
+        if view is None or (high - low < 2 * half).any() or view.coarser > 1:
+            return T
+        drawing = draw_print(view, plane, USUAL_BLUR)
+        seen = self._photo[low[1] : high[1], low[0] : high[0]]
+        shape = drawing.grey.shape
+        if shape[0] > seen.shape[0] or shape[1] > seen.shape[1]:
+            return T
+        mask = (drawing.marker >= 0).reshape(shape).astype(np.float32)
+        score = cv2.matchTemplate(seen, drawing.grey, cv2.TM_CCOEFF_NORMED, mask=mask)
+        score = np.where(np.isfinite(score), score, -1.0)
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        first_pixel = project_points(self._camera, np.append(view.centre_rays[0], 1.0)[None])[0]
+        shift = np.array([column + low[0], row + low[1]]) - first_pixel
+        ray, shifted_ray = viewing_rays(self._camera, [centre, centre + shift])
+        moved = T.copy()
+        moved[:2, 3] += T[2, 3] * (shifted_ray - ray)
+        return moved
+
+
+def _best_candidates(found: Sequence[BoardCandidate]) -> Iterator[BoardCandidate]:
+    """The likeliest candidates, each place once."""
+    taken = list[BoardCandidate]()
+    for one in found:
+        if one.agreement < _WORTH_A_FIT * found[0].agreement or len(taken) == _MOST_FITS:
+            return
+        size = float(np.abs(np.ptp(one.corners, axis=0)).max())
+        if all(np.abs(one.corners - other.corners).max() > _APART * size for other in taken):
+            taken.append(one)
+            yield one
+
+
+def _is_explained(fit: Alignment, minimum: float = EXPLAINED) -> bool:
+    """Whether drawing and photo agree at most markers."""
+    return float(np.median([tile.correlation for tile in fit.tiles[0].values()])) > minimum
+
+
+def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
+    """The smear, px, with which a print at a supposed place explains the photo best; None if too little is seen.
+
+    Args:
+        plane: where the print lies, as for `draw_print`.
+    """
+    drawing = draw_print(view, plane, _COMPARED.in_larger_pixels(view.coarser))
+    use = drawing.marker >= 0
+    if use.sum() < 2 * len(view.piece.markers):
+        return None
+    order = np.argsort(drawing.marker[use], kind="stable")
+    _, starts, which = np.unique(drawing.marker[use][order], return_index=True, return_inverse=True)
+    place = np.flatnonzero(use)[order]
+    seen = _subtract_marker_means(view.photo.ravel()[place], starts, which)
+
+    def unexplained(blur: BlurKernel) -> float:
+        drawn = blur.in_larger_pixels(view.coarser).blurred(drawing.sharp).ravel()[place]
+        shape = _subtract_marker_means(drawn, starts, which)
+        power = np.add.reduceat(shape**2, starts) + 1e-9
+        contrast = np.maximum(np.add.reduceat(shape * seen, starts) / power, 0.0)
+        return float(((seen - contrast[which] * shape) ** 2).sum())
+
+    angles = np.arange(_DIRECTIONS) * math.pi / _DIRECTIONS
+    vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _LENGTHS for angle in angles]
+    blurs = {smear: unexplained(smear) for smear in map(BlurKernel, _BLURS)}
+    motions = {smear: unexplained(smear) for smear in (BlurKernel(_BLUR_MOVING, vector) for vector in vectors)}
+    blurred, moved = min(blurs, key=lambda one: blurs[one]), min(motions, key=lambda one: motions[one])
+    return moved if motions[moved] < _MOTION_SHARE * blurs[blurred] else blurred
+
+
+def _subtract_marker_means(values: NDArray[np.float32], starts: NDArray[np.int_], which: NDArray[np.int_]) -> Array:
+    """Values (n,) less the mean of each marker's."""
+    exact = values.astype(np.float64)
+    less: Array = exact - (np.add.reduceat(exact, starts) / np.bincount(which))[which]
+    return less

@@ -1,0 +1,146 @@
+"""The evidence that a print is a certain board: its markers' bits against chance.
+
+At a supposed pose, the bits of each marker are estimated from the photo by least squares, blur included: a number for
+each bit, positive for white. The estimates do not depend on the board's bits. If the photo shows anything else (another
+board, turn or dictionary, or no board), the board's bits are coin tosses against the estimates, and the probability
+that they agree so well has a known bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.board_image import marker_cells
+
+from ..fitting.blur_kernel import BlurKernel
+from ..fitting.print_view import PhotoRegion, RenderedPrint, draw_print, fine_board_points
+
+_LEAST_PIXELS = 12  # fewest pixels of a marker whose bits are estimated
+
+
+@dataclass(frozen=True)
+class BitEvidence:
+    """The agreement of bits in a photo with a board's.
+
+    Attributes:
+        log_chance: natural logarithm of a bound on the probability of such agreement by chance, at one pose.
+        markers: indices into `board.ids` of the markers that agree.
+        agreement: for each marker that is seen, the sum over its bits of estimate times truth (-1 and 1). The estimates
+            of a marker have length 1.
+    """
+
+    log_chance: float
+    markers: tuple[int, ...]
+    agreement: dict[int, float]
+
+
+def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: float) -> BitEvidence:
+    """The evidence for a piece's board at a pose.
+
+    Args:
+        plane: where the print lies, as for `draw_print`.
+        blur: in the photo's pixels.
+        noise: grey levels.
+    """
+    blur = blur.in_larger_pixels(view.coarser)
+    drawing = draw_print(view, plane, blur)
+    bits = marker_bits(view.piece.board)
+    cells = _cells(view, plane)
+    agreement = {}
+    for k in view.piece.markers:
+        if (found := _estimated(view, drawing, blur, cells, k, bits[k], noise)) is not None:
+            agreement[k] = float(bits[k] @ found)
+    log_chance, markers = most_significant_markers(agreement)
+    return BitEvidence(log_chance, markers, agreement)
+
+
+def most_significant_markers(agreement: dict[int, float]) -> tuple[float, tuple[int, ...]]:
+    """The set of markers with the least bound on chance: the bound's natural logarithm, and the set.
+
+    By Hoeffding's inequality, a sum of coin tosses, weighted to a length of 1, exceeds z with a probability of at most
+    exp(-z^2 / 2). The bound is multiplied by the number of all sets that could have been chosen.
+    """
+    order = sorted(agreement, key=lambda k: -agreement[k])
+    best, taken, total = 0.0, tuple[int, ...](), 0.0
+    for count, k in enumerate(order, start=1):
+        total += agreement[k]
+        log_sets = math.log(math.comb(len(order), count) * len(order))
+        log_chance = log_sets - max(total, 0.0) ** 2 / (2 * count)
+        if log_chance < best:
+            best, taken = log_chance, tuple(sorted(order[:count]))
+    return best, taken
+
+
+def marker_bits(board: Board) -> Array:
+    """The bits (n, k) of a board's markers, row by row: -1 for black and 1 for white."""
+    inner = marker_cells(board)[:, 1:-1, 1:-1]
+    bits: Array = np.where(inner > 0, 1.0, -1.0).reshape(len(inner), -1)
+    return bits
+
+
+def _cells(view: PhotoRegion, plane: Array) -> NDArray[np.int_]:
+    """The bit (rows, columns), counted marker by marker, at each point at which the print is drawn; -1 for none."""
+    board = view.piece.board
+    x, y = fine_board_points(view, np.linalg.inv(plane).astype(np.float64))
+    step, side = board.marker_length + board.gap, marker_cells(board).shape[1]
+    cell = board.marker_length / side
+    across, down = x + np.float32(board.width / 2), np.float32(board.height / 2) - y
+    column, row = np.floor(across / step).astype(int), np.floor(down / step).astype(int)
+    bit_x = np.floor((across - column * step) / cell).astype(int) - 1
+    bit_y = np.floor((down - row * step) / cell).astype(int) - 1
+    inner = side - 2
+    inside = (column >= 0) & (column < board.columns) & (row >= 0) & (row < board.rows)
+    inside &= (bit_x >= 0) & (bit_x < inner) & (bit_y >= 0) & (bit_y < inner)
+    return np.where(inside, ((row * board.columns + column) * inner + bit_y) * inner + bit_x, -1)
+
+
+def _estimated(
+    view: PhotoRegion,
+    drawing: RenderedPrint,
+    blur: BlurKernel,
+    cells: NDArray[np.int_],
+    marker: int,
+    bits: Array,
+    noise: float,
+) -> Array | None:
+    """A marker's bits (k,) estimated from the photo, scaled to length 1; None where the marker is not seen."""
+    rows, columns = view.photo.shape
+    use = (drawing.marker == marker).reshape(rows, columns)
+    count, fine = len(bits), cells.shape[0] // rows
+    if use.sum() < _LEAST_PIXELS:
+        return None
+    # The part of the picture that the marker reaches.
+    mine = (cells >= marker * count) & (cells < (marker + 1) * count)
+    seen = use | (mine.reshape(rows, fine, columns, fine).any(axis=(1, 3)))
+    (top, bottom), (left, right) = (np.flatnonzero(seen.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    part = np.s_[top : bottom + 1, left : right + 1]
+    high, wide = bottom + 1 - top, right + 1 - left
+    fine_part = np.s_[top * fine : (bottom + 1) * fine, left * fine : (right + 1) * fine]
+    which, points = cells[fine_part] - marker * count, mine[fine_part]
+    y, x = (at // fine for at in np.nonzero(points))
+    # The share of each pixel that each bit covers, smeared.
+    share = np.bincount((y * wide + x) * count + which[points], minlength=high * wide * count).astype(np.float32)
+    smeared = blur.blurred(share.reshape(high, wide, count) / fine**2)
+    inside = use[part]
+    by_bit = smeared[inside].astype(np.float64)
+    drawn, photo = (picture[part][inside].astype(np.float64) for picture in (drawing.grey, view.photo))
+    # The effects of border and light are projected out.
+    rest = drawn - by_bit @ (bits / 2)
+    across, down = np.meshgrid(np.linspace(-1, 1, wide), np.linspace(-1, 1, high))
+    light = [np.ones(len(rest)), across[inside], down[inside], rest]
+    if drawing.beside is not None:
+        light += [*drawing.beside[part][inside].T]
+    q, _ = np.linalg.qr(np.column_stack(light))
+    by_bit, photo = by_bit - q @ (q.T @ by_bit), photo - q @ (q.T @ photo)
+    # The prior strength of bits is that of the signal, so that noise is not amplified.
+    strength = max(float(photo @ photo) / max(float((by_bit**2).sum()), 1e-9), 1e-9)
+    normal = by_bit.T @ by_bit + noise**2 / strength * np.eye(count)
+    found = np.linalg.solve(normal, by_bit.T @ photo)
+    length = float(np.linalg.norm(found))
+    return found / length if length > 0 else None

@@ -1,0 +1,164 @@
+"""Real lenses: projection with distortion, viewing rays, and ideal pictures warped into what the camera sees."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import ConfigError
+from ..core.geometry.camera import CameraModel, Intrinsics
+from ..core.geometry.se3 import Array
+
+# OpenCV's default of 5 iterations for undoing distortion is off by tenths of a pixel with strong lenses.
+_UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
+
+_RAY_GRID = 8  # px between exact viewing rays; rays interpolated between them are exact to 5e-4 px
+_MAX_HALF_ANGLE = math.radians(75.0)  # rad from the axis; a wider pinhole picture would be mostly border
+
+
+def project_points(camera: CameraModel, points_in_cam: ArrayLike) -> Array:
+    """Pixels (n, 2) of points (n, 3) in the camera's frame, which must lie in front of it."""
+    points = np.asarray(points_in_cam, dtype=np.float64).reshape(-1, 1, 3)
+    if len(points) == 0:
+        return np.zeros((0, 2))
+    zero = np.zeros(3)
+    pixels, _ = cv2.projectPoints(points, zero, zero, np.array(camera.K), np.array(camera.distortion))
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+
+def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
+    """Viewing rays (n, 2) of pixels (n, 2): x/z and y/z in the camera's frame."""
+    points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+    if len(points) == 0:
+        return np.zeros((0, 2))
+    if not camera.distortion:
+        (fx, skew, cx), (_, fy, cy), _ = camera.K
+        y = (points[:, 0, 1] - cy) / fy
+        return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
+    K, distortion = np.array(camera.K), np.array(camera.distortion)
+    # OpenCV 4 has another function that takes criteria.
+    if older := getattr(cv2, "undistortPointsIter", None):
+        found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT)
+    else:
+        found = cv2.undistortPoints(points, K, distortion, criteria=_UNDISTORT)
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2)
+
+
+def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray[np.float32]:
+    """Viewing rays (rows, columns, 2) at all crossings of pixel columns `x` and rows `y`, both evenly spaced."""
+    columns, rows = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if not camera.distortion:
+        across, down = np.meshgrid(columns, rows)
+        field = viewing_rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
+        return field.reshape(len(rows), len(columns), 2).astype(np.float32)
+    # The knots reach beyond the field, since cubic interpolation needs two on each side.
+    knots_x, knots_y = (
+        np.arange(line[0] - 2 * _RAY_GRID, line[-1] + 3 * _RAY_GRID, _RAY_GRID) for line in (columns, rows)
+    )
+    across, down = np.meshgrid(knots_x, knots_y)
+    knots = viewing_rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(
+        len(knots_y), len(knots_x), 2
+    )
+    # `cv2.remap` would round places to 1/32 of the grid, a quarter of a pixel.
+    by_row, by_column = _cubic_weights(rows, knots_y), _cubic_weights(columns, knots_x)
+    field = np.stack([by_row @ knots[..., k] @ by_column.T for k in (0, 1)], axis=-1)
+    return field.astype(np.float32)
+
+
+def _cubic_weights(at: Array, knots: Array) -> Array:
+    """The weights (n, m) of the knots (m,) at each place (n,), by Catmull and Rom's cubic."""
+    place = (at - knots[0]) / (knots[1] - knots[0])
+    first = np.floor(place).astype(int)
+    t = place - first
+    weights = np.zeros((len(at), len(knots)))
+    terms = (-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3)
+    for k, term in enumerate(terms):
+        weights[np.arange(len(at)), first + k - 1] = term / 2
+    return weights
+
+
+class LensWarp:
+    """Turns a picture of an ideal, centred pinhole camera into the one that a real camera takes from the same place.
+
+    Attributes:
+        ideal: the pinhole camera to render with, which sees everything that the real camera does.
+        supersample: ideal pixels to a pixel of the real camera, in each direction, at the image's centre.
+
+    Raises:
+        ConfigError: the lens is too wide for a pinhole picture.
+    """
+
+    def __init__(self, camera: CameraModel, supersample: int = 1) -> None:
+        edge_x = np.linspace(-0.5, camera.width - 0.5, 65)
+        edge_y = np.linspace(-0.5, camera.height - 0.5, 65)
+        border = np.concatenate(
+            [
+                np.column_stack([np.tile(edge_x, 2), np.repeat(edge_y[[0, -1]], 65)]),
+                np.column_stack([np.repeat(edge_x[[0, -1]], 65), np.tile(edge_y, 2)]),
+            ]
+        )
+        reach = np.abs(viewing_rays(camera, border)).max(axis=0) * 1.01
+        if not np.isfinite(reach).all() or reach.max() > math.tan(_MAX_HALF_ANGLE):
+            raise ConfigError(
+                f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees to a side, too wide for a "
+                f"pinhole model; at most {math.degrees(_MAX_HALF_ANGLE):.0f}: check K and distortion"
+            )
+        focal = camera.focal * supersample
+        width, height = (2 * math.ceil(float(r) * focal) for r in reach)
+        self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        self._camera = camera
+        self.supersample = supersample
+        self._known_maps: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+
+    @property
+    def fovy(self) -> float:
+        """Vertical field of view of the ideal camera, rad."""
+        return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
+
+    def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A photo as the camera `coarse` would have taken it: without distortion, and with the same size of pixels."""
+        ideal, K = self.coarse, np.array(self._camera.K)
+        map_x, map_y = cv2.initUndistortRectifyMap(
+            K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
+        )
+        flat = cv2.remap(photo, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(flat, dtype=np.uint8)
+
+    @property
+    def coarse(self) -> Intrinsics:
+        """The camera whose picture is every `supersample`-th row and column of an ideal picture."""
+        fine, step = self.ideal, self.supersample
+        return Intrinsics(
+            -(-fine.width // step),
+            -(-fine.height // step),
+            fine.fx / step,
+            fine.fy / step,
+            fine.cx / step,
+            fine.cy / step,
+        )
+
+    def image(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
+        """The real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""
+        camera, fine = self._camera, 1 if nearest else self.supersample
+        map_x, map_y = self._maps(fine)
+        mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+        bent = cv2.remap(ideal, map_x, map_y, mode, borderMode=cv2.BORDER_REPLICATE)
+        if fine > 1:
+            bent = cv2.resize(bent, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        return np.asarray(bent, dtype=np.uint8)
+
+    def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Columns and rows in the ideal picture of `fine` x `fine` points in each pixel of the real one."""
+        if fine in self._known_maps:
+            return self._known_maps[fine]
+        camera, offset = self._camera, (fine - 1) / 2
+        x = (np.arange(camera.width * fine) - offset) / fine
+        y = (np.arange(camera.height * fine) - offset) / fine
+        field = viewing_ray_grid(camera, x, y)
+        map_x = field[..., 0] * np.float32(self.ideal.fx) + np.float32(self.ideal.cx)
+        map_y = field[..., 1] * np.float32(self.ideal.fy) + np.float32(self.ideal.cy)
+        self._known_maps[fine] = map_x, map_y
+        return map_x, map_y

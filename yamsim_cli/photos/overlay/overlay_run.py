@@ -1,0 +1,273 @@
+"""Lays a rig's arms over photos, and writes pictures, masks, video and report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.files.writing import write_file
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.images.image_files import Mask, read_image, read_mask, to_grey
+from yamsim_cli.core.images.png import encode_png
+from yamsim_cli.core.images.video import VideoWriter
+from yamsim_cli.core.progress import Progress
+
+from ..fiducials.board_detection import USUAL_LIMITS, BoardStatus, PoseLimits
+from ..picture_overlay import blend_arms, draw_board, write_lines
+from .joint_files import ArmPostures, home_postures
+from .move_detection import describe_move, find_moves
+from .outline_fit import mask_iou, refine_poses, score_outlines
+from .overlay_report import REPORT_NAME, OverlayReport, captions
+from .photo_arm_poses import RigInPhoto, find_arms
+from .photo_cameras import PhotoCameras
+from .photos import MASK_ENDING, OVERLAY_ENDING, Photo, find_mask
+from .rendered_arms import ArmRenderers
+
+
+@dataclass(frozen=True)
+class PhotoJob:
+    """A photo to lay the arms over.
+
+    Attributes:
+        mask: the user's mask of the robot; None without one.
+        outputs: the picture to write and, if wanted, the mask.
+    """
+
+    photo: Photo
+    mask: Path | None
+    outputs: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class OverlayRequest:
+    """What to do with photos.
+
+    Attributes:
+        jobs: the photos, see `photo_jobs`.
+        out: folder for the pictures and the report.
+        camera: the camera of all photos; None for each photo's own, or else an estimate from the boards.
+        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose.
+        refine: whether each pose is moved until the arms' outline meets the photo's edges.
+        opacity: opacity of the rendered arms, 0..1.
+        limits: the uncertainty up to which a board's pose counts as located.
+        video: an MP4 of all pictures to write; an older one is replaced.
+        frame_period: time from one picture to the next in the video, s.
+        max_reprojection, min_iou: limits that each photo has to keep, px and 0..1.
+        fail_if_moved: whether a camera or base that was moved between photos counts as a failure.
+    """
+
+    jobs: Sequence[PhotoJob]
+    out: Path
+    camera: CameraModel | None = None
+    trust_margin: bool = False
+    refine: bool = False
+    opacity: float = 0.55
+    limits: PoseLimits = USUAL_LIMITS
+    video: Path | None = None
+    frame_period: float = 1 / 15
+    max_reprojection: float | None = None
+    min_iou: float | None = None
+    fail_if_moved: bool = False
+
+    @property
+    def files(self) -> list[Path]:
+        """The pictures, the masks and the report that `run_overlays` writes."""
+        return [*(path for job in self.jobs for path in job.outputs), self.out / REPORT_NAME]
+
+
+def photo_jobs(
+    photos: Sequence[Photo],
+    out: Path,
+    *,
+    postures: Sequence[ArmPostures] | None = None,
+    write_masks: bool = False,
+    mask_images: Path | None = None,
+) -> list[PhotoJob]:
+    """The photos with their joints, their masks and the files to write.
+
+    Args:
+        out: folder for the pictures.
+        postures: how every arm stands, one row for all photos or a row for each; None for what each photo knows.
+        write_masks: whether a mask of each photo is written: 0 where no arm is, k for the k-th arm.
+        mask_images: the user's own mask of the photos, or a folder with masks of the photos' names.
+
+    Raises:
+        ConfigError: the number of rows does not fit the photos.
+        UsageError: an output would replace a photo or a mask.
+        ResourceError: a photo has no mask among those that were given.
+    """
+    if postures is not None and len(postures) not in (1, len(photos)):
+        raise ConfigError(f"--joints has {len(postures)} rows for {len(photos)} photos; give one row, or one for each")
+    endings = (OVERLAY_ENDING, MASK_ENDING) if write_masks else (OVERLAY_ENDING,)
+    jobs = []
+    for k, (photo, stem) in enumerate(zip(photos, _result_names(photos), strict=True)):
+        if postures is not None:
+            photo = replace(photo, postures=postures[k if len(postures) > 1 else 0], joints_source="file")
+        mask = None if mask_images is None else find_mask(mask_images, photo.path)
+        jobs.append(PhotoJob(photo, mask, tuple(out / f"{stem}{ending}" for ending in endings)))
+    inputs = {path.resolve() for job in jobs for path in (job.photo.path, job.mask) if path}
+    for path in (path for job in jobs for path in job.outputs):
+        if path.resolve() in inputs:
+            raise UsageError(f"{path} is an input and would be overwritten; choose another --out")
+    return jobs
+
+
+def _result_names(photos: Sequence[Photo]) -> list[str]:
+    """A name for each photo's results: the photo's, with its ending and its place in the list if names are equal."""
+    stems = [photo.path.stem for photo in photos]
+    if len(set(stems)) < len(stems):
+        stems = [photo.path.name.replace(".", "_") for photo in photos]
+    if len(set(stems)) < len(stems):
+        stems = [f"{k:06d}_{stem}" for k, stem in enumerate(stems)]
+    return stems
+
+
+def run_overlays(
+    rig: RigConfig,
+    request: OverlayRequest,
+    scene: SceneConfig,
+    quality: RenderConfig,
+    locations: Locations,
+    progress: Progress,
+) -> OverlayReport:
+    """Lay the rig over every photo that can be read, and return the report.
+
+    Raises:
+        ConfigError: a mask or the camera does not fit the photos.
+        UsageError: photos of several sizes are to make one video.
+        ResourceError: no photo can be read, a mask cannot, or the output cannot be written.
+    """
+    jobs = request.jobs
+    try:
+        request.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResourceError(f"{request.out} cannot be made: {error.strerror}; choose another --out") from error
+    report = OverlayReport(rig)
+    lenses = PhotoCameras(rig, [job.photo.path for job in jobs], request.camera)
+    with ExitStack() as stack:
+        renderers = stack.enter_context(ArmRenderers(rig, scene, quality, locations))
+        video = request.video and stack.enter_context(VideoWriter(request.video, request.frame_period, overwrite=True))
+        size: tuple[int, ...] = ()
+        found: RigInPhoto | None = None
+        for k, job in enumerate(jobs):
+            progress(k, len(jobs))
+            try:
+                image = read_image(job.photo.path)
+            except ResourceError as error:
+                report.unreadable.append(str(error))
+                continue
+            size = size or image.shape
+            if video and image.shape != size:
+                raise UsageError(
+                    f"--video needs photos of one size, but {job.photo.path} has another than those before it"
+                )
+            lens, grey = lenses.camera_of(job.photo, image), to_grey(image)
+            found = find_arms(rig, job.photo, grey, lens, request.trust_margin, found, request.limits)
+            result, picture, labels = _overlay(rig, request, job, image, grey, found, renderers)
+            report.results.append(result)
+            report.files += _write_images(job.outputs, (picture, labels))
+            report.failures += _failures(result, request)
+            if video:
+                video.write(picture)
+        if not report.results:
+            raise ResourceError(report.unreadable[0])
+        progress(len(jobs), len(jobs))
+    report.stillness = find_moves(report.results)
+    if request.fail_if_moved:
+        report.failures += [describe_move(move) for move in report.stillness.moves]
+    if request.video:
+        report.files.append(request.video)
+    report.write(request.out)
+    return report
+
+
+def _overlay(
+    rig: RigConfig,
+    request: OverlayRequest,
+    job: PhotoJob,
+    image: Image,
+    grey: Image,
+    result: RigInPhoto,
+    renderers: ArmRenderers,
+) -> tuple[RigInPhoto, Image, NDArray[np.uint8]]:
+    """The scored result of a photo, the photo with the arms over it, and labels (height, width): k for the k-th arm.
+
+    Args:
+        image, grey: the photo, RGB (height, width, 3) and grey.
+        result: the arms that were found.
+    """
+    stands, camera = job.photo.postures or home_postures(rig), result.lens.camera
+    picture, labels = image.copy(), np.zeros(image.shape[:2], np.uint8)
+    if result.bases:
+        renderer = renderers.renderer_for(camera)
+        if request.refine:
+            result = refine_poses(result, renderer, stands, grey, request.trust_margin)
+        renderer.pose(result.bases, stands)
+        result = score_outlines(result, renderer, grey)
+        arms = renderer.render()
+        labels = arms.labels
+        picture = blend_arms(image, arms.colour, labels, request.opacity)
+    for arm in result.arms:
+        if arm.sighting and arm.sighting.T_board_in_cam is not None:
+            draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
+    if job.mask is not None:
+        result = replace(result, iou=_mask_overlap(labels, read_mask(job.mask), result.path))
+    write_lines(picture, captions(result), _changed_pixels(picture, image))
+    return result, picture, labels
+
+
+def _mask_overlap(labels: NDArray[np.uint8], mask: Mask, path: Path) -> float:
+    if mask.shape != labels.shape:
+        raise ConfigError(
+            f"the mask for {path} has {mask.shape[1]} x {mask.shape[0]} pixels, the photo {labels.shape[1]} x "
+            f"{labels.shape[0]}"
+        )
+    return mask_iou(labels > 0, mask)
+
+
+def _changed_pixels(picture: Image, image: Image) -> NDArray[np.bool_]:
+    """Which pixels (height, width) of a picture differ from the photo's."""
+    # Channel by channel, which is much faster.
+    changed = np.zeros(image.shape[:2], dtype=np.bool_)
+    for k in range(3):
+        changed |= picture[..., k] != image[..., k]
+    return changed
+
+
+def _write_images(paths: Sequence[Path], images: Sequence[Image]) -> Sequence[Path]:
+    try:
+        for path, image in zip(paths, images, strict=False):
+            write_file(path, encode_png(image))
+    except OSError as error:
+        out = paths[0].parent
+        raise ResourceError(f"{out} cannot be written: {error.strerror or error}; choose another --out") from error
+    return paths
+
+
+def _failures(result: RigInPhoto, request: OverlayRequest) -> list[str]:
+    found = []
+    for arm in result.arms:
+        if request.max_reprojection is None or arm.board is None or not arm.sighting:
+            continue
+        rms = arm.sighting.reprojection_rms
+        if arm.sighting.status is not BoardStatus.OK:
+            found.append(f"{result.path}: {arm.name} is not located: {arm.sighting.explanation}")
+        elif rms is not None and rms > request.max_reprojection:
+            found.append(
+                f"{result.path}: {arm.name}'s reprojection of {rms:.2f} px is above {request.max_reprojection:g}: "
+                "check the camera file"
+            )
+    if request.min_iou is not None and (result.iou or 0.0) < request.min_iou:
+        found.append(f"{result.path}: overlap {result.iou or 0.0:.3f} with the mask is below {request.min_iou:g}")
+    return found

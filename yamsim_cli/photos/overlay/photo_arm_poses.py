@@ -1,0 +1,298 @@
+"""Each arm's base pose in a photo, from its own board, from all boards together, or from a recording."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.se3 import Array, inverse
+
+from ..fiducials.board_detection import USUAL_LIMITS, BoardDetection, BoardStatus, PoseLimits
+from ..fiducials.board_localization import boards_without_pose, locate_boards, locate_together
+from ..fiducials.markers import seen_ids
+from .photo_cameras import PhotoCamera
+from .photos import Photo
+
+# Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
+INFERRED = "inferred"
+RECORDED = "recorded"
+NO_BOARD = "no_board"
+
+_PRINT_TOLERANCE = 0.5  # px, reprojection error above which a note is made
+_MARGIN_TOLERANCE = 0.002  # m, difference of the measured margin from the rig's, above which a note is made
+
+# Whether two prints have the sizes of the rig is tested by a chi squared of how the boards lie to each other.
+_MARGIN_SIGMA = 0.005  # m, standard deviation of the arms' distance along the margin from the rig's
+_PLACE_SIGMA = 0.002  # m, standard deviation of the arms' places in any direction
+_SIZE_EXPLAINS = 25.0  # chi squared that another size of print has to explain
+_SIZE_LEAVES = 14.0  # chi squared that another size of print may leave
+_LEAST_GROWTH = 0.01  # smallest difference of size that is reported
+
+
+@dataclass(frozen=True)
+class ArmPose:
+    """What a photo shows of one arm.
+
+    Attributes:
+        board: the board's name; None for an arm without one.
+        status: a `BoardStatus` of the board; INFERRED or RECORDED if the pose has another source; NO_BOARD.
+        T_base_in_cam: pose (4, 4) of the arm's base; None if there is none.
+        edge_residual: median distance (px) of the rendered outline to the photo's edges.
+    """
+
+    name: str
+    board: str | None
+    status: str
+    sighting: BoardDetection | None = None
+    T_base_in_cam: Array | None = None
+    edge_residual: float | None = None
+
+    @property
+    def located(self) -> bool:
+        """Whether there is a pose of the base that is not uncertain."""
+        return self.T_base_in_cam is not None and self.status != BoardStatus.UNCERTAIN
+
+
+@dataclass(frozen=True)
+class RigInPhoto:
+    """What a photo shows of a rig.
+
+    Attributes:
+        joints_source: where the joints come from: "home", "file" or "episode".
+        ids: ids of all markers that were read, also of those that belong to no board of the rig.
+        T_arm2_in_arm1: measured pose (4, 4), with each arm's pose from its own board; None unless both were found.
+        margin, margin_sigma: the distance between the arms by that pose, and its standard deviation, m.
+        edge_residual: median distance (px) of all rendered outlines to the photo's edges.
+        iou: overlap with the user's mask, 0..1.
+        notes: sentences for users.
+        time: when the photo was taken, s; None if not known.
+    """
+
+    path: Path
+    lens: PhotoCamera
+    joints_source: str
+    arms: tuple[ArmPose, ...]
+    ids: tuple[int, ...]
+    T_arm2_in_arm1: Array | None = None
+    margin: float | None = None
+    margin_sigma: float | None = None
+    edge_residual: float | None = None
+    iou: float | None = None
+    notes: tuple[str, ...] = ()
+    time: float | None = None
+
+    @property
+    def bases(self) -> dict[int, Array]:
+        """Index of an arm -> pose (4, 4) of its base in the camera's frame, for all arms that are located."""
+        return {
+            k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.located and arm.T_base_in_cam is not None
+        }
+
+
+def find_arms(
+    rig: RigConfig,
+    photo: Photo,
+    grey: NDArray[np.uint8],
+    lens: PhotoCamera,
+    trust_margin: bool,
+    before: RigInPhoto | None = None,
+    limits: PoseLimits = USUAL_LIMITS,
+) -> RigInPhoto:
+    """Each arm's pose from its board, or else from the other board or from the recording.
+
+    Args:
+        grey: the photo (height, width).
+        lens: the camera. If its focal length is too uncertain, no board gives a pose.
+        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose of the rig.
+        before: the result of the previous photo of a series: boards are searched at their places there too.
+        limits: the uncertainty up to which a board's pose counts as located.
+    """
+    boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
+    if lens.focal.reason:
+        sightings, markers = boards_without_pose(grey, camera, boards, lens.focal.reason)
+    else:
+        T_boards = [_T_board_in_world(rig, k) for k, arm in enumerate(rig.arms) if arm.board]
+        seen_before = {arm.board: arm.sighting for arm in before.arms if arm.sighting} if before else {}
+        poses = [one.T_board_in_cam if (one := seen_before.get(board.name)) else None for board in boards]
+        sightings, markers = locate_boards(grey, camera, boards, T_boards, poses, limits)
+    by_board = {seen.board.name: seen for seen in sightings}
+    arms = []
+    for arm in rig.arms:
+        if arm.board is None:
+            arms.append(ArmPose(arm.name, None, NO_BOARD))
+            continue
+        seen = by_board[arm.board.board.name]
+        T = None if seen.T_board_in_cam is None else seen.T_board_in_cam @ inverse(arm.T_board_in_base)
+        arms.append(ArmPose(arm.name, arm.board.name, seen.status, seen, T))
+    notes = _inconsistencies(arms)
+    arms = _drop_inconsistent_sizes(rig, arms)
+    ids = tuple(seen_ids(markers))
+    result = RigInPhoto(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes, time=photo.time)
+    result = _with_margin(rig, result)
+    if trust_margin and len(arms) > 1 and result.bases:
+        result = _pose_by_trusted_margin(rig, result, grey)
+    return result if photo.T_base_in_cam is None else _recorded(rig, result, photo.T_base_in_cam)
+
+
+def _T_board_in_world(rig: RigConfig, k: int) -> Array:
+    T: Array = rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base
+    return T
+
+
+def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]:
+    """Number and sighting of each arm whose own board is located."""
+    return [(k, arm.sighting) for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is BoardStatus.OK]
+
+
+def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
+    """The arms without the poses of two boards whose prints cannot both be of the sizes that the rig says."""
+    for (k, one), (j, two) in itertools.combinations(_located_boards(arms), 2):
+        ratio = _size_ratio(one, two, _T_board_in_world(rig, k), _T_board_in_world(rig, j))
+        if ratio is None:
+            continue
+        reason = (
+            f"the print of {arms[j].name}'s board is {100 * ratio:.1f} % as large beside {arms[k].name}'s as the rig "
+            "says: measure both, and set the rig's marker_length_mm and gap_mm"
+        )
+        for n, sighting in ((k, one), (j, two)):
+            refused = replace(_without_pose(sighting), status=BoardStatus.POOR_FIT, reason=reason)
+            arms[n] = replace(arms[n], status=refused.status, sighting=refused, T_base_in_cam=None)
+        break
+    return arms
+
+
+def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: Array) -> float | None:
+    """The size of the second print over the rig's, beside the first print.
+
+    A print that is smaller than the rig says looks farther away: the board lies off along the line of sight, and
+    nothing else moves a board so.
+
+    Args:
+        one, two: boards with a pose.
+        T_one, T_two: the boards' poses (4, 4) in `world`, by the rig.
+
+    Returns:
+        None where the prints agree, or sizes do not explain how the boards lie to each other.
+    """
+    assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
+    assert one.covariance is not None and two.covariance is not None
+    assert one.shared_errors is not None and two.shared_errors is not None
+    expected = one.T_board_in_cam @ (inverse(T_one) @ T_two)
+    lever = expected[:3, 3] - one.T_board_in_cam[:3, 3]
+    # A small turn w of the first board moves the second by w x lever.
+    x, y, z = lever
+    swung = np.column_stack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
+    own_one: Array = one.covariance - one.shared_errors @ one.shared_errors.T
+    own_two: Array = two.covariance - two.shared_errors @ two.shared_errors.T
+    shared: Array = two.shared_errors[3:] - swung @ one.shared_errors
+    noise = swung @ own_one @ swung.T + own_two[3:, 3:] + shared @ shared.T
+    # The margin is along world y.
+    along = one.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
+    noise = noise + _PLACE_SIGMA**2 * np.eye(3) + _MARGIN_SIGMA**2 * np.outer(along, along)
+    off = two.T_board_in_cam[:3, 3] - expected[:3, 3]
+    # Another size scales the whole way from the camera.
+    way = two.T_board_in_cam[:3, 3]
+    weighted = np.linalg.solve(noise, np.column_stack([off, way]))
+    growth = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
+    before = float(off @ weighted[:, 0])
+    left = before - growth**2 * float(way @ weighted[:, 1])
+    if before - left < _SIZE_EXPLAINS or left > _SIZE_LEAVES or abs(growth) < _LEAST_GROWTH:
+        return None
+    return 1.0 + growth
+
+
+def _without_pose(sighting: BoardDetection) -> BoardDetection:
+    return replace(sighting, T_board_in_cam=None, covariance=None, shared_errors=None)
+
+
+def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose:
+    sighting = arm.sighting and _without_pose(arm.sighting)
+    return replace(arm, status=status, sighting=sighting, T_base_in_cam=T_base_in_cam)
+
+
+def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
+    """The result with the recorded poses of the arms for which no board gave one."""
+    T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
+    arms = tuple(
+        arm if arm.located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
+        for k, arm in enumerate(result.arms)
+    )
+    return replace(result, arms=arms)
+
+
+def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
+    return tuple(
+        f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
+        "rig's marker_length_mm and gap_mm against the print"
+        for arm in arms
+        if arm.located and arm.sighting
+        if (rms := arm.sighting.reprojection_rms) is not None and rms > _PRINT_TOLERANCE
+    )
+
+
+def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
+    """The result with the measured distance of the arms, and a note if it differs from the rig's."""
+    if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
+        return result
+    one, two = result.arms[:2]
+    assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
+    measured = inverse(one.T_base_in_cam) @ two.T_base_in_cam
+    expected = inverse(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
+    # The margin is along world y, which is this direction in the first arm's frame.
+    along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
+    margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
+    sigma = _margin_sigma(one, two, one.T_base_in_cam[:3, :3] @ along)
+    notes = result.notes
+    if abs(margin - rig.margin) > max(_MARGIN_TOLERANCE, 2 * sigma):
+        notes += (
+            f"the arms are {margin:.4f} m apart here (+- {sigma * 1000:.1f} mm) and {rig.margin:.4f} m in rig "
+            f"{rig.name!r}: mend the rig's margin, or measure the prints",
+        )
+    return replace(result, T_arm2_in_arm1=measured, margin=margin, margin_sigma=sigma, notes=notes)
+
+
+def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
+    """Standard deviation of two boards' distance along a direction (3,) of the camera's frame."""
+    variance, scales = 0.0, []
+    for arm in (one, two):
+        assert (
+            arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared_errors is not None
+        )
+        assert arm.sighting.T_board_in_cam is not None and arm.T_base_in_cam is not None
+        # A turn of the board about its centre moves the base.
+        lever = arm.T_base_in_cam[:3, 3] - arm.sighting.T_board_in_cam[:3, 3]
+        along = np.concatenate([np.cross(lever, direction), direction])
+        shared = along @ arm.sighting.shared_errors
+        variance += float(along @ arm.sighting.covariance @ along - shared @ shared)
+        scales.append(shared)
+    # Errors of the lens and of the printer are the same for both boards: their difference counts, not their sum.
+    apart = scales[1] - scales[0]
+    return math.sqrt(max(0.0, variance) + float(apart @ apart))
+
+
+def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np.uint8]) -> RigInPhoto:
+    """The result with all arms posed by one pose of the whole rig, which all found boards give together."""
+    seen = dict(_located_boards(result.arms))
+    T_boards = [_T_board_in_world(rig, k) for k in seen]
+    joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)
+    if joint is None or joint[0].T_board_in_cam is None:
+        refused = (
+            f"the boards do not lie as rig {rig.name!r} says: its margin is not trusted, each arm has its own pose"
+        )
+        return replace(result, notes=(*result.notes, refused))
+    T_world_in_cam = joint[0].T_board_in_cam @ inverse(T_boards[0])
+    found, arms = dict(zip(seen, joint, strict=True)), []
+    for k, arm in enumerate(result.arms):
+        T = T_world_in_cam @ rig.T_base_in_world(k)
+        if k in found:
+            arms.append(replace(arm, sighting=found[k], T_base_in_cam=T))
+        else:
+            arms.append(_with_other_pose(arm, INFERRED, T))
+    return replace(result, arms=tuple(arms))

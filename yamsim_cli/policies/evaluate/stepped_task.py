@@ -1,0 +1,123 @@
+"""A task's trials, stepped tick by tick by an environment or a simulated station."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob
+from yamsim_cli.core.closable import Closable
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.attempt_payload import render_cameras
+from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.episode_rules import EndReason, EndRule, EpisodeRules
+from yamsim_cli.core.episode.execution import demonstrate, with_reserved_distractors
+from yamsim_cli.core.episode.sampling import sample_attempt
+from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
+
+MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
+
+
+class SteppedTask(Closable):
+    """A task's trials, which start as those of `yamsim trials` with the same numbers. Close it, since it may render.
+
+    Attributes:
+        config: of the task.
+        rules: of its episodes.
+        simulator: of the trial that was begun last.
+        attempt: the trial as it was sampled.
+        episode: the trial in motion.
+
+    Args:
+        end: who ends a trial, see `EndRule`.
+        max_ticks: control ticks after which a trial ends; by default the task's own limit.
+    """
+
+    attempt: Attempt
+    episode: Episode
+
+    def __init__(self, session: Session, end: EndRule = EndRule.SUCCESS, max_ticks: int | None = None) -> None:
+        self.config = session.config
+        self.rules = EpisodeRules(end, max_ticks=max_ticks or session.config.task.max_ticks)
+        self._simulators = Simulators(session)
+        self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
+
+    def begin(self, job: AttemptJob) -> None:
+        """Begin a trial, or the next one that has a start.
+
+        Raises:
+            SimulationError: none of `MAX_STARTS` trials has a start.
+        """
+        for attempt in self._sampled(job):
+            if attempt.start is not None:
+                self._set_up(with_reserved_distractors(self.simulator, attempt))
+                return
+        raise self._none(job, "has a start")
+
+    def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
+        """Begin a trial, or the next one in which the task's expert succeeds, as an episode of `record` does.
+
+        Returns:
+            The expert's actions.
+
+        Raises:
+            SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
+        """
+        for attempt in self._sampled(job):
+            done = demonstrate(self.simulator, attempt)
+            if done.outcome.success:
+                self._set_up(done.attempt)
+                parts = [state.actions for state in done.states]
+                ctrl, magnet, joints = zip(*((part.ctrl, part.magnet, part.joints) for part in parts), strict=True)
+                return ActionSequence(np.concatenate(ctrl), np.concatenate(magnet), np.concatenate(joints))
+        raise self._none(job, "can be demonstrated")
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the trial has ended as a success, or would if its actor ended it now."""
+        end = self.episode.end
+        return self.episode.succeeds if end is None else end.cause is None
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the trial has ended by its time limit."""
+        end = self.episode.end
+        return end is not None and end.reason is EndReason.TIME_LIMIT
+
+    def failure_reason(self) -> str:
+        """Why the trial is no success at present, in words; empty if it is a success."""
+        if self.succeeded:
+            return ""
+        end = self.episode.end
+        return self.episode.status if end is None or not end.detail else end.detail
+
+    def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
+        """Camera -> image (height, width, 3) of the state now, or at MuJoCo's positions (nq,)."""
+        return render_cameras(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._simulators.close()
+
+    def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
+        """The attempts from a job on; `self.simulator` is that of the attempt yielded last."""
+        for number in range(job.attempt, job.attempt + MAX_STARTS):
+            one = replace(job, attempt=number)
+            self.simulator = self._simulators.get(one)
+            yield sample_attempt(self.simulator, one)
+
+    def _set_up(self, attempt: Attempt) -> None:
+        self.attempt = attempt
+        self.episode = open_episode(self.simulator, attempt, self.rules)
+
+    def _none(self, job: AttemptJob, does: str) -> SimulationError:
+        name = self.config.task.name
+        return SimulationError(
+            f"task {name!r}: none of {MAX_STARTS} trials from {job.attempt} of seed {job.seed} on {does}; "
+            f"`yamsim trials --task {name} --seed {job.seed}` says why"
+        )

@@ -1,0 +1,188 @@
+"""A policy of another program, whose names, units and order of values a config describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..core.config.policy import PictureMapping, PolicyConfig
+from ..core.dataset.environment_state import joints_key, state_row
+from ..core.errors import UsageError, suggest
+from ..core.geometry.se3 import Array, inverse
+from ..core.images.resize import resize_image
+from .policy_client import action_period, action_rows
+from .policy_protocol import OBJECTS, InvalidActionError, Observation
+
+
+class PolicyClient(Protocol):
+    """The client of a policy server, or a checkpoint in this process."""
+
+    def begin(self, seed: int) -> None:
+        """Begin a trial of a seed."""
+        ...
+
+    def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The answer to a message: text, numbers, arrays, and mappings of them."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection, if there is one."""
+        ...
+
+
+@dataclass(frozen=True)
+class PolicyStation:
+    """The arms, cameras and things that a policy acts on.
+
+    Attributes:
+        rig: its name, for messages.
+        sides: of the arms, in the order of observations and actions.
+        drives: how many each arm has, its gripper last.
+        openings: the opening of one finger of each fully open gripper, m; 0 without fingers.
+        cameras: name that a policy requests -> key of the picture in observations.
+        things: name -> key of its pose in observations, in the order of a row.
+        T_base_in_world: pose (4, 4) of the base to which a dataset's poses refer.
+    """
+
+    rig: str
+    sides: tuple[str, ...]
+    drives: int
+    openings: tuple[float, ...]
+    cameras: Mapping[str, str]
+    things: Mapping[str, str] = field(default_factory=dict)
+    T_base_in_world: Array = field(default_factory=lambda: np.eye(4))
+
+
+class MappedPolicy:
+    """Converts observations to a client's messages, and the client's answers to actions.
+
+    Attributes:
+        images: the cameras whose pictures the messages have.
+        wants: further values that the messages have, see `base.STATE`.
+        execute: actions of a chunk that act before the next answer is requested, by default; None for all.
+
+    Args:
+        wanted: the client's inputs, by their keys in the config; None for all.
+
+    Raises:
+        UsageError: the config does not fit the station.
+    """
+
+    def __init__(
+        self, client: PolicyClient, config: PolicyConfig, station: PolicyStation, wanted: Sequence[str] | None = None
+    ) -> None:
+        self._client, self._config, self._station = client, config, station
+        self.execute: int | None = getattr(client, "execute", None)
+        sides = station.sides if config.arms == "all" else config.arms
+        if missing := [side for side in sides if side not in station.sides]:
+            raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")
+        if unused := [side for side in station.sides if side not in sides]:
+            raise self._unfit("arms", f"nobody drives the {unused[0]} arm")
+        # Indices that reorder the station's arms to the client's, and back.
+        self._to_client = [station.sides.index(side) for side in sides]
+        self._to_station = [sides.index(side) for side in station.sides]
+        self._scale = np.ones((len(sides), station.drives))
+        if config.gripper == "share":
+            if not all(station.openings):
+                raise self._unfit("gripper", "an arm has no fingers, so there are no shares")
+            self._scale[:, -1] = station.openings
+        self._pictures = {
+            key: (picture, station.cameras[camera])
+            for key, picture in config.images.items()
+            if (wanted is None or key in wanted) and (camera := self._camera(key, picture, wanted)) is not None
+        }
+        rows = [row.key for row in (config.state, config.environment_state) if row is not None]
+        known = (*config.images, *rows)
+        if lacking := [key for key in wanted or () if key not in known]:
+            raise self._unfit("images", f"the policy asks for {lacking[0]!r}; {suggest(lacking[0], known)}")
+        things = config.environment_state
+        self._has_things = things is not None and (wanted is None or things.key in wanted)
+        self.wants = (OBJECTS,) if self._has_things else ()
+        shown = {picture for _, picture in self._pictures.values()}
+        self.images = tuple(name for name, key in station.cameras.items() if key in shown)
+        self._seed = 0
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial."""
+        self._seed = seed
+        self._client.begin(seed)
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """The client's actions for an observation.
+
+        Raises:
+            InvalidActionError: the client's answer has no valid actions.
+        """
+        return self._actions(self._client.infer(self.message(observation)))
+
+    def message(self, observation: Observation) -> dict[str, Any]:
+        """The client's message for an observation."""
+        config = self._config
+        message: dict[str, Any] = dict(config.constants)
+        if config.state is not None:
+            row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
+            if config.gripper == "share":
+                row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
+            message[config.state.key] = row.ravel().astype(config.state.dtype)
+        if config.environment_state is not None and self._has_things:
+            message[config.environment_state.key] = self._things(observation).astype(config.environment_state.dtype)
+        pictures = {key: _picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
+        message |= {config.images_under: pictures} if config.images_under else pictures
+        for key, value in (
+            (config.prompt, observation["prompt"]),
+            (config.time, float(observation["time"])),
+            (config.seed, self._seed),
+        ):
+            if key is not None:
+                message[key] = value
+        return message
+
+    def close(self) -> None:
+        """Close the client."""
+        self._client.close()
+
+    def _actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
+        actions = self._config.actions
+        if actions.key not in answer:
+            raise InvalidActionError(f"the answer has no {actions.key!r}, but {', '.join(map(str, answer))[:200]}")
+        arms, drives = self._scale.shape
+        rows = action_rows(answer[actions.key], actions.key, arms * (drives + actions.weld))
+        ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale
+        period = (
+            action_period(answer.get(actions.period_ms_key), actions.period_ms_key) if actions.period_ms_key else None
+        )
+        found: dict[str, Any] = {"ctrl": ctrl.reshape(len(rows), -1), "period": period or 1 / actions.hz}
+        if actions.weld:
+            found["magnet"] = rows[:, arms * drives :][:, self._to_station] >= 0.5
+        if actions.done_key is not None:
+            found["done"] = answer.get(actions.done_key, False)
+        return found
+
+    def _things(self, observation: Observation) -> Array:
+        """The row of the things' poses in the base, see `environment_state`."""
+        T_world_in_base = inverse(self._station.T_base_in_world)
+        return state_row(
+            [
+                (T_world_in_base @ observation[key], observation.get(joints_key(thing), ()))
+                for thing, key in self._station.things.items()
+            ]
+        )
+
+    def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
+        """The first of a picture's cameras on the station; None if there is none and the picture is optional."""
+        found = next((name for name in picture.cameras if name in self._station.cameras), None)
+        if found is None and (wanted is not None or not picture.optional):
+            there = ", ".join(self._station.cameras)
+            raise self._unfit(f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}")
+        return found
+
+    def _unfit(self, key: str, problem: str) -> UsageError:
+        return UsageError(f"--policy-config {self._config.name}: {key}: on rig {self._station.rig!r} {problem}")
+
+
+def _picture(how: PictureMapping, image: np.ndarray) -> np.ndarray:
+    shown = image if how.size_px is None else resize_image(image, how.size_px, pad=how.fit == "pad")
+    return np.ascontiguousarray(shown.transpose(2, 0, 1)) if how.layout == "channels" else shown

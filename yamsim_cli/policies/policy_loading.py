@@ -1,0 +1,179 @@
+"""Loads policies by name: a class in a module, or in a file of the user."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ..core.errors import UsageError, suggest
+from ..core.files.documents.yaml_document import number_or_text
+from .policy_faults import describe_fault
+from .policy_protocol import IMAGES, SCENE, STATE, WRIST, Policy
+
+_OWN = "module:Class or file.py:Class"
+# Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and checkpoints.
+EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
+FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
+
+_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies for which nothing has to be rendered
+
+
+def sees_images(name: str) -> bool:
+    """Whether a policy of this name may read images."""
+    return name.partition(":")[0] not in _WITHOUT_IMAGES
+
+
+def is_external(name: str) -> bool:
+    """Whether a policy of this name belongs to another program."""
+    kind, colon, _ = name.partition(":")
+    return bool(colon) and kind in (form.partition(":")[0] for form in EXTERNAL_FORMS)
+
+
+def takes_keywords(name: str) -> bool:
+    """Whether a policy of this name is a class of the user, which is made with keywords."""
+    return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
+
+
+def load_policy(
+    name: str,
+    folder: Path,
+    forms: str = f"give {_OWN}",
+    arguments: Mapping[str, Any] | None = None,
+    *,
+    known_only: bool = False,
+) -> Policy:
+    """Load a policy of the user.
+
+    Args:
+        name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
+        folder: where modules and files are searched first.
+        forms: the forms of a name that the caller accepts, for the error message.
+        arguments: keywords for the class.
+        known_only: leave out the keywords that the class does not have.
+
+    Raises:
+        UsageError: there is no such policy, or it cannot be loaded or made.
+    """
+    place, _, attribute = name.partition(":")
+    is_file = place.endswith(".py")
+    if not is_file and not attribute:
+        raise UsageError(f"--policy {name!r} is not valid: {forms}")
+    try:
+        module = _load_file(folder / place) if is_file else _load_module(place, folder)
+        found, keywords = _find(module, attribute, name), dict(arguments or {})
+        made = found(**(_known(found, keywords) if known_only else keywords))
+    except UsageError:
+        raise
+    # The user's code may raise any exception.
+    except Exception as error:
+        raise UsageError(f"--policy {name}: it cannot be loaded: {describe_fault(error, folder).text}") from error
+    return check_policy(made, name)
+
+
+def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords that a function has parameters for."""
+    parameters = inspect.signature(function).parameters
+    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
+        return dict(keywords)
+    return {key: value for key, value in keywords.items() if key in parameters}
+
+
+def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
+    """Keywords for a policy's class, from texts `KEY=VALUE`; numeric values become numbers.
+
+    Raises:
+        UsageError: a text has another form, or a key is given twice.
+    """
+    arguments: dict[str, int | float | str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.isidentifier():
+            raise UsageError(f"--policy-arg {text!r} is not valid: give KEY=VALUE")
+        if key in arguments:
+            raise UsageError(f"--policy-arg {text!r}: {key} is given twice")
+        arguments[key] = number_or_text(value)
+    return arguments
+
+
+def _load_module(name: str, folder: Path) -> ModuleType:
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    return importlib.import_module(name)
+
+
+def _load_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"yamsim_policy_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise UsageError(f"--policy {path}: there is no such file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    # The file can import its neighbours, as a script can.
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))
+    spec.loader.exec_module(module)
+    return module
+
+
+def _find(module: ModuleType, attribute: str, name: str) -> Any:
+    own = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
+    classes = {
+        key: value
+        for key, value in own.items()
+        if value.__module__ == module.__name__ and any("__call__" in vars(base) for base in value.__mro__)
+    }
+    if attribute:
+        if not hasattr(module, attribute):
+            raise UsageError(f"--policy {name}: it has no {attribute!r}; {suggest(attribute, classes)}")
+        return getattr(module, attribute)
+    if len(classes) != 1:
+        found = f"has the policies {', '.join(classes)}" if classes else "has no class that can be called"
+        raise UsageError(f"--policy {name} {found}: name one, as in {name}:{next(iter(classes), 'Class')}")
+    return next(iter(classes.values()))
+
+
+def check_policy(policy: Any, name: str) -> Policy:
+    """The object itself, if it is a policy.
+
+    Raises:
+        UsageError: the object has no `reset`, cannot be called, or requests something unknown.
+    """
+    if not callable(policy) or not callable(getattr(policy, "reset", None)):
+        raise UsageError(
+            f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
+        )
+    for attribute, what, valid in (("images", "image", IMAGES), ("wants", "state", STATE)):
+        requested = getattr(policy, attribute, ())
+        if not isinstance(requested, tuple | list | set | frozenset):
+            raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({valid[0]!r},)")
+        for one in requested:
+            if one not in valid:
+                raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
+    ticks = getattr(policy, "ticks", 1)
+    if not isinstance(ticks, int) or ticks < 1:
+        raise UsageError(f"--policy {name}: ticks is {ticks!r}, and has to be a whole number from 1")
+    made: Policy = policy
+    return made
+
+
+def wanted_images(policy: Any) -> tuple[str, ...]:
+    """The ones of `IMAGES` that a policy requests."""
+    return tuple(getattr(policy, "images", (SCENE, WRIST)))
+
+
+def wanted_state(policy: Any) -> tuple[str, ...]:
+    """The ones of `STATE` that a policy requests."""
+    return tuple(getattr(policy, "wants", ()))
+
+
+def reset_policy(policy: Any, seed: int) -> None:
+    """Reset a policy, with the seed if its `reset` has a parameter of that name."""
+    if "seed" in inspect.signature(policy.reset).parameters:
+        policy.reset(seed=seed)
+    else:
+        policy.reset()

@@ -1,0 +1,174 @@
+"""The protocol of a policy: its observations, its answers, and what it can request."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..core.attempt_data import WeldStates
+from ..core.files.documents.units import QuantityBounds
+from ..core.geometry.se3 import Array
+
+# The images that a policy can request. "wrist" stands for all wrist cameras.
+SCENE, WRIST = "scene", "wrist"
+IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
+
+# Further numbers that a policy can request: the objects' poses, which only a simulation knows, and joint velocities.
+OBJECTS, VELOCITIES = "objects", "velocities"
+STATE = (OBJECTS, VELOCITIES)
+
+MAX_ACTIONS = 1000  # in one answer
+MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, duration of one action
+_ANGLE = QuantityBounds(
+    "rad", -2 * math.pi, 2 * math.pi
+)  # of a joint: no joint turns farther, and values in degrees do
+_MAX_CHUNK_S = 100.0  # s, duration of a chunk: 1000 actions at 10 Hz; chunks are kept until they run out
+
+# An observation. The values of two arms are the left one's, then the right one's.
+# - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
+#   rendered when it is first read
+# - `joints` (drives,) as in a dataset's frame; `gripper`, the arms' openings: a number, or (2,), 0 without fingers
+# - `ee_pose_world` (4, 4) or (2, 4, 4) of `grasp_site`
+# - `K_scene` (3, 3), `T_cam_in_world` (4, 4) of the scene camera in OpenCV's convention
+# - `time` in s since the start, `prompt`
+# - for "objects", `T_object_in_world` (4, 4) of the object, `T_target_in_world` (4, 4) of the thing it is placed on;
+#   in tasks as data `T_<thing>_in_world` of each thing, and `<thing>_joints` (n,) of things with moving parts
+# - for "velocities", `joint_velocities` (drives,) in the order of `joints`, rad/s and m/s
+Observation = Mapping[str, Any]
+
+
+class Policy(Protocol):
+    """Any object with these two methods.
+
+    Optional attributes, of the class or the object:
+
+    - `images`: the requested ones of `IMAGES`; by default "scene" and "wrist".
+    - `wants`: the requested ones of `STATE`; by default none.
+    - `ticks`: control ticks of 32 ms that an action lasts; by default 1. 2 is the rate of datasets.
+    - `execute`: actions of a chunk that act before the next answer is requested; by default all.
+
+    `reset` gets the trial's seed if it has a parameter `seed`.
+    """
+
+    @property
+    def reset(self) -> Callable[..., None]:
+        """Forget the previous trial: a method with or without a parameter `seed`."""
+        ...
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """Answer an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, by default False.
+
+        For two arms, `ctrl` and `magnet` (2,) have the left arm's values first. `ctrl` (n, drives), and `magnet` (n,)
+        or (n, 2), are a chunk of n actions; `period` is the duration of each action, s, where it is not `ticks`.
+        """
+        ...
+
+
+def squeeze_single_arm(poses: Array) -> Array:
+    """Poses (arms, 4, 4) as in observations: of a single arm, its pose (4, 4)."""
+    return poses if len(poses) > 1 else poses[0]
+
+
+@dataclass(frozen=True)
+class ActionChunk:
+    """A policy's answer after its check: consecutive actions.
+
+    Attributes:
+        ctrl: commands to each arm's drives (actions, arms, drives), rad and m.
+        magnet: whether each arm's weld is commanded to hold (actions, arms).
+        done: whether the policy is finished after these actions.
+        period: duration of each action, s; None for the policy's `ticks`.
+    """
+
+    ctrl: Array
+    magnet: WeldStates
+    done: bool
+    period: float | None = None
+
+
+class InvalidActionError(ValueError):
+    """A policy's answer that is no valid action; the text says what is wrong."""
+
+
+def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
+    """Check a policy's answer.
+
+    Args:
+        arms, each: how many arms it drives, and how many drives each of them has.
+
+    Raises:
+        InvalidActionError: the answer is no mapping, `ctrl` is not a finite number for each drive, or another value is
+            not valid.
+    """
+    if not isinstance(answer, Mapping):
+        raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
+    if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done", "period"})):
+        raise InvalidActionError(f"an action holds ctrl, magnet, done and period, and not {', '.join(unknown)}")
+    ctrl = _ctrl(answer, arms * each)
+    count = len(ctrl) if ctrl.ndim > 1 else 1
+    _check_angles(ctrl.reshape(count, arms, each))
+    magnet = _magnet(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
+    period = answer.get("period")
+    if period is not None and not (isinstance(period, int | float) and MIN_PERIOD <= period <= MAX_PERIOD):
+        raise InvalidActionError(f"period is {period!r}, not {MIN_PERIOD:g} to {MAX_PERIOD:g} s")
+    if period is not None and count * period > _MAX_CHUNK_S:
+        raise InvalidActionError(
+            f"{count} actions of {period:g} s last {count * period:g} s, not at most {_MAX_CHUNK_S:g}"
+        )
+    (done,) = _truths(answer.get("done", False), "done", 1)
+    return ActionChunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
+
+
+def _magnet(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
+    """Of each action, whether each arm's weld is commanded to hold."""
+    rows = _values(value, "magnet")
+    if is_chunk and rows.size == count * arms:
+        return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]
+    return [_truths(value, "magnet", arms)] * count
+
+
+def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
+    if "ctrl" not in answer:
+        raise InvalidActionError(f"an action needs ctrl, {drives} numbers")
+    try:
+        ctrl = np.asarray(answer["ctrl"], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidActionError(f"ctrl is no array of numbers: {error}") from error
+    if ctrl.shape != (drives,) and (ctrl.ndim != 2 or ctrl.shape[1] != drives or not 1 <= len(ctrl) <= MAX_ACTIONS):
+        raise InvalidActionError(
+            f"ctrl has the shape {ctrl.shape}, not ({drives},), or (1 to {MAX_ACTIONS} actions, {drives})"
+        )
+    if not np.isfinite(ctrl).all():
+        raise InvalidActionError(f"ctrl is not finite: {np.array2string(ctrl, precision=3, threshold=20)}")
+    return ctrl
+
+
+def _check_angles(ctrl: Array) -> None:
+    """Refuse joint angles that are not in rad; the last drive may be a gripper's."""
+    joints = ctrl[..., :-1]
+    if joints.size == 0:
+        return
+    largest = float(joints.flat[int(np.argmax(np.abs(joints)))])
+    try:
+        _ANGLE.check(largest)
+    except ValueError as error:
+        raise InvalidActionError(f"ctrl has a joint at {largest:g}, which {error}") from error
+
+
+def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
+    values = _values(value, key).ravel()
+    if values.size != count or values.dtype.kind not in "bif" or not np.isin(values, (0, 1)).all():
+        wanted = "true or false" if count == 1 else f"{count} times true or false, the left arm's first"
+        raise InvalidActionError(f"{key} is {repr(value)[:80]}, not {wanted}")
+    return tuple(map(bool, values))
+
+
+def _values(value: object, key: str) -> np.ndarray:
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InvalidActionError(f"{key} is no array of truth values: {error}") from error

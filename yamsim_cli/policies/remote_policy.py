@@ -1,0 +1,189 @@
+"""A policy in another process, on this machine or another, called over HTTP with messages in msgpack.
+
+Arrays are sent as dtype, shape and content. Reading a message runs no code of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from yamsim_cli.core.extras import require_library
+
+from ..core.errors import ResourceError, UsageError
+from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
+from .policy_protocol import InvalidActionError, Observation
+
+PROTOCOL = 1  # version of the protocol, on which both sides have to agree
+
+_ARRAY = 1  # msgpack's extension type of an array
+_DTYPE_KINDS = "biuf"  # that can be sent: booleans, whole and floating-point numbers
+
+
+class MessageError(ValueError):
+    """Bytes that are no message of this protocol."""
+
+
+class UnsendableError(MessageError):
+    """A policy's answer that cannot be sent; the text says which part of it, and why."""
+
+
+class RemotePolicy:
+    """Requests every action from a server, see `yamsim_cli.policies.policy_server`.
+
+    The server keeps a session for each policy. One connection serves all calls.
+
+    Attributes:
+        images, wants, ticks: those of the server's policy.
+
+    Args:
+        url: the server's URL, such as `http://127.0.0.1:8080`.
+        timeout: seconds to wait for an answer.
+
+    Raises:
+        UsageError: the URL is not valid.
+        ResourceError: no server answers there, or one with another protocol.
+    """
+
+    def __init__(self, url: str, timeout: float) -> None:
+        require_library("a policy in another process", "msgpack", "remote")
+        parts = urlsplit(url)
+        if parts.scheme != "http" or not parts.hostname or parts.path.strip("/"):
+            raise UsageError(f"--policy {url} is not valid: give http://HOST:PORT")
+        self._url = url
+        self._connection = http.client.HTTPConnection(parts.hostname, parts.port or 80, timeout=timeout)
+        try:
+            session = self._ask("session", {"protocol": PROTOCOL})
+            self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
+            # Older servers do not send this.
+            self.wants = tuple(session.get("wants", ()))
+            self._session = session["session"]
+        except (OSError, RemoteError, KeyError, TypeError, ValueError) as error:
+            raise ResourceError(
+                f"--policy {url}: no policy answers there: {error}; start one with yamsim serve-policy"
+            ) from error
+
+    def reset(self, seed: int) -> None:
+        """Reset the server's policy."""
+        self._ask("reset", {"session": self._session, "seed": seed})
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """The answer of the server's policy.
+
+        Raises:
+            RemoteError: the policy raised an exception, or the server is gone.
+            InvalidActionError: the policy's answer cannot be sent.
+            TimeoutError: the server did not answer in time.
+        """
+        answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
+        action = answer.get("action")
+        if not isinstance(action, dict):
+            raise RemoteError(f"{self._url} answers with no action")
+        for key, value in action.items():
+            if value is not None:
+                plain_numbers(value, str(key)[:40])
+        return action
+
+    def close(self) -> None:
+        """End the session, and close the connection."""
+        with contextlib.suppress(OSError, RemoteError, AttributeError):
+            self._ask("close", {"session": self._session})
+        self._connection.close()
+
+    def _ask(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
+        with request_context(self._url, self._connection.close):
+            self._connection.request("POST", f"/{what}", pack_message(message), {"Content-Type": "application/msgpack"})
+            response = self._connection.getresponse()
+            data = read_body(response)
+        try:
+            answer = unpack_message(data)
+        except MessageError as error:
+            raise RemoteError(f"{self._url} answers {response.status} and no message of this protocol") from error
+        if not isinstance(answer, dict):
+            raise RemoteError(f"{self._url} answers with {type(answer).__name__}")
+        if answer.get("invalid"):
+            raise InvalidActionError(str(answer.get("error"))[:MAX_TEXT])
+        if "error" in answer:
+            raise RemoteError(str(answer["error"]), str(answer.get("traceback", "")))
+        return answer
+
+
+def pack_message(message: Any) -> bytes:
+    """A message as bytes: plain containers, text, numbers and numpy arrays of numbers."""
+    import msgpack
+
+    return cast("bytes", msgpack.packb(message, default=_pack_array, use_bin_type=True))
+
+
+def require_sendable(answer: Any) -> dict[str, Any]:
+    """A policy's answer, if it can be sent.
+
+    Raises:
+        UnsendableError: it cannot be sent.
+    """
+    if not isinstance(answer, Mapping):
+        raise UnsendableError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
+    for key, value in answer.items():
+        try:
+            unpack_message(pack_message({key: value}))
+        # Converting arrays of other libraries, recursion and huge numbers may raise any exception.
+        except Exception as error:
+            raise UnsendableError(f"{key} of the answer: {error}") from error
+    return dict(answer)
+
+
+def unpack_message(data: bytes) -> Any:
+    """The message in bytes.
+
+    Raises:
+        WireError: the bytes are no message, or the message has too many values.
+    """
+    import msgpack
+
+    try:
+        budget = ValueBudget()
+        return msgpack.unpackb(
+            data,
+            ext_hook=_unpack_array,
+            object_hook=budget.spend,
+            list_hook=budget.spend,
+            raw=False,
+            strict_map_key=True,
+        )
+    except (ValueError, TypeError, msgpack.exceptions.UnpackException) as error:
+        raise MessageError(f"not a message: {error}") from error
+
+
+def _pack_array(value: Any) -> Any:
+    import msgpack
+
+    if isinstance(value, np.generic):
+        return value.item()
+    try:
+        # This converts tensors of any library, except those on a GPU or with gradients.
+        array = np.asarray(value)
+    except Exception as error:
+        raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error
+    if array.dtype.kind not in _DTYPE_KINDS:
+        what = f"an array of dtype {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"{what} cannot be sent: only numbers, text, plain containers and arrays can")
+    content = np.ascontiguousarray(array).tobytes()
+    return msgpack.ExtType(_ARRAY, msgpack.packb([array.dtype.str, list(array.shape), content]))
+
+
+def _unpack_array(code: int, data: bytes) -> Any:
+    import msgpack
+
+    if code != _ARRAY:
+        raise MessageError(f"unknown type {code}")
+    kind, shape, content = msgpack.unpackb(data)
+    dtype = np.dtype(str(kind))
+    if dtype.kind not in _DTYPE_KINDS or math.prod(shape) * dtype.itemsize != len(content):
+        raise MessageError(f"{len(content)} bytes are no array of {dtype} {shape}")
+    return np.frombuffer(content, dtype).reshape(shape).copy()

@@ -1,0 +1,248 @@
+"""Simulates arms that follow recorded commands, for comparison with the measured motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.errors import DatasetError, SimulationError, count_noun
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.scene.compilation import physics_failure
+from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
+
+_CHECK_STEPS = 200  # physics steps between two checks for a breakdown
+_START_SECONDS = 0.2  # s, first part of a recording, which decides between possible starts
+_MIN_IMPROVEMENT = 2.0  # factor by which another start must reduce the misfit of a start at rest
+_SLOPE_SAMPLES = 6  # samples from which the initial velocity is estimated
+
+
+def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedMotion:
+    """Simulate the scene's arms under a motion's commands, from the first measured joints on.
+
+    A command acts from its time on, also between two steps: a step uses the mean of the commands during the step, which
+    gives a drive the same impulse. All steps have the same length, so that a simulated recording is reproduced by its
+    own commands. Between steps, joints are interpolated.
+
+    The arms start at the measured joints, and not where they would come to rest under the first command: friction lets
+    a joint rest anywhere within some milliradians. They start at rest, or at the measured velocity if that explains the
+    first tenths of a second much better. Until a delayed first command acts, the drives get the first command too, or
+    hold the start if that explains the first tenths much better.
+
+    Args:
+        scene: from `scene.build.build_rig_scene`; its time step is used.
+        motion: with commands. Without commanded openings, fingers are commanded to the measured openings.
+
+    Returns:
+        The same samples with the joints, openings and velocities of the simulation, as the arms' encoders would read
+        them without noise and resolution. The same inputs give the same bits.
+
+    Raises:
+        DatasetError: the motion has no commands, or other arms than the scene.
+        SimulationError: physics broke down.
+    """
+    check_arms(scene, motion)
+    ctrl = _controls(scene, motion)
+    start = _start(scene, motion)
+    first = int(np.searchsorted(motion.times, _START_SECONDS, side="right"))
+    steps = min(len(ctrl), int(np.ceil(_START_SECONDS / scene.model.opt.timestep)))
+    rest, moving, before = np.zeros(scene.model.nv), _speeds(scene, motion), ctrl[0] if len(ctrl) else None
+    starts: list[tuple[Array, Array | None]] = [(rest, before)]
+    if any(arm.command_delay for arm in scene.arms):
+        starts.append((rest, None))
+    if moving.any():
+        starts.append((moving, before))
+    if len(starts) > 1 and first > 2:
+        tried = (_run(scene, motion.name, start, *one, ctrl[:steps]) for one in starts)
+        misfits = [_start_error(scene, motion, run, first) for run in tried]
+        best = int(np.argmin(misfits))
+        starts = [starts[best if misfits[best] * _MIN_IMPROVEMENT < misfits[0] else 0]]
+    run = _run(scene, motion.name, start, *starts[0], ctrl)
+    arms = tuple(_sampled(arm, logged, run, motion.times) for arm, logged in zip(scene.arms, motion.arms, strict=True))
+    return RecordedMotion(motion.name, motion.times, arms)
+
+
+def check_arms(scene: CompiledScene, motion: RecordedMotion) -> None:
+    """Check that a scene's arms can follow a motion.
+
+    Raises:
+        DatasetError: the motion has other arms, no commands, or no measured joints.
+    """
+    if len(motion.arms) != len(scene.arms):
+        raise DatasetError(
+            f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(scene.arms)}; choose another --rig"
+        )
+    for arm, logged in zip(scene.arms, motion.arms, strict=True):
+        whose = f"{motion.name}{f', {logged.side} arm' if logged.side else ''}"
+        if logged.joints.shape[1] != arm.dof:
+            raise DatasetError(
+                f"{whose}: has {count_noun(logged.joints.shape[1], 'joint')}, and the rig's arm {arm.dof}; choose another "
+                "--rig"
+            )
+        if logged.commands is None or not np.isfinite(logged.commands).any(axis=0).all():
+            raise DatasetError(f"{whose}: holds no commands for its joints, and without them nothing can be followed")
+        if not np.isfinite(logged.joints).any(axis=0).all():
+            raise DatasetError(f"{whose}: a joint was never measured, so it is not known where the arm began")
+
+
+@dataclass(frozen=True)
+class _SimulatedRun:
+    """Simulated states: times (n,), s, and MuJoCo's positions (n, nq) and velocities (n, nv)."""
+
+    times: Array
+    qpos: Array
+    qvel: Array
+
+
+def _run(
+    scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array
+) -> _SimulatedRun:
+    """Step once for each row of `ctrl` (n, nu), after commands `before` (nu,); None commands to hold the start."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    scene.reset(data, start, commanded=before)
+    data.qvel[:] = speeds
+    qpos, qvel = np.empty((len(ctrl) + 1, model.nq)), np.empty((len(ctrl) + 1, model.nv))
+    qpos[0], qvel[0] = data.qpos, data.qvel
+    for k, commands in enumerate(ctrl):
+        data.ctrl[:] = commands
+        scene.step(data)
+        qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
+        if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
+            # MuJoCo has reset its own clock.
+            raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
+    return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
+
+
+def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
+    """MuJoCo's control inputs (n, nu) at each step."""
+    timestep = float(scene.model.opt.timestep)
+    # A sample that rounding puts just after a step needs no further step.
+    steps = int(np.ceil(motion.duration / timestep - 1e-6))
+    edges = np.arange(steps + 1, dtype=np.float64) * timestep
+    ctrl = np.zeros((steps, scene.model.nu))
+    for arm, logged in zip(scene.arms, motion.arms, strict=True):
+        assert logged.commands is not None, "checked before"
+        commands = forward_filled(logged.commands, logged.joints)
+        ctrl[:, arm.arm_ctrl] = _means(motion.times, np.clip(commands, *arm.ctrl_range.T), edges)
+        if arm.fingers is not None:
+            openings = np.clip(_commanded_openings(arm, logged), *arm.fingers.ctrl_range)
+            ctrl[:, [arm.fingers.ctrl]] = _means(motion.times, openings[:, None], edges)
+    return ctrl
+
+
+def _means(times: Array, values: Array, edges: Array) -> Array:
+    """Means (n - 1, k) between `edges` (n,) of `values` (m, k), each of which holds from its time on."""
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(times)[:, None], axis=0)])
+    at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, None)
+    integral = sums[at] + values[at] * (edges - times[at])[:, None]
+    means: Array = np.diff(integral, axis=0) / np.diff(edges)[:, None]
+    # A value that holds for the whole interval is used exactly.
+    alone = at[:-1] == np.clip(np.searchsorted(times, edges[1:], side="left") - 1, 0, None)
+    means[alone] = values[at[:-1]][alone]
+    return means
+
+
+def forward_filled(values: Array, before: Array) -> Array:
+    """Values (n, k) with each NaN replaced by the last known value, or at the start by the first known of `before`."""
+    filled = values.copy()
+    if np.isfinite(values).all():
+        return filled
+    for column, first in zip(filled.T, _first_known(before), strict=True):
+        if not np.isfinite(column[0]):
+            column[0] = first
+        known = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
+        column[:] = column[known]
+    return filled
+
+
+def _first_known(rows: Array) -> Array:
+    """The first finite value of each column (k,); NaN where there is none."""
+    finite = np.isfinite(rows)
+    values: Array = np.where(finite.any(axis=0), rows[finite.argmax(axis=0), np.arange(rows.shape[1])], np.nan)
+    return values
+
+
+def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
+    """Commanded openings (n,) of an arm's fingers: closed if neither commands nor measurements are recorded."""
+    assert arm.fingers is not None, "asked of arms with fingers"
+    closed = np.full((len(logged.joints), 1), arm.fingers.opening_limits[0])
+    for openings in (logged.commanded_openings, logged.openings):
+        if openings is not None and np.isfinite(openings).any():
+            seen = closed if logged.openings is None else logged.openings[:, None]
+            before = np.where(np.isfinite(_first_known(seen)), seen, openings[:, None])
+            return forward_filled(openings[:, None], before)[:, 0]
+    return closed[:, 0]
+
+
+def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
+    """MuJoCo's positions (nq,) at the first measurements."""
+    qpos: Array = scene.model.qpos0.copy()
+    for arm, logged in zip(scene.arms, motion.arms, strict=True):
+        qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.offset
+        if arm.fingers is not None:
+            measured = None if logged.openings is None else _first_known(logged.openings[:, None])[0]
+            opening = (
+                measured if measured is not None and np.isfinite(measured) else _commanded_openings(arm, logged)[0]
+            )
+            qpos[arm.fingers.qpos] = np.clip(opening, *arm.fingers.opening_limits) * arm.fingers.sign
+    return qpos
+
+
+def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
+    """MuJoCo's velocities (nv,) at the start, measured or estimated from the first samples."""
+    speeds = np.zeros(scene.model.nv)
+    for arm, logged in zip(scene.arms, motion.arms, strict=True):
+        if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
+            speeds[arm.joint_dof] = logged.velocities[0]
+            continue
+        rows = np.flatnonzero(np.isfinite(logged.joints).all(axis=1))[:_SLOPE_SAMPLES]
+        if len(rows) >= 3 and motion.times[rows[-1]] <= _START_SECONDS:
+            # A parabola separates the velocity from the acceleration.
+            speeds[arm.joint_dof] = np.polyfit(motion.times[rows], logged.joints[rows], 2)[1]
+    return speeds
+
+
+def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
+    """RMS difference of a run from the first measured samples, rad."""
+    times = motion.times[:first]
+    off = [
+        _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset - logged.joints[:first]
+        for arm, logged in zip(scene.arms, motion.arms, strict=True)
+    ]
+    known = np.concatenate([rows[np.isfinite(rows)] for rows in off])
+    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else 0.0
+
+
+def _delayed_rows(arm: ArmAddresses, run: _SimulatedRun, rows: Array, times: Array) -> Array:
+    """Rows (n, k) of a run as an arm's encoders read them at other times (m,), with their delay (m, k)."""
+    return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
+
+
+def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Array) -> ArmMotion:
+    openings = None
+    if arm.fingers is not None:
+        openings = _delayed_rows(arm, run, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
+    return replace(
+        logged,
+        joints=_delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset,
+        openings=openings,
+        velocities=_delayed_rows(arm, run, run.qvel[:, arm.joint_dof], times),
+    )
+
+
+def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
+    """Poses (n, 4, 4) of an arm's `grasp_site` in its base, for measured joints (n, dof); NaN where a joint is NaN.
+
+    Args:
+        number: of the arm in `scene.arms`.
+    """
+    arm, data = scene.arms[number], mujoco.MjData(scene.model)
+    site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)
+    poses = np.full((len(joints), 4, 4), np.nan)
+    for row in np.flatnonzero(np.isfinite(joints).all(axis=1)):
+        data.qpos[arm.joint_qpos] = joints[row] - arm.offset
+        mujoco.mj_kinematics(scene.model, data)
+        poses[row] = T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
+    return poses

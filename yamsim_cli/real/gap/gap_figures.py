@@ -1,0 +1,276 @@
+"""The gap of one motion: measured joints less the joints of simulated arms that follow the same commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
+from yamsim_cli.real.gap.command_simulation import forward_filled, hand_poses, simulate_commands
+
+from .joint_curves import (
+    PHASES,
+    SmoothCurves,
+    estimate_delay,
+    find_command_stops,
+    joints_at_rest,
+    motion_phases,
+    overshoot,
+    smooth_curves,
+)
+
+_LEAST_SAMPLES = 10  # measured samples that a gap needs
+
+
+@dataclass(frozen=True)
+class ErrorStats:
+    """The size of errors: RMS, 95th percentile and maximum of their absolute values, and the number of samples."""
+
+    rms: float
+    p95: float
+    max: float
+    samples: int
+
+    @classmethod
+    def from_errors(cls, errors: Array) -> ErrorStats:
+        """The size of errors (n,), at least one."""
+        sizes = np.abs(errors)
+        return cls(
+            float(np.sqrt(np.mean(sizes**2))), float(np.percentile(sizes, 95)), float(np.max(sizes)), len(errors)
+        )
+
+
+@dataclass(frozen=True)
+class TrackingFigures:
+    """How one curve of a joint follows another; None if the motion does not determine a figure.
+
+    Attributes:
+        delay: s.
+        sag: mean difference where both curves are at rest, rad.
+        overshoot: how much farther it goes beyond its value at rest, mean over the stops, rad.
+    """
+
+    delay: float | None
+    sag: float | None
+    overshoot: float | None
+
+
+@dataclass(frozen=True)
+class JointGap:
+    """The gap of a joint; errors are measured less simulated.
+
+    Attributes:
+        arm, name: `left`, `right` or empty, and the joint's name in the model.
+        error: rad.
+        measured_vs_simulated: how the measured curve follows the simulated one.
+        measured, simulated: how each curve follows the command.
+        phases: phase -> errors of the samples in that phase; phases without samples are left out.
+    """
+
+    arm: str
+    name: str
+    error: ErrorStats
+    measured_vs_simulated: TrackingFigures
+    measured: TrackingFigures
+    simulated: TrackingFigures
+    phases: Mapping[str, ErrorStats]
+
+
+@dataclass(frozen=True)
+class HandGap:
+    """The gap of a hand, by forward kinematics of measured and simulated joints, and of its fingers.
+
+    Attributes:
+        arm: `left`, `right` or empty.
+        position: m.
+        rotation: rad.
+        delay: of the measured hand, s; None if the motion does not determine it.
+        opening: of one finger, m; None if it was not measured.
+    """
+
+    arm: str
+    position: ErrorStats
+    rotation: ErrorStats
+    delay: float | None
+    opening: ErrorStats | None
+
+
+@dataclass(frozen=True)
+class WorstError:
+    """The largest error of any joint.
+
+    Attributes:
+        frame: number of the measured sample, from 0: of an episode's frame, or of a file's row.
+        time: of the sample, s after the recording's first sample.
+        error: measured less simulated, rad.
+    """
+
+    frame: int
+    time: float
+    arm: str
+    joint: str
+    error: float
+
+
+@dataclass(frozen=True)
+class MotionGap:
+    """The gap of one motion.
+
+    Attributes:
+        seconds: that were compared.
+        error: of all joints, rad.
+        phases: phase -> errors of all joints, rad.
+        motion, simulated: the measured and the simulated motion, at the same samples.
+        compared: which samples were compared (n,).
+    """
+
+    name: str
+    seconds: float
+    error: ErrorStats
+    joints: tuple[JointGap, ...]
+    hands: tuple[HandGap, ...]
+    phases: Mapping[str, ErrorStats]
+    worst: WorstError
+    motion: RecordedMotion
+    simulated: RecordedMotion
+    compared: NDArray[np.bool_]
+
+
+def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0, end: float = np.inf) -> MotionGap:
+    """The gap between a motion and the simulation of its commands.
+
+    The whole motion is simulated, from the first measured joints; the samples from `begin` to `end` are compared.
+
+    Args:
+        scene: of the rig alone, as `scene.build.build_rig_scene` makes it.
+        begin, end: s after the motion's first sample.
+
+    Raises:
+        DatasetError: the motion has other arms or no commands, or too few measured samples.
+        SimulationError: physics broke down.
+    """
+    simulated = simulate_commands(scene, motion)
+    counted = (motion.times >= begin) & (motion.times <= end)
+    for arm in motion.arms:
+        counted = counted & np.isfinite(arm.joints).all(axis=1)
+    if (found := int(counted.sum())) < _LEAST_SAMPLES:
+        raise DatasetError(
+            f"{motion.name}: {found} measured samples from {max(begin, 0):g} s to {min(end, motion.duration):g} s; "
+            f"a gap needs {_LEAST_SAMPLES}: give a longer recording, or another --from and --to"
+        )
+    pairs = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
+    joints = [_joint_gaps(scene, arm, real, made, motion.times, counted) for arm, real, made in pairs]
+    hands = tuple(_hand_gap(scene, k, real, made, motion.times, counted) for k, (_, real, made) in enumerate(pairs))
+    errors = [(real.joints - made.joints)[counted] for _, real, made in pairs]
+    together = np.concatenate([rows.ravel() for rows in errors])
+    times = motion.times[counted]
+    return MotionGap(
+        name=motion.name,
+        seconds=float(times[-1] - times[0]),
+        error=ErrorStats.from_errors(together),
+        joints=tuple(gap for gaps, _ in joints for gap in gaps),
+        hands=hands,
+        phases=_by_phase(together, np.concatenate([labels.ravel() for _, labels in joints])),
+        worst=_worst(scene, motion, errors, counted),
+        motion=motion,
+        simulated=simulated,
+        compared=counted,
+    )
+
+
+def _joint_gaps(
+    scene: CompiledScene, arm: ArmAddresses, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
+) -> tuple[list[JointGap], NDArray[np.int8]]:
+    """The gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
+    assert real.commands is not None, "the simulation followed them"
+    at, errors = times[counted], (real.joints - made.joints)[counted]
+    # Commands between measured samples count too.
+    inside = (times >= at[0]) & (times <= at[-1])
+    commanded = smooth_curves(times[inside], forward_filled(real.commands, real.joints)[inside], steps=True, like=at)
+    measured, simulated = smooth_curves(at, real.joints[counted]), smooth_curves(at, made.joints[counted])
+    resting, labels = joints_at_rest(measured, commanded), motion_phases(measured, at)
+
+    def following(first: SmoothCurves, second: SmoothCurves, k: int) -> TrackingFigures:
+        apart = (second.values - first.values)[resting[:, k], k]
+        stopped = list(find_command_stops(commanded, k))
+        beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
+        # A command has no overshoot of its own.
+        already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
+        return TrackingFigures(
+            estimate_delay(first, second, k),
+            float(np.mean(apart)) if len(apart) else None,
+            float(np.mean(np.subtract(beyond, already))) if stopped else None,
+        )
+
+    gaps = [
+        JointGap(
+            arm=real.side,
+            name=_joint_name(scene, arm, k),
+            error=ErrorStats.from_errors(errors[:, k]),
+            measured_vs_simulated=following(simulated, measured, k),
+            measured=following(commanded, measured, k),
+            simulated=following(commanded, simulated, k),
+            phases=_by_phase(errors[:, k], labels[:, k]),
+        )
+        for k in range(arm.dof)
+    ]
+    return gaps, labels
+
+
+def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
+    number = int(scene.model.dof_jntid[arm.joint_dof[k]])
+    return str(scene.model.joint(number).name.removeprefix(arm.prefix))
+
+
+def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
+    """Phase -> size of the errors (n,) with that label (n,)."""
+    masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
+    return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
+
+
+def _hand_gap(
+    scene: CompiledScene, number: int, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
+) -> HandGap:
+    at = times[counted]
+    T_real, T_made = (hand_poses(scene, number, arm.joints[counted]) for arm in (real, made))
+    apart = np.linalg.norm(T_real[:, :3, 3] - T_made[:, :3, 3], axis=1)
+    opening = None
+    if real.openings is not None and made.openings is not None:
+        off = (real.openings - made.openings)[counted]
+        opening = ErrorStats.from_errors(off[np.isfinite(off)]) if np.isfinite(off).any() else None
+    return HandGap(
+        arm=real.side,
+        position=ErrorStats.from_errors(apart),
+        rotation=ErrorStats.from_errors(_angles(T_real[:, :3, :3], T_made[:, :3, :3])),
+        delay=estimate_delay(smooth_curves(at, T_made[:, :3, 3]), smooth_curves(at, T_real[:, :3, 3]), slice(None)),
+        opening=opening,
+    )
+
+
+def _angles(ones: Array, others: Array) -> Array:
+    """The angles (n,) between rotations (n, 3, 3), rad."""
+    # The Frobenius distance is 2 sqrt(2) sin(angle / 2), which is exact for small angles too; a cosine is not.
+    apart = np.linalg.norm(ones - others, axis=(1, 2)) / (2 * np.sqrt(2))
+    angles: Array = 2 * np.arcsin(np.clip(apart, 0, 1))
+    return angles
+
+
+def _worst(scene: CompiledScene, motion: RecordedMotion, errors: list[Array], counted: NDArray[np.bool_]) -> WorstError:
+    sizes = [np.abs(off) for off in errors]
+    side = int(np.argmax([size.max() for size in sizes]))
+    row, joint = np.unravel_index(np.argmax(sizes[side]), sizes[side].shape)
+    sample = int(np.flatnonzero(counted)[row])
+    known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
+    return WorstError(
+        frame=int(known[:sample].sum()),
+        time=float(motion.times[sample]),
+        arm=motion.arms[side].side,
+        joint=_joint_name(scene, scene.arms[side], int(joint)),
+        error=float(errors[side][row, joint]),
+    )

@@ -1,0 +1,291 @@
+"""Identifies an arm's parameters from its logs; logs that cannot determine them are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import DatasetError, count_noun
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.recorded_motion import RecordedMotion
+from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+
+from ..recordings.motion_faults import MotionFault, find_faults
+from .estimates import Estimate, describe_undetermined, estimates, require_determined
+from .parameter_fit import all_parameters, compared_samples, fit_parameters
+from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
+
+_HELD_OUT = 1 / 3  # share of each log that is held out if no other motion is given
+_RUNS_PER_PARAMETER = 5  # simulations of the arm, about, for a progress bar
+# Faults that make a log unusable. Joints that stand still are reported by `check_usable`, with what to record.
+_GRAVE = (
+    MotionFault.TIME_UNIT,
+    MotionFault.GAP,
+    MotionFault.DEGREES,
+    MotionFault.BEYOND_STOPS,
+    MotionFault.TOO_FAST,
+    MotionFault.SWAPPED_ARMS,
+)
+
+# The least that logs need to determine the parameters of each joint.
+_SHORTEST = 10.0  # s, of all logs together
+_SPAN = 0.1  # rad
+_TURNS = 4  # times that the joint turns back
+_SPEED = 0.15  # rad/s, reached in `_FAST_SHARE` of the log
+_FAST_SHARE = 0.05
+_BACK = 0.02  # rad; a joint has turned back after moving back by that
+_SPEED_PERIOD = 0.1  # s, over which a speed is taken
+_REMEDY = "`yamsim excite` writes a motion that shows all of it"
+
+
+@dataclass(frozen=True)
+class HeldOutError:
+    """RMS distance of simulated joints from measured ones, on motions that were not fitted.
+
+    Attributes:
+        source: names of the motions.
+        seconds: their length.
+        rms_before, rms_after: with the model, and with the identified parameters, rad.
+        joints: joint -> the same two.
+    """
+
+    source: str
+    seconds: float
+    rms_before: float
+    rms_after: float
+    joints: dict[str, tuple[float, float]]
+
+    @property
+    def reduction(self) -> float:
+        """The share by which the gap fell; negative if it grew."""
+        return 1 - self.rms_after / self.rms_before if self.rms_before else 0.0
+
+    def to_json_data(self) -> dict[str, Any]:
+        """The gap for JSON."""
+        joints = {name: {"before_rad": one, "after_rad": other} for name, (one, other) in self.joints.items()}
+        return {
+            "source": self.source,
+            "seconds": self.seconds,
+            "before_rad": self.rms_before,
+            "after_rad": self.rms_after,
+            "fallen": self.reduction,
+            "joints": joints,
+        }
+
+
+@dataclass(frozen=True)
+class IdentificationResult:
+    """The result for one arm.
+
+    Attributes:
+        arm: its name in the rig.
+        side: `left` or `right`; empty for a lone arm.
+        dynamics: the revision of its model.
+        undetermined: what the logs do not determine, a sentence each.
+        fitted_rms: RMS of the errors that remain after the fit, rad.
+        gap: on the motions that were held out.
+    """
+
+    arm: str
+    side: str
+    dynamics: Dynamics
+    estimates: list[Estimate]
+    undetermined: list[str]
+    fitted_rms: float
+    gap: HeldOutError
+
+
+def identify(
+    rig: RigConfig,
+    motions: Sequence[RecordedMotion],
+    held_out: Sequence[RecordedMotion],
+    revision: str,
+    side: str | None = None,
+    step: Callable[[str, int, int], None] = lambda arm, done, total: None,
+) -> list[IdentificationResult]:
+    """Identify each arm of a rig, or the arm on one side; the left arm's result comes first.
+
+    Args:
+        held_out: motions for the gap; without any, the last third of each motion is held out.
+        revision: name of the result.
+        step: called with the arm's name, the number of simulations so far, and about how many there will be.
+
+    Raises:
+        DatasetError: a motion has no commands, or grave faults, or does not excite a joint.
+    """
+    for motion in (*motions, *held_out):
+        _check_motion(motion, rig)
+    source = f"{count_noun(len(motions), 'recording')}: {', '.join(motion.name for motion in motions)}"
+    found = []
+    for place, number in enumerate(rig.recording_order):
+        arm = rig.arms[number]
+        if side is not None and arm.side != side:
+            continue
+        called = arm.side if len(rig.arms) > 1 else ""
+        plant = ParametricArm(arm)
+        logs = [ArmLog.from_motion(motion, motion.arms[place]) for motion in motions]
+        check_usable(logs, plant.robot.joint_names, called)
+        others = [ArmLog.from_motion(motion, motion.arms[place]) for motion in held_out]
+        if not others:
+            cut = 1 - _HELD_OUT
+            others = [log.clipped(cut * log.seconds, log.seconds) for log in logs]
+            logs = [log.clipped(0.0, cut * log.seconds) for log in logs]
+            check_usable(logs, plant.robot.joint_names, called)
+        fitted = fit_parameters(
+            arm, logs, _step_counter(called or arm.name, _RUNS_PER_PARAMETER * len(all_parameters(plant)), step)
+        )
+        estimated = estimates(plant, fitted)
+        require_determined(plant, estimated, ", ".join(log.name for log in logs))
+        was = arm.dynamics or Dynamics(revision=revision, base=arm.model.name)
+        dynamics = revised_dynamics(plant, was.model_copy(update={"revision": revision, "source": source}), estimated)
+        gap = _held_out_gap(plant, fitted.values, others)
+        gripper = not plant.fingers or all(log.openings is not None for log in logs)
+        unknown = describe_undetermined(estimated, gripper)
+        found.append(IdentificationResult(arm.name, called, dynamics, estimated, unknown, _rms(fitted.errors), gap))
+    return found
+
+
+def _step_counter(arm: str, total: int, step: Callable[[str, int, int], None]) -> Callable[[], None]:
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        step(arm, done, max(total, done))
+
+    return count
+
+
+def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
+    if len(motion.arms) != len(rig.arms):
+        raise DatasetError(f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(rig.arms)}")
+    for arm in motion.arms:
+        if arm.commands is None or not np.isfinite(arm.commands).any(axis=0).all():
+            raise DatasetError(
+                f"{motion.name}{f', {arm.side} arm' if arm.side else ''}: holds no commands for its joints; "
+                "measurements alone do not determine the parameters: record both"
+            )
+    grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE]
+    if grave:
+        raise DatasetError(f"{motion.name}: {grave[0].text}")
+
+
+def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[ArmLog]) -> HeldOutError:
+    runs = [LogSimulation(plant, log) for log in logs]
+    before, after = (
+        np.concatenate([(run.simulate(one, plain=True) - run.log.joints)[compared_samples(run)] for run in runs])
+        for one in (plant.values, values)
+    )
+    names = plant.robot.joint_names
+    joints = {name: (_rms(before[:, k]), _rms(after[:, k])) for k, name in enumerate(names)}
+    seconds = sum(log.seconds for log in logs)
+    return HeldOutError(", ".join(log.name for log in logs), seconds, _rms(before), _rms(after), joints)
+
+
+def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
+    """The revision `was` with the estimates; parameters that the logs do not determine keep their value."""
+    known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
+    joints = {}
+    for k, name in enumerate(plant.robot.joint_names):
+        damping = known[name, "damping_nms"]
+        joints[name] = JointDynamics(
+            armature=_round(known[name, "armature"]),
+            damping=_round(max(damping, 0.0)),
+            frictionloss=_round(known[name, "friction_nm"]),
+            kp=was.joint(name).kp,
+            kv=_round(float(plant.kv[k]) + damping) if damping < 0 else was.joint(name).kv,
+            offset_rad=_round(known[name, "offset_rad"]),
+            gravity_factor=_round(known[name, "gravity_factor"]),
+        )
+    # The log determines only the sum of the delays.
+    delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
+    return was.model_copy(update={"joints": joints, **delays})
+
+
+def _round(number: float) -> float:
+    return float(f"{number:.6g}")
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -> None:
+    """Refuse logs in which a joint's motion cannot determine its parameters.
+
+    Args:
+        names: of the joints.
+        side: of the arm; empty for a lone arm.
+
+    Raises:
+        DatasetError: the logs are too short, or a joint hardly moves, never turns back or is always slow; the message
+            names the joint and what to record.
+    """
+    where = ", ".join(log.name for log in logs)
+    seconds = sum(log.seconds for log in logs)
+    if seconds < _SHORTEST:
+        raise DatasetError(
+            f"{where}: {seconds:.1f} s tell too little of the arm; record at least {_SHORTEST:g} s, better 60; "
+            f"{_REMEDY}"
+        )
+    measured = [(log, rows) for log in logs if (rows := np.isfinite(log.joints).all(axis=1)).sum() > 2]
+    for k, name in enumerate(names):
+        # Commands are checked too: a joint may be shaken by the other joints while its command stays.
+        for paths in (
+            [(log.times[rows], log.joints[rows, k]) for log, rows in measured],
+            [(log.times, log.commands[:, k]) for log, _ in measured],
+        ):
+            if fault := _too_little_motion(paths):
+                raise DatasetError(f"{where}: {f'{side} ' if side else ''}{name} {fault}; {_REMEDY}")
+
+
+def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
+    """What a joint's motion lacks, and what to record; None if nothing is missing.
+
+    Args:
+        paths: times (n,), s, and positions (n,), rad, in each log.
+    """
+    span = max((float(np.ptp(path)) for _, path in paths), default=0.0)
+    if span < _SPAN:
+        return (
+            f"hardly moves: it goes {span:.3f} rad, and its friction, damping and inertia show from {_SPAN} rad on; "
+            "record it swinging to and fro by 0.5 rad, slowly and quickly"
+        )
+    turns = sum(_count_reversals(path) for _, path in paths)
+    if turns < _TURNS:
+        times = "never turns back" if not turns else f"turns back only {'once' if turns == 1 else f'{turns} times'}"
+        return (
+            f"{times}, so that friction cannot be told from an offset or from weight; record it swinging to and fro at "
+            f"least {_TURNS} times"
+        )
+    fast = float(np.quantile(np.concatenate([_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
+    if fast < _SPEED:
+        return (
+            f"is always slow: {fast:.3f} rad/s at most but for moments, where damping and inertia show from {_SPEED} "
+            "rad/s on; record quicker swings too, of 1 rad/s"
+        )
+    return None
+
+
+def _count_reversals(path: Array) -> int:
+    """How often a joint turns back; trembling does not count."""
+    turns, direction, furthest = 0, 0, float(path[0])
+    for place in path:
+        if direction == 0:
+            direction = int(np.sign(place - furthest)) if abs(place - furthest) > _BACK else 0
+            furthest = float(place) if direction else furthest
+        elif direction * (place - furthest) > 0:
+            furthest = float(place)
+        elif direction * (furthest - place) > _BACK:
+            turns, direction, furthest = turns + 1, -direction, float(place)
+    return turns
+
+
+def _speeds(times: Array, path: Array) -> Array:
+    grid = np.arange(0, times[-1] - times[0], _SPEED_PERIOD) + times[0]
+    found: Array = np.abs(np.diff(np.interp(grid, times, path))) / _SPEED_PERIOD
+    return found

@@ -1,0 +1,230 @@
+"""Fits an arm's parameters to its logs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.config.rig import ArmConfig
+from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
+from yamsim_cli.core.geometry.se3 import Array
+
+from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
+
+_BEGINNING = 0.5  # s at a log's start that are not compared: the arm's speed and friction are not known there
+_FINEST = 1e-4  # rad, least error of a joint for its weight
+_ACCELERATION_PERIOD = 0.04  # s
+_MOST_STEPS, _MOST_FINE = 6, 4  # descent steps with the time step of tasks, and with the fine one
+_DELAYS = tuple(0.01 * k for k in range(11))  # s, tried first: a descent from a delay that is far off fails
+# A fit has converged when a step changes nothing by more than this share of its scale, or gains less than this share.
+_STILL, _LITTLE = 0.01, 1e-3
+
+
+@dataclass(frozen=True)
+class FitParameter:
+    """A number that the fit varies.
+
+    Attributes:
+        name: the field of `Values`.
+        joint: number of the joint; None for the delay, which all joints have in common.
+        scale: size of a step that changes the motion.
+        prior_sigma: standard deviation of the prior, whose mean is the model's value.
+        minimum, maximum: bounds of the value.
+    """
+
+    name: str
+    joint: int | None
+    scale: float
+    prior_sigma: float
+    minimum: float
+    maximum: float = np.inf
+
+
+def all_parameters(plant: ParametricArm) -> list[FitParameter]:
+    """All parameters of an arm."""
+    found = [FitParameter("delay", None, 0.005, 0.1, 0.0)]
+    for k in range(len(plant.kp)):
+        most, kv, armature = plant.max_torque[k], plant.kv[k], plant.values.armature[k]
+        found += [
+            FitParameter("friction", k, 0.005 * most, 0.1 * most, 0.0),
+            FitParameter("damping", k, 0.2 * kv, 3 * kv, -0.9 * kv),
+            FitParameter("armature", k, max(0.3 * armature, 1e-4), max(armature, 1e-3), 0.2 * armature),
+            FitParameter("offset", k, 0.005, 0.1, -np.inf),
+            FitParameter("friction_velocity", k, 0.004, 0.02, 5e-4, 0.2),
+            FitParameter("gravity", k, 0.05, 0.3, -2.0, 4.0),
+        ]
+    return found
+
+
+def parameter_value(values: PlantParameters, parameter: FitParameter) -> float:
+    """A parameter's value."""
+    found = getattr(values, parameter.name)
+    return float(found if parameter.joint is None else found[parameter.joint])
+
+
+def replace_value(values: PlantParameters, parameter: FitParameter, number: float) -> PlantParameters:
+    """The same values but for one parameter."""
+    if parameter.joint is None:
+        return replace(values, delay=number)
+    changed: Array = getattr(values, parameter.name).copy()
+    changed[parameter.joint] = number
+    fields: dict[str, Any] = {parameter.name: changed}
+    return replace(values, **fields)
+
+
+class _LinearizedFit:
+    """The problem at some values; see `geometry.least_squares.Linearized`."""
+
+    def __init__(self, problem: _Problem, values: PlantParameters) -> None:
+        self._problem, self.values = problem, values
+        self.errors = problem.errors(values)
+        self.cost = float(np.sum((self.errors * problem.weights) ** 2) + np.sum(problem.prior(values) ** 2))
+
+    @functools.cached_property
+    def slopes(self) -> Array:
+        """Change of the errors with each parameter, per scale (samples, dof, parameters)."""
+        found = np.empty((*self.errors.shape, len(self._problem.parameters)))
+        for k, parameter in enumerate(self._problem.parameters):
+            moved = replace_value(self.values, parameter, parameter_value(self.values, parameter) + parameter.scale)
+            found[..., k] = self._problem.errors(moved) - self.errors
+        return found
+
+    @property
+    def normal(self) -> Array:
+        return self._problem.normal(self.slopes)
+
+    @property
+    def gradient(self) -> Array:
+        return self._problem.gradient(self.slopes, self.errors, self.values)
+
+
+class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
+    """The least-squares problem of an arm that follows its logs.
+
+    Args:
+        weights: of the joints (dof,), 1/rad.
+        step: called before each simulation of the logs.
+    """
+
+    def __init__(
+        self, plant: ParametricArm, runs: Sequence[LogSimulation], weights: Array, step: Callable[[], None]
+    ) -> None:
+        self.parameters = all_parameters(plant)
+        self.weights = weights
+        self._precision = np.array([(each.scale / each.prior_sigma) ** 2 for each in self.parameters])
+        self._centre = plant.values
+        self._runs, self._step = runs, step
+
+    def errors(self, values: PlantParameters) -> Array:
+        """Simulated less measured joints, of the compared samples of all runs (samples, dof), rad."""
+        self._step()
+        return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
+
+    def prior(self, values: PlantParameters) -> Array:
+        """Distance of each parameter from its prior's mean, in its spread (k,)."""
+        return np.array(
+            [(parameter_value(values, p) - parameter_value(self._centre, p)) / p.prior_sigma for p in self.parameters]
+        )
+
+    def normal(self, slopes: Array) -> Array:
+        """The normal equations' matrix (k, k), for slopes (samples, dof, k)."""
+        flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
+        found: Array = flat.T @ flat + np.diag(self._precision)
+        return found
+
+    def gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
+        """The normal equations' right-hand side (k,)."""
+        pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
+        found: Array = -pulled - np.sqrt(self._precision) * self.prior(values)
+        return found
+
+    def linearize(self, state: PlantParameters, before: _LinearizedFit | None) -> _LinearizedFit | None:
+        there = _LinearizedFit(self, state)
+        return there if np.isfinite(there.cost) else None
+
+    def apply_step(self, state: PlantParameters, step: Array) -> PlantParameters:
+        for parameter, part in zip(self.parameters, step, strict=True):
+            number = parameter_value(state, parameter) + part * parameter.scale
+            state = replace_value(state, parameter, float(np.clip(number, parameter.minimum, parameter.maximum)))
+        return state
+
+    def is_converged(self, state: PlantParameters, known: _LinearizedFit, step: Array, gain: Array) -> bool:
+        return bool(np.abs(step).max() < _STILL or 0 <= float(gain) < _LITTLE * known.cost)
+
+
+def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
+    """Which samples of a run are compared (n,)."""
+    found: NDArray[np.bool_] = run.read & (run.log.times >= min(_BEGINNING, run.log.seconds / 10))
+    return found
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The result of a fit.
+
+    Attributes:
+        parameters: that were varied.
+        errors: simulated less measured joints (samples, dof), rad.
+        slopes: change of the errors with each parameter, per scale (samples, dof, parameters).
+        weights: of the joints (dof,), 1/rad.
+        times: of the samples, each run's after those of the run before (samples,), s.
+        accelerations: RMS acceleration of each joint in the logs (dof,), rad/s2.
+    """
+
+    values: PlantParameters
+    parameters: list[FitParameter]
+    errors: Array
+    slopes: Array
+    weights: Array
+    times: Array
+    accelerations: Array
+
+
+def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
+    """Fit an arm's values to its logs.
+
+    A long time step of physics biases inertia and delay. So the fit descends with the time step of tasks, and then with
+    a finer one along the slopes found before.
+
+    Args:
+        step: called before each simulation of the logs.
+    """
+    plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)
+    runs, fine_runs = [LogSimulation(plant, log) for log in logs], [LogSimulation(fine, log) for log in logs]
+    problem = _Problem(plant, runs, np.full(len(plant.kp), 1 / _FINEST), step)
+    tried = [replace(plant.values, delay=delay) for delay in sorted({plant.values.delay, *_DELAYS})]
+    first = min(tried, key=lambda one: float(np.sum(problem.errors(one) ** 2)))
+    found = solve_least_squares(problem, first, _MOST_STEPS)
+    assert found is not None, "the model itself can be simulated"
+    values, there = found
+    slopes, errors = there.slopes, there.errors
+    for _ in range(_MOST_FINE):
+        spread = np.sqrt(np.mean(errors**2, axis=0))
+        problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _FINEST), step)
+        errors = problem.errors(values)
+        moved = np.asarray(
+            np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values)), dtype=np.float64
+        )
+        if np.abs(moved).max() < _STILL:
+            break
+        values = problem.apply_step(values, moved)
+    offsets = np.concatenate([[0.0], np.cumsum([log.seconds + 1 for log in logs])])
+    times = np.concatenate([run.log.times[compared_samples(run)] + at for run, at in zip(runs, offsets, strict=False)])
+    return FitResult(values, problem.parameters, errors, slopes, problem.weights, times, _accelerations(logs))
+
+
+def _accelerations(logs: Sequence[ArmLog]) -> Array:
+    """RMS acceleration of each joint (dof,), rad/s2, from positions read in steps of the encoder."""
+    squares = []
+    for log in logs:
+        known = np.isfinite(log.joints).all(axis=1)
+        grid = np.arange(0.0, log.seconds, _ACCELERATION_PERIOD)
+        places = np.column_stack([np.interp(grid, log.times[known], column[known]) for column in log.joints.T])
+        squares.append(np.square(np.diff(places, 2, axis=0) / _ACCELERATION_PERIOD**2))
+    found: Array = np.sqrt(np.concatenate(squares).mean(axis=0))
+    return found

@@ -1,0 +1,259 @@
+"""One arm that follows recorded commands, with parameters that a fit varies."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from yamsim_cli.core.config.rig import ArmConfig
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.scene.arm_model import arm_spec
+
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s; that of tasks, and one short enough not to bias the fit
+
+_LEAST_INERTIA = 2e-4  # kg m2, that each joint keeps beside half its links' inertia
+_POSES = 64  # random poses for the least inertia of a joint's links
+_CREEP = 0.005  # rad/s, prior of `Values.creep`
+_WEIGHT_PERIOD = 0.01  # s between computations of the arm's weight
+_LEAST_FRICTION, _LEAST_CREEP = 1e-6, 1e-5  # N m and rad/s; keep the solver's parameters finite
+
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """Parameters of an arm's motion; all but the delay have a value for each joint (dof,).
+
+    Attributes:
+        delay: from a command's time until it acts, s.
+        friction: Coulomb's, N m.
+        damping: passive, beside that of the drive, N m s/rad; negative values reduce the drive's.
+        armature: of the motor at the joint, kg m2.
+        offset: position that is read where the drive holds the joint at 0, rad.
+        gravity: factor of the joint's weight in the gravity compensation.
+        friction_velocity: speed at which friction reaches its full value, rad/s. Real friction does not reverse at once where a
+            joint stops; a fit with creep 0 finds too little friction.
+    """
+
+    delay: float
+    friction: Array
+    damping: Array
+    armature: Array
+    offset: Array
+    gravity: Array
+    friction_velocity: Array
+
+
+@dataclass(frozen=True)
+class ArmLog:
+    """One arm's part of a recorded motion.
+
+    Attributes:
+        name: of the motion.
+        times: of the samples (n,), s.
+        commands, joints: (n, dof), rad; joints are NaN where they were not measured.
+        openings: of the gripper, commanded or else measured (n,), m; None if neither was recorded.
+    """
+
+    name: str
+    times: Array
+    commands: Array
+    joints: Array
+    openings: Array | None
+
+    @classmethod
+    def from_motion(cls, motion: RecordedMotion, arm: ArmMotion) -> ArmLog:
+        """The log of an arm of a motion with commands."""
+        assert arm.commands is not None, "motions without commands are refused before"
+        known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
+        openings = next(known, None)
+        filled = None if openings is None else _filled(openings[:, None])[:, 0]
+        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, filled)
+
+    def clipped(self, start: float, end: float) -> ArmLog:
+        """The part between two times, s; its times begin at 0."""
+        kept = (self.times >= start) & (self.times <= end)
+        openings = None if self.openings is None else self.openings[kept]
+        times = self.times[kept]
+        return ArmLog(self.name, times - times[0], self.commands[kept], self.joints[kept], openings)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the last sample, s."""
+        return float(self.times[-1])
+
+
+class ParametricArm:
+    """An arm alone, without contacts.
+
+    Attributes:
+        values: those of its model.
+        kp, kv: of the joints' drives (dof,), N m/rad and N m s/rad.
+        max_torque: of these drives (dof,), N m.
+        timestep: of physics, s.
+    """
+
+    def __init__(self, arm: ArmConfig, timestep: float = TIMESTEP) -> None:
+        self.timestep = timestep
+        spec = arm_spec(arm, None)
+        spec.option.timestep = timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self.robot = robot = arm.robot
+        self.model = model = spec.compile()
+        joints = [model.joint(name) for name in robot.joint_names]
+        self.qpos = np.array([joint.qposadr[0] for joint in joints])
+        self.dof = np.array([joint.dofadr[0] for joint in joints])
+        self.drives = np.array([model.actuator(name).id for name in robot.joint_drives])
+        self.kp, self.kv = model.actuator_gainprm[self.drives, 0].copy(), -model.actuator_biasprm[self.drives, 2]
+        self.max_torque = model.actuator_forcerange[self.drives, 1].copy()
+        self.fingers = [model.joint(name).qposadr[0] for name in (robot.fingers.joints if robot.fingers else ())]
+        self._links = _link_inertias(model, self.qpos, self.dof, robot.joint_range)
+        self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
+
+    def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
+        """The model of a revision with these values, without its delay, offsets and gravity factors."""
+        model, drives = copy.copy(self.model), self.drives
+        model.dof_frictionloss[self.dof] = values.friction
+        model.dof_armature[self.dof] = values.armature
+        model.dof_damping[self.dof] = np.maximum(values.damping, 0)
+        model.actuator_biasprm[drives, 2] = -(self.kv + np.minimum(values.damping, 0))
+        # The stiffness of friction follows from the inertia.
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
+        """The plain model corrected for the time step, with friction that sets in gently."""
+        model = self.plain_model(values)
+        # A step takes the damping at its end, which acts as additional inertia. The fit would find too little inertia.
+        taken = values.armature - (self.kv + values.damping) * self.timestep / 2
+        model.dof_armature[self.dof] = np.maximum(taken, _LEAST_INERTIA - self._links / 2)
+        # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of b / r, stepped
+        # implicitly, which keeps it stable however strong it is.
+        b = 1 / self.timestep
+        r = b * np.maximum(values.friction_velocity, _LEAST_CREEP) / np.maximum(values.friction, _LEAST_FRICTION)
+        impedance = 1 / (1 + r / model.dof_invweight0[self.dof])
+        model.dof_solref[self.dof] = np.column_stack([np.full(len(r), -1.0), -b * impedance])
+        model.dof_solimp[self.dof, :2] = impedance[:, None]
+        return model
+
+    def gravity_torques(self, joints: Array) -> Array:
+        """Torques of the gravity compensation (n, dof) at positions (n, dof), N m."""
+        data, found = mujoco.MjData(self.model), np.empty(joints.shape)
+        for k, row in enumerate(joints):
+            data.qpos[self.qpos] = row
+            mujoco.mj_fwdPosition(self.model, data)
+            mujoco.mj_passive(self.model, data)
+            found[k] = data.qfrc_gravcomp[self.dof]
+        return found
+
+
+class LogSimulation:
+    """A log that the plant follows repeatedly, each time with other values.
+
+    Attributes:
+        read: which samples have measured joints (n,).
+    """
+
+    def __init__(self, plant: ParametricArm, log: ArmLog) -> None:
+        self.plant, self.log = plant, log
+        self.read = np.isfinite(log.joints).all(axis=1)
+        self._steps = int(np.ceil(log.seconds / self.plant.timestep)) + 1
+        self._grid = self.plant.timestep * np.arange(self._steps + 1)
+        self._clipped = np.clip(log.commands, *plant.model.actuator_ctrlrange[plant.drives].T)
+        held = self._clipped[:-1] * np.diff(log.times)[:, None]
+        self._integral = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(held, axis=0)])
+        measured = np.column_stack(
+            [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
+        )
+        coarse = np.arange(0, self._steps, max(1, round(_WEIGHT_PERIOD / plant.timestep)))
+        weights = plant.gravity_torques(measured[coarse])
+        self._weights = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in weights.T])
+        self._data = mujoco.MjData(plant.model)
+
+    def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
+        """Simulated readings of the joints at the log's times (n, dof), rad.
+
+        Args:
+            plain: use `ParametricArm.plain_model`, as simulations of a revision do, instead of `fitted_model`.
+        """
+        plant, log = self.plant, self.log
+        model = plant.plain_model(values) if plain else plant.fitted_model(values)
+        controls = np.zeros((1, self._steps, model.nu + model.nv))
+        controls[0, :, plant.drives] = self._delayed(values.delay - (self.plant.timestep / 2 if plain else 0)).T
+        controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._weights).T
+        data = self._data
+        mujoco.mj_resetData(model, data)
+        data.qpos[plant.qpos] = log.joints[self.read][0] - values.offset
+        self._hold_fingers(controls, data)
+        whole = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        state = np.empty(mujoco.mj_stateSize(model, whole))
+        mujoco.mj_getState(model, data, state, whole)
+        spec = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+        states, _ = rollout.rollout(model, data, state[None], controls, control_spec=spec, skip_checks=False)
+        positions = np.vstack([state[None], states[0]])[:, 1 + plant.qpos]
+        read = np.column_stack([np.interp(log.times, self._grid, column) for column in positions.T])
+        return read + values.offset
+
+    def _delayed(self, delay: float) -> Array:
+        """The mean command of each step, `delay` s earlier (steps, dof)."""
+        # Drives pull by the command at the step's beginning, so the mean is taken around that time.
+        when, log = self._grid - self.plant.timestep / 2 - delay, self.log
+        columns = []
+        for first, last, total in zip(self._clipped[0], self._clipped[-1], self._integral.T, strict=True):
+            sums = np.interp(when, log.times, total)
+            sums = np.where(when < 0, first * when, sums)
+            sums = np.where(when > log.times[-1], total[-1] + last * (when - log.times[-1]), sums)
+            columns.append(np.diff(sums) / self.plant.timestep)
+        return np.column_stack(columns)
+
+    def _hold_fingers(self, controls: Array, data: mujoco.MjData) -> None:
+        robot, openings = self.plant.robot, self.log.openings
+        if robot.fingers is None:
+            return
+        if openings is None:
+            commands = np.full(self._steps, robot.fingers.range[0])
+        else:
+            commands = np.interp(self._grid[:-1], self.log.times, openings)
+        controls[0, :, self.plant.model.actuator(robot.fingers.drive).id] = commands
+        data.qpos[self.plant.fingers] = commands[0] * np.array(robot.finger_signs)
+
+
+def _filled(commands: Array) -> Array:
+    """Commands (n, dof) with each NaN replaced by the last command before it, or else by the first command."""
+    filled = commands.copy()
+    for column in filled.T:
+        known = np.flatnonzero(np.isfinite(column))
+        column[:] = column[known[np.clip(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0, None)]]
+    return filled
+
+
+def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynamics: Dynamics | None) -> PlantParameters:
+    joints = [dynamics.joint(name) if dynamics else None for name in names]
+    return PlantParameters(
+        delay=(dynamics.command_delay_ms + dynamics.sensor_delay_ms) / 1000 if dynamics else 0.0,
+        friction=model.dof_frictionloss[dof].copy(),
+        damping=model.dof_damping[dof].copy(),
+        armature=model.dof_armature[dof].copy(),
+        offset=np.array([joint.offset_rad if joint else 0.0 for joint in joints]),
+        gravity=np.array([joint.gravity_factor if joint else 1.0 for joint in joints]),
+        friction_velocity=np.full(len(names), _CREEP),
+    )
+
+
+def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
+    """Least inertia of the links at each joint (dof,), without the motor's and with all other joints free, kg m2."""
+    data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
+    rng = np.random.default_rng(0)
+    least = np.full(len(dof), np.inf)
+    for _ in range(_POSES):
+        data.qpos[qpos] = rng.uniform(*ranges.T)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        least = np.minimum(least, 1 / np.diag(np.linalg.inv(full))[dof])
+    found: Array = np.maximum(least - model.dof_armature[dof], 0.0)
+    return found

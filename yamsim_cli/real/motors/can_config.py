@@ -1,0 +1,126 @@
+"""The motors of an arm and a gripper, from `can.yaml` in their folders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationError
+
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.documents.config_base import Config
+from yamsim_cli.core.files.resources import Locations, config_path_pattern
+
+from .motor import KINDS
+
+
+def _known(name: str) -> str:
+    if name not in KINDS:
+        raise ValueError(f"unknown motor {name!r}; valid: {', '.join(KINDS)}")
+    return name
+
+
+Number = Annotated[int, Field(ge=1, le=15)]
+KindName = Annotated[str, AfterValidator(_known)]
+
+
+class JointMotor(Config):
+    """The motor of a joint.
+
+    Attributes:
+        id: its CAN identifier.
+        kind: of motor.
+        direction: 1 if the motor turns as the joint does, -1 if it turns the other way.
+        load: factor of the joint's weight in the model.
+    """
+
+    id: Number
+    kind: KindName
+    direction: Annotated[int, Field(ge=-1, le=1)] = 1
+    load: Annotated[FiniteFloat, Field(ge=0, le=3)] = 1.0
+
+
+class ArmCanConfig(Config):
+    """The motors of an arm's joints, from the base to the flange."""
+
+    motors: Annotated[tuple[JointMotor, ...], Field(min_length=1)]
+
+
+class GripperCanConfig(Config):
+    """A gripper's motor, which moves both fingers.
+
+    Attributes:
+        id, kind: as a joint's.
+        closed, opened: the shaft's angles with closed and with fully opened fingers, rad.
+        stroke: of one finger between the two, m.
+        armature: of its rotor at the shaft, kg m2.
+        friction: at the shaft, N m.
+        kp, kd: gains of its drive, N m/rad and N m s/rad.
+    """
+
+    id: Number
+    kind: KindName
+    closed: FiniteFloat
+    opened: FiniteFloat
+    stroke: Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
+    armature: Annotated[FiniteFloat, Field(gt=0, lt=1)]
+    friction: Annotated[FiniteFloat, Field(ge=0, lt=10)]
+    kp: Annotated[FiniteFloat, Field(gt=0, le=500)]
+    kd: Annotated[FiniteFloat, Field(ge=0, le=5)]
+
+    @property
+    def ratio(self) -> float:
+        """Turn of the shaft per opening of one finger, rad/m."""
+        return (self.opened - self.closed) / self.stroke
+
+
+@dataclass(frozen=True)
+class CanConfig:
+    """All motors of an arm and its gripper; `gripper` is None without fingers."""
+
+    arm: ArmCanConfig
+    gripper: GripperCanConfig | None
+
+
+def load_can_config(model: str, gripper: str | None, joints: int, locations: Locations) -> CanConfig:
+    """The motors of an arm with a gripper.
+
+    Args:
+        model, gripper: names of their folders; None for a gripper without fingers.
+        joints: their number.
+
+    Raises:
+        ConfigError: a file is missing or not valid, or does not have a motor for each joint.
+    """
+    place = _file("robots", model, locations)
+    arm = _read(ArmCanConfig, place)
+    if len(arm.motors) != joints:
+        raise ConfigError(f"{place}: has {len(arm.motors)} motors, and {model} has {joints} joints; give one for each")
+    hand = None if gripper is None else _read(GripperCanConfig, _file("grippers", gripper, locations))
+    numbers = [motor.id for motor in arm.motors] + ([hand.id] if hand else [])
+    if len(set(numbers)) < len(numbers):
+        raise ConfigError(f"{place}: two motors have the same id among {numbers}; each needs its own on its bus")
+    return CanConfig(arm, hand)
+
+
+def _file(kind: str, name: str, locations: Locations) -> Path:
+    folder = Path(config_path_pattern(kind).replace("*", name)).parent
+    for root in locations.data:
+        if (root / folder / "can.yaml").is_file():
+            return root / folder / "can.yaml"
+    wired = sorted({path.parent.name for root in locations.data for path in (root / folder.parent).glob("*/can.yaml")})
+    raise ConfigError(f"{name} has no can.yaml, which says what its motors are; those with one: {', '.join(wired)}")
+
+
+W = TypeVar("W", bound=Config)
+
+
+def _read(model: type[W], path: Path) -> W:
+    document = model.read(path)
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ConfigError(f"{document.place(tuple(first['loc']))}: {key}: {first['msg']}") from None

@@ -1,0 +1,135 @@
+"""A CAN bus with motors, and faults on demand: lost and hot motors, lost frames, a stuck gripper."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from yamsim_cli.core.errors import UsageError
+
+from .can_frames import CanFrame
+from .motor import Motor
+
+_UPDATE_SECONDS = 0.01  # s between updates of temperatures, timeouts and faults
+
+LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
+# Kind of fault -> its own keys; every fault also has the common ones.
+_KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
+_COMMON = ("channel", "at", "for")
+_RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
+_EXAMPLE = "lost:motor=3,at=5,for=2"
+
+
+@dataclass(frozen=True)
+class BusFault:
+    """A fault of a bus, and its time.
+
+    Attributes:
+        kind: LOST, HOT, DROP or STUCK.
+        channel: the bus; empty for all buses.
+        motor: number of the motor that is lost or hot.
+        at: when the fault begins, s after the simulation does.
+        seconds: how long the fault lasts.
+        celsius: temperature at which a hot rotor is kept.
+        share: of the frames that are lost, in either direction.
+    """
+
+    kind: str
+    channel: str = ""
+    motor: int = 0
+    at: float = 0.0
+    seconds: float = float("inf")
+    celsius: float = 110.0
+    share: float = 0.1
+
+
+def parse_fault(text: str) -> BusFault:
+    """The fault that a flag names, such as `lost:motor=3,at=5,for=2`.
+
+    Raises:
+        UsageError: the text is not of that form; the message says what is valid.
+    """
+    kind, _, rest = text.partition(":")
+    if kind not in _KEYS:
+        raise UsageError(f"--fault {text!r}: unknown fault {kind!r}; valid: {', '.join(_KEYS)}, such as {_EXAMPLE}")
+    valid = (*_KEYS[kind], *_COMMON)
+    given: dict[str, Any] = {}
+    for part in filter(None, rest.split(",")):
+        key, _, value = part.partition("=")
+        if key not in valid:
+            raise UsageError(f"--fault {text!r}: a {kind} fault has no {key!r}; valid: {', '.join(valid)}")
+        field = "seconds" if key == "for" else key
+        if field in given:
+            raise UsageError(f"--fault {text!r}: {key} is there twice")
+        given[field] = value if key == "channel" else _number(text, key, value)
+    if "motor" in valid and "motor" not in given:
+        raise UsageError(f"--fault {text!r}: say which motor, as in {kind}:motor=3")
+    return BusFault(kind, **given)
+
+
+def _number(text: str, key: str, value: str) -> float:
+    low, high = _RANGES[key]
+    try:
+        number = float(value)
+    except ValueError:
+        number = float("nan")
+    if not low <= number <= high or (key == "motor" and not number.is_integer()):
+        raise UsageError(f"--fault {text!r}: {key} {value!r} is not valid; it must lie in {low}..{high}")
+    return int(number) if key == "motor" else number
+
+
+class MotorBus:
+    """A bus. Its time is the simulation's, s.
+
+    Attributes:
+        channel: its name, such as `can0`.
+        stuck: whether the gripper is stuck.
+        frames_received, dropped: numbers of frames received, and of frames lost in either direction.
+
+    Args:
+        seed: of the random choice of lost frames.
+    """
+
+    def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[BusFault] = (), seed: int = 0) -> None:
+        self.channel = channel
+        self.motors = tuple(motors)
+        self.stuck = False
+        self.frames_received = self.dropped = 0
+        self._faults = [fault for fault in faults if fault.channel in ("", channel)]
+        self._random = random.Random(f"{seed} {channel}")
+        self._updated = 0.0
+        self._drop_share = 0.0
+
+    def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Put a frame onto the bus; returns the answers."""
+        self.frames_received += 1
+        if self._loses():
+            return []
+        answers = [answer for motor in self.motors if (answer := motor.receive(frame, now)) is not None]
+        return [answer for answer in answers if not self._loses()]
+
+    def advance_to(self, now: float) -> None:
+        """Advance the time to `now`, s: motors warm up and time out, and faults begin and end."""
+        if (seconds := now - self._updated) < _UPDATE_SECONDS:
+            return
+        self._updated = now
+        acting = [fault for fault in self._faults if fault.at <= now < fault.at + fault.seconds]
+        self.stuck = any(fault.kind == STUCK for fault in acting)
+        self._drop_share = max((fault.share for fault in acting if fault.kind == DROP), default=0.0)
+        lost = {fault.motor for fault in acting if fault.kind == LOST}
+        hot = {fault.motor: fault.celsius for fault in acting if fault.kind == HOT}
+        for motor in self.motors:
+            if motor.number in hot:
+                motor.celsius = hot[motor.number]
+            motor.advance(now, seconds)
+            if motor.lost and motor.number not in lost:
+                motor.power_on()
+            elif not motor.lost and motor.number in lost:
+                motor.power_off()
+
+    def _loses(self) -> bool:
+        lost = self._drop_share > 0 and self._random.random() < self._drop_share
+        self.dropped += lost
+        return lost

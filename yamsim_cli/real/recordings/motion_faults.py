@@ -1,0 +1,249 @@
+"""Faults of recorded motions: gaps, wrong units, swapped arms, grippers that are mirrored."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.files.documents.units import QuantityBounds
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.robots.robot import Robot
+
+# A pause between samples is a gap if it exceeds both limits: a multiple of the usual pause, and a time, s.
+_GAP_TIMES, _GAP_S = 5.0, 0.1
+_BEYOND_STOPS = 0.1  # rad; arms are calibrated to a degree or two
+_NO_RADIANS = 2 * math.pi  # rad; no joint turns as far, and values in degrees exceed it
+_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # Usual time between samples: 100 kHz to 2 Hz. At 1 kHz and in ms it is 1.
+_MOTION = 0.05  # rad; a smaller change counts as noise
+_SWAPPED = 3.0  # arms are swapped if each arm's commands fit the other arm's joints this many times better
+_OPENING_FACTOR = 1.1  # openings above this many times the fingers' range are not in metres
+_FROZEN_S, _FROZEN_COMMAND = 1.0, 0.1  # s and rad: a measurement stays for that time while its command moves that far
+_MIRRORED = -0.5  # correlation of openings and commanded openings below which one of them is mirrored
+_SOME_OPENING = 0.2  # share of the fingers' range; smaller motions are not correlated
+# Fingers stall if they stand still for that time, s, at that distance from their command, as a share of their range.
+_STALL_S, _STALL = 0.5, 0.2
+_SLOW = 0.2  # shares of the range per s: slower fingers stand still; noise of an encoder is half of it
+
+
+class MotionFault(StrEnum):
+    """A kind of fault."""
+
+    GAP = "gap"
+    DEGREES = "degrees"
+    TIME_UNIT = "time_unit"
+    BEYOND_STOPS = "beyond_stops"
+    TOO_FAST = "too_fast"
+    SWAPPED_ARMS = "swapped_arms"
+    FROZEN = "frozen"
+    GRIPPER_SHARE = "gripper_share"
+    GRIPPER_UPSIDE_DOWN = "gripper_upside_down"
+    GRIPPER_STALLS_OPENING = "gripper_stalls_opening"
+
+
+_WRONG_UNITS = (MotionFault.DEGREES, MotionFault.TIME_UNIT)
+
+
+@dataclass(frozen=True)
+class MotionProblem:
+    """A fault of a motion.
+
+    Attributes:
+        fault: its kind.
+        text: one line with the joint, the value and what to do.
+        time: when it begins, s; None if the whole motion has it.
+    """
+
+    fault: MotionFault
+    text: str
+    time: float | None = None
+
+
+def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
+    """All faults of a motion of a rig."""
+    found = [*find_gaps(motion.times), *_time_unit(motion.times)]
+    for arm, k in zip(motion.arms, rig.recording_order, strict=True):
+        robot = rig.arms[k].robot
+        found += list(_degrees(arm, robot)) or [
+            *_beyond_stops(motion.times, arm, robot),
+            *_too_fast(motion.times, arm, robot),
+            *_frozen_joints(motion.times, arm, robot),
+        ]
+        found += _gripper(motion.times, arm, robot)
+    return found + list(_swapped_arms(motion))
+
+
+def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
+    """Make sure that a recording is in s and rad.
+
+    Raises:
+        DatasetError: it is in other units; the text names the likely unit.
+    """
+    for problem in problems:
+        if problem.fault in _WRONG_UNITS:
+            raise DatasetError(f"{name}: {problem.text}")
+
+
+def _time_unit(times: Array) -> Iterator[MotionProblem]:
+    if len(times) < 2:
+        return
+    usual = float(np.median(np.diff(times)))
+    try:
+        _PERIOD.check(usual)
+    except ValueError as error:
+        yield MotionProblem(MotionFault.TIME_UNIT, f"samples are {usual:g} s apart, which {error}")
+
+
+def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[MotionProblem]:
+    """The gaps between recorded times (n,), s.
+
+    Args:
+        what: the beginning of each gap's text, followed by its length.
+    """
+    if len(times) < 2:
+        return
+    pauses = np.diff(times)
+    usual = float(np.median(pauses))
+    for k in np.flatnonzero((pauses > _GAP_TIMES * usual) & (pauses > _GAP_S)):
+        text = (
+            f"{what} for {pauses[k]:.2f} s from {times[k]:.2f} s on, and elsewhere samples are "
+            f"{usual * 1000:.1f} ms apart; split it there"
+        )
+        yield MotionProblem(MotionFault.GAP, text, float(times[k]))
+
+
+def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+    turned = arm.joints if arm.commands is None else np.vstack([arm.joints, arm.commands])
+    most = np.nanmax(np.abs(turned), axis=0)
+    k = int(np.argmax(most))
+    if most[k] > _NO_RADIANS:
+        name = _full_name(arm, robot.joint_names[k])
+        text = f"{name} is at {most[k]:.3g}, which no joint turns to in rad; are these degrees?"
+        yield MotionProblem(MotionFault.DEGREES, text)
+
+
+def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+    low, high = robot.joint_range.T
+    beyond = np.fmax(low - arm.joints, arm.joints - high)
+    for k, name in enumerate(robot.joint_names):
+        if (most := np.nanmax(beyond[:, k])) > _BEYOND_STOPS:
+            at = int(np.nanargmax(beyond[:, k]))
+            text = (
+                f"{_full_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad "
+                f"beyond its stops ({low[k]:.3f} to {high[k]:.3f}); is it another model, or was its zero another one?"
+            )
+            yield MotionProblem(MotionFault.BEYOND_STOPS, text, float(times[at]))
+
+
+def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+    known = ~np.isnan(arm.joints).any(axis=1)
+    when, joints = times[known], arm.joints[known]
+    speeds = np.abs(np.diff(joints, axis=0)) / np.diff(when)[:, None]
+    for k, joint in enumerate(robot.joints):
+        # Measurements jitter by a step of the encoder, which is fast from one sample to the next.
+        fast = (speeds[:, k] > joint.reported_rad_s) & (np.abs(np.diff(joints[:, k])) > _MOTION)
+        if fast.any():
+            at = int(np.argmax(fast))
+            text = (
+                f"{_full_name(arm, joint.name)} jumps from {joints[at, k]:.3f} to {joints[at + 1, k]:.3f} rad at "
+                f"{when[at]:.2f} s, faster than its drive can report ({joint.reported_rad_s:g} rad/s); were recordings "
+                "joined, or samples lost?"
+            )
+            yield MotionProblem(MotionFault.TOO_FAST, text, float(when[at]))
+
+
+def _frozen_joints(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+    if arm.commands is None:
+        return
+    known = ~np.isnan(arm.joints).any(axis=1)
+    when, joints, commands = times[known], arm.joints[known], arm.commands[known]
+    for k, name in enumerate(robot.joint_names):
+        edges = np.flatnonzero(np.r_[True, np.diff(joints[:, k]) != 0, True])
+        for first, end in itertools.pairwise(edges):
+            seconds, moved = when[end - 1] - when[first], np.ptp(commands[first:end, k])
+            if seconds >= _FROZEN_S and moved > _FROZEN_COMMAND:
+                text = (
+                    f"{_full_name(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for {seconds:.2f} s "
+                    f"from {when[first]:.2f} s on, while its command moved by {moved:.2f} rad; was its bus silent?"
+                )
+                yield MotionProblem(MotionFault.FROZEN, text, float(when[first]))
+                break
+
+
+def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+    if arm.openings is None or robot.fingers is None:
+        return
+    name, widest = _full_name(arm, "gripper"), robot.fingers.range[1]
+    known = ~np.isnan(arm.openings)
+    measured = arm.openings[known]
+    if measured.max() > _OPENING_FACTOR * widest:
+        text = (
+            f"{name} is at {measured.max():.3g}, and one finger opens by {widest:g} m; is it a share, or both fingers "
+            "together?"
+        )
+        yield MotionProblem(MotionFault.GRIPPER_SHARE, text)
+    elif arm.commanded_openings is not None:
+        yield from _mirrored_gripper(name, times[known], measured / widest, arm.commanded_openings[known] / widest)
+
+
+def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
+    """Openings (n,) as shares of the fingers' range that seem to be counted from the other end."""
+    if (
+        min(np.ptp(commanded), np.ptp(measured)) > _SOME_OPENING
+        and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
+    ):
+        text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of them upside down?"
+        yield MotionProblem(MotionFault.GRIPPER_UPSIDE_DOWN, text)
+    elif (stall := _first_stall(times, measured, commanded)) is not None:
+        text = (
+            f"{name} stops short while commanded to open, from {stall:.2f} s on, and never while commanded to close, "
+            "which is when things are in its way: is it upside down? If so, import it with --mirror-gripper both"
+        )
+        yield MotionProblem(MotionFault.GRIPPER_STALLS_OPENING, text, stall)
+
+
+def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
+    """When the fingers first stall while commanded to open, s.
+
+    None if they never stall, or also stall while commanded to close.
+    """
+    ahead = measured - commanded
+    still = np.abs(np.gradient(measured, times)) < _SLOW
+    stands = np.where(still & (np.abs(ahead) > _STALL), np.sign(ahead), 0)
+    first_of: dict[float, float] = {}
+    edges = np.flatnonzero(np.r_[True, np.diff(stands) != 0, True])
+    for first, end in itertools.pairwise(edges):
+        if stands[first] and times[end - 1] - times[first] >= _STALL_S:
+            first_of.setdefault(float(stands[first]), float(times[first]))
+    return first_of.get(-1.0) if 1.0 not in first_of else None
+
+
+def _swapped_arms(motion: RecordedMotion) -> Iterator[MotionProblem]:
+    if len(motion.arms) != 2:
+        return
+    left, right = motion.arms
+    if left.commands is None or right.commands is None or left.joints.shape != right.joints.shape:
+        return
+    own = max(_rms(left.commands - left.joints), _rms(right.commands - right.joints))
+    other = max(_rms(left.commands - right.joints), _rms(right.commands - left.joints))
+    if own > _MOTION and own > _SWAPPED * other:
+        text = (
+            f"each arm is where the other arm was commanded to go: {own:.2f} rad from its own commands, {other:.2f} "
+            "from the other's; are the arms swapped?"
+        )
+        yield MotionProblem(MotionFault.SWAPPED_ARMS, text)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.nanmean(errors**2)))
+
+
+def _full_name(arm: ArmMotion, joint: str) -> str:
+    return f"{arm.side}_{joint}" if arm.side else joint

@@ -1,0 +1,148 @@
+"""Motions from files: yamsim's episodes and datasets, and recordings of other programs in any known format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.dataset_paths import EPISODE
+from yamsim_cli.core.dataset.imported_records import is_yamsim_data
+from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_episodes
+from yamsim_cli.core.errors import DatasetError, UsageError, suggest
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.recorded_motion import RecordedMotion
+
+from .csv_file import read_csv
+from .lerobot_files import INFO, read_lerobot
+from .mcap_file import read_mcap
+from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
+from .recording import Recording, split_arms
+
+# Path, rig, --mapping and locations -> the recordings at that path.
+Reader = Callable[[Path, RigConfig, str | None, Locations], list[Recording]]
+
+_READERS: Mapping[str, Reader] = {
+    "csv": lambda path, rig, mapping, where: [Recording(read_csv(path, rig), "metres")],
+    "raiden_raw": lambda path, rig, mapping, where: read_raiden_raw(path, rig),
+    "lowdim": lambda path, rig, mapping, where: read_lowdim(path, rig),
+    "lerobot": read_lerobot,
+    "mcap": read_mcap,
+}
+_BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
+
+
+def detect_format(path: Path) -> str:
+    """The name of the format of a file or a folder.
+
+    Raises:
+        DatasetError: the path does not exist, or its format is not known.
+    """
+    if not path.exists():
+        raise DatasetError(f"{path} does not exist")
+    if path.is_file():
+        if path.suffix.lower() in _BY_ENDING:
+            return _BY_ENDING[path.suffix.lower()]
+    elif (path / ROBOT_DATA).is_file():
+        return "raiden_raw"
+    elif (path / INFO).is_file():
+        return "lerobot"
+    elif is_yamsim_data(path):
+        raise DatasetError(f"{path}: is an episode or a dataset of yamsim's already, which needs no import")
+    elif (path / "lowdim").is_dir() or any(path.glob("*/lowdim")):
+        return "lowdim"
+    raise DatasetError(
+        f"{path}: is no recording that is known; valid: a .csv or .mcap, a robot_data.npz or its folder, a folder "
+        "with rgb/ and lowdim/ or of such folders, a LeRobot dataset"
+    )
+
+
+def format_reader(name: str) -> Reader:
+    """The reader of a format.
+
+    Raises:
+        UsageError: there is no format of that name.
+    """
+    if name not in _READERS:
+        raise UsageError(f"--format {name!r} is not valid; {suggest(name, _READERS)}")
+    return _READERS[name]
+
+
+def read_motions(
+    recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None = None
+) -> list[RecordedMotion]:
+    """The motions of recordings, in order, with all samples; a dataset gives a motion for each episode.
+
+    Args:
+        mapping: names of the columns, see `naming.find_naming`.
+
+    Raises:
+        DatasetError: a recording is missing, cannot be read, is damaged or of another rig.
+        UsageError: no recording holds a motion.
+    """
+    motions: list[RecordedMotion] = []
+    for path in recordings:
+        if is_yamsim_data(path):
+            stored = [open_recorded(path)] if (path / EPISODE).exists() else recorded_episodes(path)
+            motions += [read_episode(episode, rig) for episode in stored]
+        else:
+            read = format_reader(detect_format(path))
+            motions += [recording.in_metres(rig) for recording in read(path, rig, mapping, locations)]
+    if not motions:
+        raise UsageError("no recording holds a motion; give a .csv, an episode's directory, or a dataset's")
+    return motions
+
+
+def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
+    """The motion of an episode, simulated or imported.
+
+    A simulated episode has a sample for each control tick. Its joints are known at frames, and are NaN at the ticks
+    between. An imported episode has a sample for each frame.
+
+    Raises:
+        DatasetError: the episode is damaged, or of another rig.
+    """
+    record, name = episode.record, str(episode.directory)
+    drives = record.drives
+    if record.arms != len(rig.arms) or drives not in (rig.drives, min(arm.robot.dof for arm in rig.arms)):
+        raise DatasetError(
+            f"{name}: has {record.arms} arms of {drives} drives, and rig {rig.name!r} has {len(rig.arms)} of "
+            f"{rig.drives}; give --rig {record.rig}"
+        )
+    frames = episode.frames()
+    if len(frames) < 2:
+        raise DatasetError(f"{name}: has {len(frames)} frames; a motion needs two at least")
+    times = np.array([frame["timestamp"] for frame in frames], dtype=np.float64)
+    if np.any(np.diff(times) <= 0):
+        raise DatasetError(f"{name}: timestamps do not increase; check it with yamsim summarize --strict")
+
+    def rows(key: str) -> Array:
+        values = [np.asarray(frame[key], dtype=np.float64).ravel() for frame in frames]
+        return np.array(values).reshape(len(frames), record.arms, drives)
+
+    joints, commands = rows("joints"), rows("ctrl") if "ctrl" in frames[0] else None
+    times -= times[0]
+    if "sim_ctrl" in frames[0]:
+        times, joints, commands = _per_tick_samples(times, joints, frames, rig)
+    return RecordedMotion(name, times, split_arms(joints, commands, rig))
+
+
+def _per_tick_samples(
+    times: Array, joints: Array, frames: list[dict[str, Any]], rig: RigConfig
+) -> tuple[Array, Array, Array]:
+    """Times (n,), measured joints and commands (n, arms, drives), with a sample for each control tick."""
+    order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recording_order])
+    starts, commands, measured = [], [], []
+    for k, frame in enumerate(frames):
+        ticks = np.asarray(frame["sim_ctrl"], dtype=np.float64)
+        # The last frame may have fewer ticks than the frames before; they last as long.
+        if k + 1 < len(times):
+            tick = (times[k + 1] - times[k]) / len(ticks)
+        starts += list(times[k] + tick * np.arange(len(ticks)))
+        commands += list(ticks[:, order].reshape(len(ticks), len(rig.arms), rig.drives))
+        measured += [joints[k], *np.full((len(ticks) - 1, *joints[k].shape), np.nan)]
+    return np.array(starts), np.array(measured), np.array(commands)

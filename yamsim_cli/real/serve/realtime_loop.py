@@ -1,0 +1,165 @@
+"""The loop that keeps simulated time to the clock and answers frames as they arrive."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import select
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ..motors.can_frames import CanFrame
+from .can_bus import KernelBus, UnixBus
+from .motor_simulation import MotorSimulation
+
+_MAX_CATCH_UP = 0.1  # s; when it is farther behind, the simulation continues from the present time
+_EARLY_ANSWERS = 7  # answers that a late program gets without the gap between them, to regain its rate
+_MAX_QUEUED = 64  # answers that wait on a bus; further frames are lost, as in an adapter with a full buffer
+
+
+class PolledServer(Protocol):
+    """A server beside the buses. None of its methods blocks."""
+
+    @property
+    def readers(self) -> Sequence[Any]:
+        """The objects to select for reading."""
+
+    @property
+    def writers(self) -> Sequence[Any]:
+        """The objects to select for writing."""
+
+    def handle(self, ready: set[Any]) -> None:
+        """Receive from the readers that are ready."""
+
+    def flush(self) -> None:
+        """Do the work that needs no new input, such as sending outgoing bytes; called at least once a step."""
+
+
+@dataclass(frozen=True)
+class RealtimeStats:
+    """How well the simulation kept to the clock.
+
+    Attributes:
+        seconds: run time by the clock.
+        steps: of physics.
+        late_ms: the largest lateness of a step, ms.
+        late_steps: how many steps began more than a step after they were due.
+        lost_ms: time that the simulation skipped because it was too far behind to catch up, ms.
+        frames: that the motors received.
+        dropped: frames that were lost, by a fault or because a bus was full.
+    """
+
+    seconds: float
+    steps: int
+    late_ms: float
+    late_steps: int
+    lost_ms: float
+    frames: int
+    dropped: int
+
+
+class ServeLoop:
+    """Runs a plant in real time, with each of its buses on a socket.
+
+    Args:
+        sockets: of the plant's buses, in their order.
+        gap: time between two answers on a bus, s, as long as a program is not late.
+        ports: further servers.
+        tick: called before every physics step.
+    """
+
+    def __init__(
+        self,
+        plant: MotorSimulation,
+        sockets: Sequence[UnixBus | KernelBus],
+        gap: float = 0.0,
+        ports: Sequence[PolledServer] = (),
+        tick: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
+        self._ports = tuple(ports)
+        # When each bus may send its next answer.
+        self._free = [0.0] * len(self._sockets)
+        self._waiting = [0] * len(self._sockets)
+        self._lost_frames = 0
+        # A heap of: when an answer is due, the answer's number, the bus, and the answer.
+        self._answers: list[tuple[float, int, int, CanFrame]] = []
+        self._count = itertools.count()
+        self._late = self._lost = 0.0
+        self._late_steps = 0
+        self._began = time.monotonic()
+
+    @property
+    def pace(self) -> RealtimeStats:
+        """The pace so far."""
+        buses = self._plant.buses
+        return RealtimeStats(
+            seconds=time.monotonic() - self._began,
+            steps=self._plant.steps,
+            late_ms=1000 * self._late,
+            late_steps=self._late_steps,
+            lost_ms=1000 * self._lost,
+            frames=sum(bus.frames_received for bus in buses),
+            dropped=sum(bus.dropped for bus in buses) + self._lost_frames,
+        )
+
+    def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
+        """Run until `stop` returns true, or for a duration (s).
+
+        Raises:
+            SimulationError: physics broke down.
+        """
+        plant, step = self._plant, self._plant.timestep
+        due = self._began = time.monotonic()
+        end = due + seconds
+        while not stop() and due < end:
+            now = time.monotonic()
+            if now >= due:
+                late = now - due
+                self._late = max(self._late, late)
+                self._late_steps += late > step
+                if late > _MAX_CATCH_UP:
+                    self._lost += late
+                    due = now
+                self._tick()
+                plant.step()
+                due += step
+            self._exchange(due)
+
+    def _exchange(self, until: float) -> None:
+        """Receive and answer, at least once, until a time of the monotonic clock."""
+        while True:
+            now = time.monotonic()
+            while self._answers and self._answers[0][0] <= now:
+                _, _, k, frame = heapq.heappop(self._answers)
+                self._waiting[k] -= 1
+                self._sockets[k].send(frame)
+            for one in (*self._sockets, *self._ports):
+                one.flush()
+            wake = min(until, self._answers[0][0]) if self._answers else until
+            writers = [writer for port in self._ports for writer in port.writers]
+            ready = set(select.select(self._readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
+            if ready:
+                self._receive(ready)
+            if time.monotonic() >= until:
+                return
+
+    def _readers(self) -> list[Any]:
+        return [reader for one in (*self._sockets, *self._ports) for reader in one.readers]
+
+    def _receive(self, ready: set[Any]) -> None:
+        for k, one in enumerate(self._sockets):
+            for frame in one.receive(ready):
+                if self._waiting[k] >= _MAX_QUEUED:
+                    self._lost_frames += 1
+                    continue
+                for answer in self._plant.buses[k].send(frame, self._plant.now):
+                    self._waiting[k] += 1
+                    now = time.monotonic()
+                    due = max(now, self._free[k])
+                    self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
+                    heapq.heappush(self._answers, (due, next(self._count), k, answer))
+        for port in self._ports:
+            port.handle(ready)

@@ -1,0 +1,209 @@
+"""Pictures of a served scene, rendered in a separate process, so that physics never waits for a picture."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.attempt_payload import render_cameras
+from yamsim_cli.core.episode.simulator import simulator_for
+from yamsim_cli.core.errors import ResourceError, SimulationError, YamsimError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.workers.process_pool import start_process
+
+_SLOTS = 2  # shots in shared memory: the newest, and the one that is being rendered
+_START_SECONDS = 300.0  # s; compiling a scene with all meshes takes seconds, on a busy machine many
+_END_SECONDS = 5.0  # s, that `close` waits for the process
+# The first byte of an answer of the process.
+_RENDERED, _FAILED = b"d", b"f"
+
+
+@dataclass(frozen=True)
+class CameraFrames:
+    """The pictures of all cameras in one state.
+
+    Attributes:
+        number: of the shot, from 0.
+        time_ns: by the machine's clock, ns since 1970.
+        sim_time: in the simulation, s.
+        joints: of each arm, (dofs,) with the gripper last, see `Follower.joint_pos`.
+        T_cam_in_base: pose (4, 4) of each camera in the left arm's base, in OpenCV's convention.
+        pictures: of each camera, RGB (height, width, 3). They are overwritten after the next shot.
+    """
+
+    number: int
+    time_ns: int
+    sim_time: float
+    joints: tuple[Array, ...]
+    T_cam_in_base: dict[str, Array]
+    pictures: dict[str, Image]
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """A state to be rendered: MuJoCo's positions (nq,), and the values that a `Shot` has of it."""
+
+    qpos: Array
+    sim_time: float
+    joints: tuple[Array, ...]
+
+
+class RenderProcess:
+    """Renders a scene's cameras; close it.
+
+    Attributes:
+        cameras: their names, in order.
+        size: width and height of the pictures, px.
+        fps: shots a second, at most.
+        K: camera -> intrinsics (3, 3).
+        shot: the newest; None until the first is rendered.
+
+    Args:
+        state: returns the present state.
+        clock: returns the present time, ns since 1970.
+
+    Raises:
+        ResourceError: nothing can be rendered here.
+        SimulationError: the scene cannot be compiled.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        cameras: Sequence[str],
+        fps: float,
+        state: Callable[[], SceneState],
+        clock: Callable[[], int],
+    ) -> None:
+        self.cameras, self.size, self.fps = tuple(cameras), session.config.image.size_px, fps
+        self.shot: CameraFrames | None = None
+        self._state, self._clock = state, clock
+        self._requested: tuple[int, SceneState] | None = None
+        self._count, self._due = 0, 0.0
+        width, height = self.size
+        self._shape = (_SLOTS, len(self.cameras), height, width, 3)
+        self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
+        self._pictures = np.ndarray(self._shape, np.uint8, self._memory.buf)
+        try:
+            self._process, self._pipe = start_process(
+                "yamsim-pictures",
+                _render_states,
+                # A scene has the cameras that are recorded, which may not be these.
+                session.with_values(cameras=self.cameras),
+                self.cameras,
+                self._shape,
+                self._memory.name,
+            )
+        except BaseException:
+            self._free()
+            raise
+        try:
+            if not self._pipe.poll(_START_SECONDS):
+                raise ResourceError(f"the process that draws pictures was not ready after {_START_SECONDS:g} s")
+            K = np.frombuffer(self._answer()).reshape(-1, 3, 3)
+        except BaseException:
+            self.close()
+            raise
+        self.K = dict(zip(self.cameras, K, strict=True))
+
+    @property
+    def readers(self) -> list[Connection]:
+        """The connections to select for reading."""
+        return [self._pipe]
+
+    @property
+    def writers(self) -> list[Connection]:
+        """None: nothing waits to be sent."""
+        return []
+
+    def handle(self, ready: set[object]) -> None:
+        """Receive a rendered shot.
+
+        Raises:
+            SimulationError, ResourceError: the process has ended.
+        """
+        if self._pipe not in ready or self._requested is None:
+            return
+        poses = np.frombuffer(self._answer()).reshape(-1, 4, 4)
+        time_ns, state = self._requested
+        self._requested = None
+        self.shot = CameraFrames(
+            self._count,
+            time_ns,
+            state.sim_time,
+            state.joints,
+            dict(zip(self.cameras, poses, strict=True)),
+            dict(zip(self.cameras, self._pictures[self._count % _SLOTS], strict=True)),
+        )
+        self._count += 1
+
+    def flush(self) -> None:
+        """Request the next shot, if it is due and the one before is rendered."""
+        now = time.monotonic()
+        if self._requested is not None or now < self._due:
+            return
+        self._due = max(self._due + 1 / self.fps, now)
+        self._requested = self._clock(), self._state()
+        # A state has some hundred bytes, and the process waits for it, so sending does not block.
+        with contextlib.suppress(OSError):
+            self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._requested[1].qpos.tobytes())
+
+    def close(self) -> None:
+        """End the process."""
+        self._pipe.close()
+        self._process.kill()
+        self._process.join(_END_SECONDS)
+        self.shot = None
+        self._free()
+
+    def _answer(self) -> bytes:
+        try:
+            answer = self._pipe.recv_bytes()
+        except (EOFError, OSError):
+            raise SimulationError("the process that draws pictures has ended, perhaps for want of memory") from None
+        if answer[:1] == _FAILED:
+            raise ResourceError(answer[1:].decode())
+        return answer[1:]
+
+    def _free(self) -> None:
+        del self._pictures
+        # A picture may still be referred to: then its memory is freed with this process.
+        with contextlib.suppress(BufferError):
+            self._memory.close()
+        self._memory.unlink()
+
+
+def _render_states(
+    pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str
+) -> None:
+    """Render each state that is received, until the pipe closes."""
+    shared = SharedMemory(name=memory)
+    pictures = np.ndarray(shape, np.uint8, shared.buf)
+    attempt = Attempt(AttemptJob(0, 0))
+    try:
+        with (
+            simulator_for(session, AttemptJob(session.config.seed, 0)) as simulator,
+            contextlib.suppress(EOFError, OSError),
+        ):
+            replica, size = simulator.replica, session.config.image.size_px
+            # The first picture takes longest, since the scene is uploaded for it.
+            render_cameras(simulator, attempt, simulator.scene.model.qpos0, cameras)
+            pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
+            while True:
+                data = pipe.recv_bytes()
+                images = render_cameras(simulator, attempt, np.frombuffer(data[1:]), cameras)
+                for k, name in enumerate(cameras):
+                    pictures[data[0], k] = images[name]
+                pipe.send_bytes(_RENDERED + np.array([replica.T_cam_in_base(name) for name in cameras]).tobytes())
+    except YamsimError as error:
+        with contextlib.suppress(OSError):
+            pipe.send_bytes(_FAILED + str(error).encode())

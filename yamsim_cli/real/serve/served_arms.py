@@ -1,0 +1,148 @@
+"""A session's arms on their simulated buses, ready for the programs that drive real arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import ArmPosture, AttemptJob
+from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.sampling import sample_attempt
+from yamsim_cli.core.episode.simulator import Simulator, simulator_for
+from yamsim_cli.core.errors import SimulationError, UsageError
+from yamsim_cli.core.geometry.se3 import Array
+
+from ..motors.can_config import load_can_config
+from ..motors.motor import KINDS, Motor
+from ..motors.motor_bus import BusFault, MotorBus
+from .follower import Follower
+from .motor_simulation import MotorSimulation
+from .policy_robot import HandKinematics, PolicyRobot
+from .render_process import RenderProcess, SceneState
+
+# Where the arms start: folded, where they are at rest without power; the model's home; the task's start.
+STARTS = ("rest", "home", "task")
+
+
+@dataclass(frozen=True)
+class ServedArms:
+    """Arms that other programs drive.
+
+    Attributes:
+        plant: the arms with the task's things.
+        sides: "left" or "right" of each arm, in the order of `plant.buses`.
+        followers: of each arm, in the same order.
+    """
+
+    plant: MotorSimulation
+    sides: tuple[str, ...]
+    followers: tuple[Follower, ...]
+
+    def state(self) -> SceneState:
+        """The present state."""
+        joints = tuple(follower.joint_pos() for follower in self.followers)
+        return SceneState(self.plant.data.qpos.copy(), self.plant.now, joints)
+
+
+def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
+    """The names of the arms' buses: the given ones, in the arms' order, or `can0`, or `can_left` and `can_right`.
+
+    Raises:
+        UsageError: their number is not that of the arms, two are equal, or one is no valid name.
+    """
+    if not given:
+        return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
+    if len(given) != len(sides) or len(set(given)) < len(given):
+        raise UsageError(
+            f"--channel {' '.join(given)} is not valid: give {len(sides)} different names, one for each arm: "
+            f"{', '.join(sides)}"
+        )
+    for name in given:
+        if not name.isascii() or not name.replace("_", "").replace("-", "").isalnum() or len(name) > 15:
+            raise UsageError(f"--channel {name!r} is not valid: up to 15 letters, digits, - and _, such as can0")
+    return tuple(given)
+
+
+def served_cameras(config: RecordConfig) -> tuple[str, ...]:
+    """The cameras whose pictures are served: the recorded ones, and wrist cameras even if they are not recorded."""
+    if config.cameras is not None or config.rig.cameras:
+        return config.recorded_cameras
+    return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recording_order)
+
+
+def make_policy_robot(session: Session, served: ServedArms, source: RenderProcess) -> PolicyRobot:
+    """The arms for raiden's policies, with raiden's names of wrist cameras, such as `left_wrist_camera`."""
+    arms = [session.config.rig.arms[k] for k in session.config.rig.recording_order]
+    wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
+    names = {camera: wrists.get(camera, camera) for camera in source.cameras}
+    hands = [HandKinematics(arm) for arm in arms]
+    return PolicyRobot(served.plant, served.sides, served.followers, hands, source, names)
+
+
+def serve_arms(
+    session: Session,
+    channels: Sequence[str] = (),
+    faults: Sequence[BusFault] = (),
+    start: str = "rest",
+) -> ServedArms:
+    """The arms of a session's rig, with the task's things at their start.
+
+    Args:
+        channels: names of the buses, see `channel_names`.
+        start: one of STARTS.
+
+    Raises:
+        ConfigError: an arm's or a gripper's motors are not known.
+        UsageError: a channel's name is not valid, or a fault names a channel or motor that does not exist.
+        SimulationError: the scene cannot be compiled, or the task's things have no room.
+    """
+    config = session.config
+    arms = [config.rig.arms[number] for number in config.rig.recording_order]
+    sides = tuple(arm.side for arm in arms)
+    names = channel_names(sides, channels)
+    wirings = tuple(
+        load_can_config(
+            arm.robot.model, arm.robot.gripper if arm.robot.fingers else None, arm.robot.dof, session.locations
+        )
+        for arm in arms
+    )
+    buses = []
+    for name, wiring in zip(names, wirings, strict=True):
+        motors = [Motor(row.id, KINDS[row.kind]) for row in wiring.arm.motors]
+        if wiring.gripper is not None:
+            motors.append(Motor(wiring.gripper.id, KINDS[wiring.gripper.kind]))
+        buses.append(MotorBus(name, motors, faults, config.seed))
+    _check(faults, buses)
+    with simulator_for(session.without_meshes(), AttemptJob(config.seed, 0)) as simulator:
+        scene = simulator.scene
+        plant = MotorSimulation(scene, _start(simulator, config, start), wirings, buses)
+    rows = enumerate(zip(scene.arms, wirings, strict=True))
+    return ServedArms(plant, sides, tuple(Follower(plant, k, arm, wiring) for k, (arm, wiring) in rows))
+
+
+def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
+    scene = simulator.scene
+    layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
+    if layout is None:
+        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its things")
+    stands = []
+    for arm in scene.arms:
+        robot = config.rig.arms[arm.number].robot
+        joints = {"rest": np.zeros(arm.dof), "home": robot.home, "task": robot.start}[start]
+        stands.append(ArmPosture(np.array(joints), 0.0))
+    return scene.start_qpos(layout, stands)
+
+
+def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
+    """Raise a UsageError for a fault of a channel or a motor that does not exist."""
+    for fault in faults:
+        meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
+        if not meant:
+            there = ", ".join(bus.channel for bus in buses)
+            raise UsageError(f"--fault {fault.kind}: no channel {fault.channel!r}; there: {there}")
+        numbers = sorted({motor.number for bus in meant for motor in bus.motors})
+        if fault.motor and fault.motor not in numbers:
+            raise UsageError(f"--fault {fault.kind}: no motor {fault.motor}; there: {', '.join(map(str, numbers))}")

@@ -1,0 +1,216 @@
+"""Socket servers that never block, and the folder in which the Unix sockets of `serve-robot` lie."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from yamsim_cli.core.errors import ResourceError
+
+CAMERA_SOCKET = "cameras.sock"  # the socket that serves pictures; names of buses have no dot, so none is equal to it
+
+_MAX_CLIENTS = 16  # connections to one server; a further connection is closed at once
+
+
+def default_folder(environ: Mapping[str, str]) -> Path:
+    """The user's own folder for the sockets."""
+    runtime = environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
+
+
+@dataclass(eq=False)
+class ClientConnection:
+    """One connection to a server.
+
+    Attributes:
+        received: bytes that are received and not handled yet.
+        outgoing: bytes that wait to be sent.
+        handshake_done: whether the protocol's handshake is received, where the protocol has one.
+    """
+
+    socket: socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    outgoing: bytearray = field(default_factory=bytearray)
+    handshake_done: bool = False
+
+
+class SocketServer:
+    """The clients of a listening socket; close it. No method blocks.
+
+    Args:
+        listener: closed with the server.
+        read_bytes: the most that one read takes from a client.
+        max_outgoing: bytes that may wait for a client that reads nothing, before the client is dropped; None for any.
+    """
+
+    def __init__(self, listener: socket.socket, read_bytes: int, max_outgoing: int | None = None) -> None:
+        self._listener, self._read_bytes, self._max_outgoing = listener, read_bytes, max_outgoing
+        self._clients: dict[socket.socket, ClientConnection] = {}
+        listener.setblocking(False)
+        listener.listen(_MAX_CLIENTS)
+
+    @property
+    def clients(self) -> list[ClientConnection]:
+        """All connected clients."""
+        return list(self._clients.values())
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """The sockets to select for reading."""
+        return [self._listener, *self._clients]
+
+    @property
+    def writers(self) -> list[socket.socket]:
+        """The sockets to select for writing: those of clients for which bytes wait."""
+        return [one for one, client in self._clients.items() if client.outgoing]
+
+    def read(self, ready: set[socket.socket]) -> Iterator[ClientConnection]:
+        """Accept connections and receive bytes; yields the clients that sent some.
+
+        Args:
+            ready: the sockets that `select` reports readable.
+        """
+        if self._listener in ready:
+            self._accept()
+        for one in ready & self._clients.keys():
+            # A client may have been dropped while an earlier one was handled.
+            client = self._clients.get(one)
+            if client is not None and self._receive(client):
+                yield client
+
+    def write(self, client: ClientConnection) -> None:
+        """Send as much of a client's outgoing bytes as its socket takes."""
+        try:
+            del client.outgoing[: client.socket.send(client.outgoing)]
+        except BlockingIOError:
+            if self._max_outgoing is not None and len(client.outgoing) > self._max_outgoing:
+                self.drop(client)
+        except OSError:
+            self.drop(client)
+
+    def flush(self) -> None:
+        """Send the outgoing bytes of all clients."""
+        for client in self.clients:
+            if client.outgoing:
+                self.write(client)
+
+    def drop(self, client: ClientConnection) -> None:
+        """Close a client's connection."""
+        client.socket.close()
+        self._clients.pop(client.socket, None)
+
+    def close(self) -> None:
+        """Close all connections and the listening socket."""
+        for client in self.clients:
+            self.drop(client)
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            one, _ = self._listener.accept()
+        except OSError:
+            return
+        if len(self._clients) >= _MAX_CLIENTS:
+            one.close()
+            return
+        one.setblocking(False)
+        if one.family != socket.AF_UNIX:
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._clients[one] = ClientConnection(one)
+
+    def _receive(self, client: ClientConnection) -> bool:
+        """Receive bytes; whether there were any."""
+        try:
+            data = client.socket.recv(self._read_bytes)
+        except BlockingIOError:
+            return False
+        except OSError:
+            data = b""
+        if not data:
+            self.drop(client)
+            return False
+        client.received += data
+        return True
+
+
+class TcpServer(SocketServer):
+    """A server at a TCP port.
+
+    Attributes:
+        port: the port on which it listens.
+
+    Args:
+        port: 0 takes any free port.
+        flag: the flag that sets the port, for the error message.
+
+    Raises:
+        ResourceError: the port cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int, flag: str, read_bytes: int, max_outgoing: int | None = None) -> None:
+        try:
+            listener = socket.create_server((host, port))
+        except OSError as error:
+            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another {flag}") from error
+        super().__init__(listener, read_bytes, max_outgoing)
+        self.port = int(listener.getsockname()[1])
+
+
+class UnixServer(SocketServer):
+    """A server at a Unix socket, whose folder only the user can reach.
+
+    Attributes:
+        path: the socket's file, removed on `close`.
+
+    Raises:
+        ResourceError: another program listens there, or the folder or the socket cannot be made.
+    """
+
+    def __init__(self, path: Path, read_bytes: int) -> None:
+        self.path = path
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            _make_folder(path.parent)
+            _remove_stale(path)
+            listener.bind(str(path))
+        except OSError as error:
+            listener.close()
+            raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
+        except ResourceError:
+            listener.close()
+            raise
+        super().__init__(listener, read_bytes)
+
+    def close(self) -> None:
+        """Close all connections, and remove the socket's file."""
+        super().close()
+        self.path.unlink(missing_ok=True)
+
+
+def _make_folder(folder: Path) -> None:
+    """Make sure that a folder exists which no other user can reach; a ResourceError where that fails."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise ResourceError(f"{folder}: cannot be made: {error.strerror}; name another one with --folder") from error
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise ResourceError(f"{folder}: is not a folder that is yours alone; name another one with --folder")
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the socket of a killed server; an OSError if a server still listens there."""
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)
+            return
+    raise OSError("another program serves this channel")

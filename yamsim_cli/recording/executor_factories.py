@@ -1,0 +1,124 @@
+"""What runs a recording's attempts: this process, other processes of this machine, or a Ray cluster.
+
+Workers of a Ray cluster need no shared filesystem and no meshes: robot models and meshes are sent to them as bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from ..core.config.recording import RecordConfig
+from ..core.config.session import Session
+from ..core.episode.runner import AttemptRunner
+from ..core.files.resources import Locations
+from ..core.workers.executors import InlineExecutor
+from ..core.workers.process_pool import ProcessPool
+from ..core.workers.worker_pool import JOB_SECONDS
+from .collect import EpisodeExecutor
+from .ray_pool import RayPool
+
+_MODELS = "robot_models"
+
+
+class ExecutorFactory(Protocol):
+    """Opens an executor for a recording."""
+
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+        """Start `workers` workers that make and render attempts."""
+        ...
+
+
+@dataclass(frozen=True)
+class ProcessExecutorFactory:
+    """Processes of this machine; see `ProcessPool`."""
+
+    job_seconds: float = JOB_SECONDS
+
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+        """See `ExecutorFactory.open`."""
+        return ProcessPool(functools.partial(AttemptRunner, session, render=True), workers, self.job_seconds)
+
+
+@dataclass(frozen=True)
+class RayExecutorFactory:
+    """Actors of a Ray cluster; see `RayPool`."""
+
+    address: str | None = None
+    environ: Mapping[str, str] = field(default_factory=dict)
+    job_seconds: float = JOB_SECONDS
+
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+        """See `ExecutorFactory.open`."""
+        factory = functools.partial(unpacked_runner, pack_session(session))
+        return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
+
+
+class InlineExecutorFactory:
+    """This process alone, whatever the number of workers."""
+
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+        """See `ExecutorFactory.open`."""
+        return InlineExecutor(lambda: AttemptRunner(session, render=True))
+
+
+@dataclass(frozen=True)
+class PackedSession:
+    """A session with the content of its files.
+
+    Attributes:
+        files: path below the directory of unpacking -> content.
+        meshes: asset set -> its folder below that directory, or None for primitives.
+    """
+
+    config: RecordConfig
+    files: Mapping[str, bytes]
+    meshes: Mapping[str, str | None]
+
+
+def pack_session(session: Session) -> PackedSession:
+    """Read all robot models and meshes of a session."""
+    locations = session.locations
+    files: dict[str, bytes] = {}
+    # The most important root comes last, so that its files replace those of other roots.
+    for root in reversed(locations.data):
+        files |= _read(root / _MODELS, _MODELS)
+    for name, folder in locations.meshes.items():
+        if folder is not None:
+            files |= _read(folder, f"meshes/{name}")
+    meshes = {name: f"meshes/{name}" if folder else None for name, folder in locations.meshes.items()}
+    return PackedSession(session.config, files, meshes)
+
+
+def unpack_session(packed: PackedSession, place: Path) -> Session:
+    """Write the files below `place`, and return the session with their new locations."""
+    for name, data in packed.files.items():
+        file = place / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+    meshes = {name: place / folder if folder is not None else None for name, folder in packed.meshes.items()}
+    return Session(packed.config, Locations(data=(place,), assets=place / "meshes", meshes=meshes))
+
+
+@contextlib.contextmanager
+def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
+    """An `AttemptRunner` of a packed session, whose files are removed at the end."""
+    # Every cast of things has a scene of its own, composed when first needed, so that the files stay.
+    with (
+        tempfile.TemporaryDirectory(prefix="yamsim-") as place,
+        AttemptRunner(unpack_session(packed, Path(place)), render=True) as runner,
+    ):
+        yield runner
+
+
+def _read(folder: Path, prefix: str) -> dict[str, bytes]:
+    return {
+        f"{prefix}/{path.relative_to(folder).as_posix()}": path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }

@@ -1,0 +1,165 @@
+"""Where a recording goes: a dataset's directory, directly or by way of a stage."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import statistics
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..core.config.recording import RecordConfig
+from ..core.dataset.records import ManifestEntry
+from ..core.dataset.writing.directory_claim import OpenMode
+from ..core.dataset.writing.staged_writer import MAX_WAITING, Sink, StagedWriter
+from ..core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
+from ..core.errors import InterruptedJobError
+from ..core.expert.skills.program import typical_ticks
+from ..core.files.filesystem_mounts import Mount, network_mount, read_mounts
+from ..core.files.writing import nearest_directory
+from ..core.workers.stop_request import StopRequest
+from .collect import RecordCallbacks
+from .disk_space import EpisodeSize, check_space, files_per_episode
+
+_ROUND_TRIPS_PER_FILE = 6  # to make, write, flush and close. Source: measured over sshfs, 60 ms at 10 ms a round trip
+_ROUND_TRIP = 0.01  # s, of the server in warnings
+_POLL_SECONDS = 0.5
+_MIN_DURATION = 0.5  # shortest successful episode, as a share of a program's typical duration
+
+
+@dataclass(frozen=True)
+class RecordingOutput:
+    """Where a recording goes, and what to do if that directory is not empty.
+
+    Attributes:
+        stage: a local directory for episodes on their way to a slow or remote `path`; see `StagedWriter`.
+    """
+
+    path: Path
+    mode: OpenMode
+    stage: Path | None = None
+
+
+class OpenRecordingOutput:
+    """An output that is open for writing; `config` is the recording's, see `config_for_new_episodes`."""
+
+    def __init__(self, config: RecordConfig, writer: DatasetWriter, staged: StagedWriter | None) -> None:
+        self.config = config_for_new_episodes(config, writer)
+        self.writer = writer
+        self._staged = staged
+
+    @property
+    def sink(self) -> Sink:
+        """The writer that takes the recording."""
+        return self._staged or self.writer
+
+    @property
+    def describe_staged(self) -> str:
+        """For messages: the episodes that are still in the stage."""
+        if self._staged is None or not (waiting := self._staged.pending_episodes):
+            return ""
+        return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
+
+    def finish(self, callbacks: RecordCallbacks, stop: StopRequest) -> None:
+        """Wait until everything has arrived, and write the manifest.
+
+        Raises:
+            InterruptedJobError: stopped by the user.
+            OSError: the disk refused something.
+        """
+        if self._staged is None:
+            self.writer.finish()
+            return
+        if waiting := self._staged.pending_episodes:
+            callbacks.warn(f"Moving the last {waiting} episodes to {self.writer.path}.")
+        while not self._staged.drain(_POLL_SECONDS):
+            if stop.is_requested:
+                raise InterruptedJobError("interrupted")
+        self._staged.finish()
+
+    def abandon(self) -> None:
+        """Write as much of the manifest as the disk allows; the next --resume writes it whole."""
+        with contextlib.suppress(OSError):
+            (self._staged or self.writer).finish()
+
+
+@contextlib.contextmanager
+def open_destination(
+    config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks
+) -> Iterator[OpenRecordingOutput]:
+    """Open an output for the `with` block; no other recorder can open it.
+
+    Raises:
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `StagedWriter`.
+        ResourceError: the disk has no room.
+    """
+    # Warns before any access to the mount, which may not answer.
+    mount = _check_mounts(config, output, callbacks)
+    resuming = output.mode is OpenMode.RESUME
+    if not resuming:
+        # Before anything is written that would block the next try.
+        _check_space(config, output.path, {}, config.episodes, callbacks)
+    data_config = config.data_config()
+    reach = mount is None or mount.locks_reach_others
+    with contextlib.ExitStack() as stack:
+        writer = stack.enter_context(DatasetWriter(output.path, data_config, output.mode, locks_reach_others=reach))
+        staged = None
+        if output.stage is not None:
+            staged = StagedWriter(writer, output.stage, writer.config)
+            stack.callback(staged.close)
+        for repair in writer.repairs + (staged.repairs if staged else []):
+            callbacks.warn(repair)
+        destination = OpenRecordingOutput(config, writer, staged)
+        left = config.episodes - destination.sink.episodes + len(destination.sink.missing)
+        if resuming:
+            _check_space(config, writer.path, writer.entries, left, callbacks)
+        if output.stage is not None:
+            _check_space(config, output.stage, writer.entries, min(left, MAX_WAITING), callbacks)
+        yield destination
+
+
+def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
+    """The output's network mount, or None; warns of the cost of network mounts."""
+    mounts = read_mounts()
+    mount = network_mount(output.path, mounts)
+    if output.stage is None and mount is not None:
+        frames = _frames(config, {})[1]
+        files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
+        seconds = files * _ROUND_TRIPS_PER_FILE * _ROUND_TRIP
+        callbacks.warn(
+            f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
+            f"so writing one takes some {seconds:.0f} s where the server is 10 ms away, and workers wait meanwhile. "
+            "With --stage DIR, a local directory, finished episodes are moved there in the background."
+        )
+    if output.mode is OpenMode.RESUME and mount is not None:
+        callbacks.warn(f"Every file in {output.path} is read and compared first; over a network that may take minutes.")
+    if output.stage is not None and (other := network_mount(output.stage, mounts)) is not None:
+        callbacks.warn(
+            f"The stage {output.stage} is on {other.kind} ({other.source}), so it is no help: choose a local disk."
+        )
+    return mount
+
+
+def _check_space(
+    config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, callbacks: RecordCallbacks
+) -> None:
+    """Raise ResourceError if the episodes cannot fit, and warn if they may not."""
+    if episodes <= 0:
+        return
+    disk = nearest_directory(place)
+    block = os.statvfs(disk).f_frsize
+    frames = _frames(config, entries)
+    size = EpisodeSize.estimate(frames, len(config.recorded_cameras), config.image, block, truth=config.truth)
+    if warning := check_space(disk, episodes, size.from_recorded(entries.values(), block)):
+        callbacks.warn(warning)
+
+
+def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
+    """Frames of an episode, at least and typically: from the mean of `entries`, or else estimated."""
+    every = config.task.timing.ticks_per_frame
+    frames = math.ceil(typical_ticks(config.task) / every)
+    if entries:
+        frames = round(statistics.fmean(entry.frames for entry in entries.values()))
+    return math.ceil(_MIN_DURATION * frames), frames

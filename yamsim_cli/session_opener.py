@@ -1,0 +1,368 @@
+"""Opens sessions: loads the config, and finds files, meshes and an OpenGL backend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .core.config.session import Session
+from .core.errors import ConfigError, ResourceError, UsageError
+
+if TYPE_CHECKING:
+    from .core.config.program_task import ProgramTask, ProgramTiming
+    from .core.config.recording import RecordConfig
+    from .core.config.rendering import RenderConfig
+    from .core.config.rig import RigConfig
+    from .core.files.documents.config_base import Config
+    from .core.files.documents.yaml_document import KeyPath
+    from .core.files.resources import Locations
+    from .core.scene.assets import AssetLock, AssetStore, FetchProgress
+
+_SIZES = range(16, 4097)  # px, valid width and height of images
+_NO_GL = "off"  # MUJOCO_GL of `SessionOpener.skip_gl`; like "disabled" for MuJoCo, which stands for a user's choice
+_OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless it is empty or 0
+
+
+def _show_no_progress() -> AbstractContextManager[FetchProgress]:
+    return nullcontext(lambda label, done, total: None)
+
+
+# Setting -> key path in a record config. A task precedes its parts.
+_PATHS: dict[str, tuple[str, ...]] = {
+    "rig": ("rig",),
+    "revision": ("rig", "revision"),
+    "robot": ("rig", "robot"),
+    "margin": ("rig", "margin"),
+    "task": ("task",),
+    "object": ("task", "object"),
+    "target": ("task", "target"),
+    "threshold": ("task", "success", "threshold"),
+    "n": ("episodes",),
+    "workers": ("workers",),
+    "seed": ("seed",),
+    "grasp": ("grasp",),
+    "arm": ("arm",),
+    "wrist": ("wrist",),
+    "camera": ("cameras",),
+    "boards": ("boards",),
+    "truth": ("truth",),
+    "size": ("image", "size_px"),
+    "jpeg_quality": ("image", "jpeg_quality"),
+    "action": ("action",),
+    "quality": ("render",),
+    "randomization": ("randomization",),
+    "randomize": ("randomization",),
+}
+
+# Settings whose key path depends on the task.
+_WITHIN_TASK = ("object", "target", "threshold")
+
+
+@dataclass(frozen=True)
+class SessionOpener:
+    """Opens sessions, for the command line or for a program.
+
+    Attributes:
+        environ: the process's environment. MuJoCo reads the OpenGL backend from it when it is imported.
+        notify: shows the user a sentence.
+        setting_label: name of a setting -> the flag or keyword in messages.
+        resolve_object: converts a thing's name to that of its config; a file of another format is imported.
+        resolve_task: converts a task's name to a name or a config as plain data.
+        fetch_bar: opens the progress bar of missing meshes.
+        notify_at_end: shows the user a sentence again at the end.
+    """
+
+    environ: MutableMapping[str, str]
+    notify: Callable[[str], None]
+    setting_label: Callable[[str], str]
+    resolve_object: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
+    resolve_task: Callable[[str], str | dict[str, Any]] = lambda name: name
+    fetch_bar: Callable[[], AbstractContextManager[FetchProgress]] = _show_no_progress
+    notify_at_end: Callable[[str], None] = lambda text: None
+
+    def open(
+        self, name: str, *, renders: bool = True, parallel: bool = True, resumes: Path | None = None, **given: Any
+    ) -> Session:
+        """A session of a record config with settings.
+
+        Args:
+            renders: whether anything is rendered; otherwise OpenGL and meshes are not needed.
+            parallel: whether several processes render, see `use_gl`.
+            resumes: the dataset that is resumed; its primitives stay primitives.
+            given: see `config`.
+
+        Raises:
+            ConfigError, UsageError: a value is not valid.
+            ResourceError: no OpenGL backend works.
+        """
+        from .core.episode.sampling import require_start
+
+        where = self.locations()
+        for setting in ("object", "target"):
+            if isinstance(named := given.get(setting), str):
+                given[setting] = self.resolve_object(named, where, self.notify)
+        if isinstance(named := given.get("task"), str):
+            given["task"] = self.resolve_task(named)
+        session = Session(
+            self.config(name, where, lambda config: require_start(Session(config, where)), **given), where
+        )
+        if not renders:
+            self.skip_gl()
+            return session
+        where = self.use_gl(where, workers=parallel)
+        from .core.dataset.writing.directory_claim import recorded_meshes
+
+        # A config may be that of another dataset, whose meshes do not matter here.
+        session = Session(self.config(name, where, **given), where)
+        return self.with_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
+
+    def locations(self) -> Locations:
+        """The places of configs, models and meshes from the environment."""
+        from .core.files.resources import Locations
+
+        return Locations.find(self.environ)
+
+    def config(
+        self, name: str, locations: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
+    ) -> RecordConfig:
+        """The named record config with settings.
+
+        Args:
+            check: a further check, which runs last and raises a `ConflictError`.
+            given: settings by name; None for settings that are not given. `randomize` keeps the ranges in the config,
+                or those of `randomization`.
+
+        Raises:
+            ConfigError, UsageError: a value is not valid.
+        """
+        from .core.config.loader import load_config
+        from .core.config.recording import RecordConfig
+        from .core.expert.skills.program_checks import check_task_config
+
+        if isinstance(task := given.get("task"), str):
+            given["task"] = self.resolve_task(task)
+        if isinstance(size := given.get("size"), str):
+            given["size"] = parse_size(size)
+        if (randomize := given.get("randomize")) is not None:
+            if not randomize and given.get("randomization"):
+                named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
+                raise UsageError(f"{named} says how things vary, and {no} that nothing does; leave one of them out")
+            own = self.config(name, locations, **(given | {"randomize": None})).randomization.parts
+            given["randomize"] = (None if own else "default") if randomize else "none"
+        fps = given.pop("fps", None)
+        paths = {
+            setting: path for setting, path in _PATHS.items() if given.get(setting) is not None and given[setting] != []
+        }
+        within = [setting for setting in _WITHIN_TASK if setting in paths]
+        overrides: dict[KeyPath, tuple[str, Any]] = {
+            path: (self.setting_label(setting), given[setting])
+            for setting, path in paths.items()
+            if setting not in within
+        }
+        if (
+            given.get("task") is not None
+            and given.get("rig") is None
+            and (own_rig := self._own_rig(given["task"], locations))
+        ):
+            overrides["rig",] = own_rig
+        if within:
+            task = load_config(RecordConfig, "record", name, locations, overrides).task
+            overrides |= {
+                self._within(task, setting): (self.setting_label(setting), given[setting]) for setting in within
+            }
+        if fps is not None:
+            overrides |= self._at_rate(fps, self.config(name, locations, **given).task.timing)
+
+        def check_all(config: Config) -> None:
+            check_task_config(config)
+            assert isinstance(config, RecordConfig)
+            check(config)
+
+        return load_config(RecordConfig, "record", name, locations, overrides, check_all)
+
+    def _within(self, task: ProgramTask, setting: str) -> KeyPath:
+        """The key path of a setting within the task. Raises UsageError if the task has no such key."""
+        from .core.files.documents.config_base import ConflictError
+
+        if setting == "threshold":
+            try:
+                return ("task", *task.radius_path)
+            except ConflictError as error:
+                raise UsageError(f"{self.setting_label(setting)}: {error}; leave it out") from None
+        if setting not in task.things:
+            raise UsageError(
+                f"{self.setting_label(setting)}: task {task.name!r} has no role {setting!r} whose object could be another; its "
+                f"roles: {', '.join(task.things)}"
+            )
+        return ("task", "things", setting, "of")
+
+    def _at_rate(self, fps: float, timing: ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
+        try:
+            changed = timing.at_rate(fps)
+        except ValueError as error:
+            raise UsageError(f"{self.setting_label('fps')}: {error}") from None
+        return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
+
+    def _own_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
+        """Place and name of the rig in a task's config; None if it has none."""
+        from .core.config.loader import config_model
+        from .core.config.program_task import PROGRAM
+        from .core.files.documents.yaml_document import Document
+
+        try:
+            read = config_model("tasks").read
+            document = read(locations.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
+        except ConfigError:
+            return None  # loading the whole config reports the error
+        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
+        return (document.place(("rig",)), rig) if isinstance(rig, str) else None
+
+    def rig(
+        self,
+        name: str,
+        locations: Locations,
+        margin: float | None = None,
+        revision: str | None = None,
+        robot: Sequence[str] | None = None,
+    ) -> RigConfig:
+        """The named rig with another margin, another revision of its robots, and files of dynamics, where given."""
+        from .core.config.loader import load_config
+        from .core.config.rig import RigConfig
+
+        given = {"margin": margin, "revision": revision, "robot": robot or None}
+        overrides: dict[KeyPath, tuple[str, Any]] = {
+            (key,): (self.setting_label(key), value) for key, value in given.items() if value is not None
+        }
+        return load_config(RigConfig, "rigs", name, locations, overrides)
+
+    def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
+        """Find an OpenGL backend for this process and its workers, before mujoco is imported.
+
+        Args:
+            workers: whether several processes render, so that Mesa's software renderer has to use one core in each.
+
+        Returns:
+            `locations` with the quality for the backend as `auto`.
+        """
+        from .gl import bind_backend, find_backend
+
+        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+        backend = find_backend(environ)
+        if backend.name is not None:
+            self.environ["MUJOCO_GL"] = backend.name
+            bind_backend(backend.name)
+        if workers and backend.software:
+            self.environ.setdefault("LP_NUM_THREADS", "0")
+        return replace(locations, auto_quality="balanced" if backend.software else "high")
+
+    def skip_gl(self) -> None:
+        """Keep MuJoCo from loading OpenGL."""
+        self.environ.setdefault("MUJOCO_GL", _NO_GL)
+
+    def stay_offline(self) -> None:
+        """Show primitives for missing meshes instead of fetching them."""
+        self.environ[_OFFLINE] = "1"
+
+    def with_meshes(self, session: Session) -> Session:
+        """The session with the folders of all meshes of its scene.
+
+        Sets that the config has as primitives stay primitives.
+        """
+        from .core.config.mesh_provenance import PRIMITIVES
+        from .core.scene.blueprint import recording_blueprint
+        from .core.scene.compose import visual_mesh_sets
+
+        names = visual_mesh_sets(recording_blueprint(session.config))
+        recorded = session.config.meshes or {}
+        kept = [name for name in names if recorded.get(name) == PRIMITIVES]
+        where = self.find_meshes(session.locations, set(names).difference(kept), session.config.render)
+        return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
+
+    def find_meshes(self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
+        """`locations` with the folder of each asset set. Missing sets are fetched; the user is notified of failures.
+
+        Args:
+            quality: whether meshes are reduced; reduced meshes are made if they are missing.
+        """
+        from .core.files.resources import IMPORTED
+        from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
+
+        lock, store = load_lock(locations), AssetStore(locations.assets)
+        wanted = set(names)
+        own = {name for name in wanted if is_user_set(name)}
+        locked = wanted - own - {IMPORTED}
+        meshes = {assets.name: store.resolve(assets) for assets in (lock.select(locked) if locked else ())}
+        if missing := [name for name, folder in meshes.items() if folder is None]:
+            meshes |= self._fetch(locations, lock, store, missing)
+        if quality is not None and quality.reduced_meshes:
+            meshes |= {name: self._reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
+        meshes |= {name: resolve_user_set(store, name) for name in sorted(own)}
+        if lost := [name for name in sorted(own) if meshes[name] is None]:
+            self.notify(
+                f"The files of {' and '.join(lost)} are not here, or not as they were imported: copy the folder of "
+                f"that name into {locations.assets}, or import the thing again."
+            )
+        if IMPORTED in wanted:
+            meshes[IMPORTED] = locations.assets / IMPORTED
+        return replace(locations, meshes=meshes)
+
+    def _fetch(
+        self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
+    ) -> dict[str, Path | None]:
+        """The folders of missing sets, after fetching them unless the user chose primitives."""
+        from .core.scene.assets import fetch_missing
+
+        on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
+        why = f"run `yamsim assets fetch{on_demand}`, or `yamsim doctor`"
+        if not self._wants_primitives(locations):
+            self.notify(f"The meshes of {' and '.join(missing)} are being fetched, which is done once.")
+            try:
+                with self.fetch_bar() as progress:
+                    fetch_missing(lock, missing, store, progress)
+            except ResourceError as error:
+                why = str(error)
+        found = {name: store.resolve(lock.sets[name]) for name in missing}
+        if lacking := [name for name, folder in found.items() if folder is None]:
+            notice = f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}."
+            self.notify(notice)
+            self.notify_at_end(notice)
+        return found
+
+    def _wants_primitives(self, locations: Locations) -> bool:
+        """Whether missing meshes are not fetched: offline, or if YAMSIM_ASSETS is an empty folder or a file."""
+        if self.environ.get(_OFFLINE, "0") not in ("", "0"):
+            return True
+        if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
+            return False
+        return not locations.assets.is_dir() or not any(locations.assets.iterdir())
+
+    def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
+        """The folder of a set's reduced meshes; the set's own folder if they cannot be made."""
+        from .core.scene.assets import find_reduced, make_reduced
+
+        assets = lock.sets[name]
+        try:
+            found = find_reduced(store, assets)
+            if found is None:
+                self.notify(f"The meshes of {name} are being reduced, which is done once.")
+                found = make_reduced(store, assets, folder, lock.notices[assets.notice])
+        except ResourceError as error:
+            self.notify(f"The meshes of {name} are shown in full, which takes longer: {error}")
+            return folder
+        return found.directory
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT as two numbers of pixels.
+
+    Raises UsageError if the text has another form, or a number is out of range.
+    """
+    width, cross, height = text.lower().partition("x")
+    if not cross or not width.isdecimal() or not height.isdecimal():
+        raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")
+    if int(width) not in _SIZES or int(height) not in _SIZES:
+        raise UsageError(f"--size {text!r} is not valid: width and height must lie in {_SIZES[0]}..{_SIZES[-1]} pixels")
+    return int(width), int(height)

@@ -1,0 +1,112 @@
+"""Lists the tasks that commands accept by name, and writes the file of a new task."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..core.config.loader import load_config
+from ..core.config.program_task import ProgramTask
+from ..core.errors import UsageError
+from ..core.expert.skills.program import SKILLS, parse_program
+from ..core.expert.skills.program_checks import check_task_config
+from ..core.files.documents.config_base import Config
+from ..core.files.resources import Locations
+from ..core.files.writing import describe_refusal, write_file
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+_TEXT = """\
+# The task {name}: try it with `yamsim tasks check {name}.yaml`, record it with `yamsim record --task {name}.yaml`.
+kind: program
+# The rig where nobody gives --rig; `yamsim robots list` and configs/rigs have others.
+rig: yam_station_linear_4310_d405
+
+# Role -> the objects that may play it; one of them is drawn for each attempt. `count: 2` makes two things of a role.
+things:
+  plate: {{of: kitchen_plate}}
+  cube: {{of: [cube_red, cube_green, cube_blue]}}
+
+# Role -> the region where it starts, in `world`: x ahead of the arms, y to the left, m; headings in degrees.
+starts:
+  plate: {{x: [0.34, 0.42], y: [-0.20, -0.10]}}
+  cube: {{x: [0.28, 0.42], y: [0.06, 0.20], yaw_deg: [-45, 45]}}
+
+# What recordings say, one of these for each episode; no recording says what is held out.
+phrasings:
+  training: [put the cube onto the plate, place the cube on the plate]
+  held_out: [the cube belongs on the plate]
+
+# When it is done: predicates, joined by `all`, `any` and `not`; `for_s` is how long it has to hold at the end, s.
+goal:
+  all:
+    - {{on: {{thing: cube, surface: plate}}}}
+  for_s: 0.5
+
+# What does not count, for `yamsim tasks check` to try on a success: a thing moved along x, y and z, m.
+near_misses:
+  - {{thing: cube, what: in the air, move: [0, 0, 0.05]}}
+
+# The skills of the expert, in order. `yamsim tasks show NAME` shows those of other tasks.
+expert:
+  - pick: {{thing: cube}}
+  - place: {{thing: cube, on: plate}}
+"""
+
+
+def task_entries(locations: Locations) -> list[dict[str, Any]]:
+    """Every task that commands accept by name, JSON-ready, see `task_entry`.
+
+    Raises ConfigError if a task's file is not valid.
+    """
+    return [task_entry(name, locations) for name in locations.config_names("tasks")]
+
+
+def task_entry(name: str, locations: Locations) -> dict[str, Any]:
+    """One task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path and so on.
+
+    Raises ConfigError if there is no task of that name, or its file is not valid.
+    """
+    task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
+    names = {kind: name for name, kind in SKILLS.items()}
+    program = parse_program(task.expert, task.typical_roles)
+    return {
+        "name": task.name,
+        "kind": task.kind,
+        "rig": task.rig,
+        "prompt": task.language_prompt,
+        "things": {role: [item.name for item in one.of] for role, one in task.things.items()},
+        "skills": list(dict.fromkeys(names[type(skill)] for skill in program)),
+        "goal": list(dict.fromkeys(str(path[-1]) for path, _ in task.goal.predicates())),
+        "counts": {role: one.count for role, one in task.things.items()},
+        "phrasings": _plain(task.phrasings),
+        "starts": {role: _plain(start) for role, start in task.starts.items()},
+        "time_limit_s": task.time_limit_s,
+        "steps": len(program),
+        "path": str(locations.config_file("tasks", name)),
+    }
+
+
+def _plain(config: Config) -> Mapping[str, Any]:
+    data: dict[str, Any] = config.model_dump(mode="json")
+    return data
+
+
+def write_task_template(name: str, folder: Path) -> Path:
+    """Write the skeleton of a task, and return its file.
+
+    Raises UsageError if the name is not valid, the file exists, or the folder cannot be written.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"{name!r} is no name for a task; start with a letter, then letters, digits and underscores")
+    path = folder / f"{name}.yaml"
+    if path.exists():
+        raise UsageError(f"{path} exists and is not overwritten; give another name, or remove it")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_file(path, _TEXT.format(name=name).encode())
+    except OSError as error:
+        raise UsageError(describe_refusal(error, path)) from error
+    return path

@@ -1,0 +1,254 @@
+"""Proves a task: its expert succeeds often enough, and nothing else reaches its goal."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ..core.attempt_data import ActionSequence, Attempt, AttemptJob
+from ..core.config.goals.goal import evaluate_goal
+from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.config.goals.world import TABLE
+from ..core.config.program_task import NearMiss, ProgramTask, Start
+from ..core.config.session import Session
+from ..core.episode.episode_rules import REPLAY_RULES
+from ..core.episode.execution import SimulatedAttempt, demonstrate
+from ..core.episode.sampling import sample_attempt
+from ..core.episode.simulator import Simulator, Simulators, open_episode
+from ..core.episode.trials import run_batch
+from ..core.errors import SimulationError
+from ..core.expert.skills.program import parse_program
+from ..core.expert.skills.program_checks import program_contradiction
+from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
+from ..core.progress import Progress
+from ..core.scene.compiled import CompiledScene, Ids
+
+MIN_REACH = 0.9  # share of a region that hands have to reach
+_GRID = 8  # places along each side of a region
+_HEIGHT = 0.03  # m, of the hand over the surface
+_MOVED = 0.05  # m, smallest distance from the start that counts as moved
+_STILL_S = 2.0  # s, for which no arm moves before the goal is judged
+_MAX_ATTEMPTS = 3  # of each check that has to fail
+
+# Keys of a batch report that a proof's report has too.
+_BATCH_KEYS = (
+    "task", "rig", "seed", "n", "n_success", "success_rate", "wilson95", "causes", "recovered", "seconds",
+    "core_seconds_per_trial",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TaskCheck:
+    """The result of one check.
+
+    Attributes:
+        name: of the check.
+        ok: whether the task passed; None where the check does not apply.
+        value: a share or a count; None where there is none.
+        detail: the figures behind it, for a person.
+    """
+
+    name: str
+    ok: bool | None
+    value: float | None
+    detail: str
+
+
+def check_program_fits(task: ProgramTask) -> TaskCheck:
+    """Check without simulation that no step of the expert contradicts the goal."""
+    why = program_contradiction(task)
+    return TaskCheck("program", why is None, None, why or "no step contradicts the goal")
+
+
+def check_reach(simulator: Simulator) -> TaskCheck:
+    """Check that a hand reaches enough places of each region on the table, in any orientation."""
+    shares = {
+        role: _reachable_share(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE
+    }
+    least = min(shares.values(), default=1.0)
+    listed = ", ".join(f"{role} {share:.0%}" for role, share in shares.items())
+    return TaskCheck(
+        "reach", least >= MIN_REACH, least, f"of each region: {listed}; at least {MIN_REACH:.0%} is needed"
+    )
+
+
+def _reachable_share(simulator: Simulator, start: Start) -> float:
+    height = simulator.config.table.top + _HEIGHT
+    places = list(itertools.product(np.linspace(*start.x, _GRID), np.linspace(*start.y, _GRID)))
+    return sum(simulator.expert_tools.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)
+
+
+def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
+    """Check that the goal is never reached by holding still."""
+    reached = []
+    for job in (AttemptJob(seed, number) for number in range(n)):
+        simulator = simulators.get(job)
+        attempt = sample_attempt(simulator, job)
+        if attempt.start is None:
+            continue
+        episode = open_episode(simulator, attempt, REPLAY_RULES)
+        task = simulator.config.task
+        ticks = math.ceil(_STILL_S / task.timing.tick) + task.hold_ticks
+        episode.act(_hold_actions(simulator.scene, attempt.start, ticks))
+        reached.append(episode.succeeds)
+    return _never_reached("hold_still", reached, "attempts in which nothing is done")
+
+
+def check_open_fingers(simulators: Simulators, seed: int, n: int) -> TaskCheck:
+    """Check that an expert whose fingers do not close never reaches the goal."""
+    task = simulators.session.config.task
+    if all(skill.NEEDS_HELD is not False for skill in parse_program(task.expert, task.typical_roles)):
+        return TaskCheck("open_fingers", None, None, "nothing is taken into a hand")
+    reached = []
+    for job in (AttemptJob(seed, number) for number in range(n)):
+        simulator = simulators.get(job)
+        attempt = sample_attempt(simulator, job)
+        if attempt.start is not None:
+            reached.append(demonstrate(simulator, attempt, grips=False).outcome.success)
+    return _never_reached("open_fingers", reached, "attempts in which no finger closes")
+
+
+def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck:
+    """Check that the goal fails where one thing is displaced at the end of a success.
+
+    Each moved thing is put back to its start, and each near miss of the task is applied by itself.
+    """
+    episode = open_episode(simulator, done.attempt, REPLAY_RULES)
+    for state in done.states:
+        episode.act(state.actions)
+    task, cast = simulator.config.task, simulator.roles
+    ended = episode.data.qpos.copy()
+    counted, count = [], 0
+    for what, qpos in _near_miss_states(simulator.scene, task, cast, done.attempt, ended):
+        episode.data.qpos[:] = qpos
+        mujoco.mj_forward(simulator.scene.model, episode.data)
+        count += 1
+        if evaluate_goal(task.goal, episode.world, cast).reached:
+            counted.append(what)
+    detail = f"{count} near misses" + (f", of which these count: {'; '.join(counted)}" if counted else ", none counts")
+    return TaskCheck("near_misses", not counted if count else None, float(len(counted)), detail)
+
+
+def _near_miss_states(
+    scene: CompiledScene, task: ProgramTask, roles: RoleAssignment, attempt: Attempt, ended: Array
+) -> Iterator[tuple[str, Array]]:
+    """Descriptions of near misses, with MuJoCo's positions (nq,) in each."""
+    assert attempt.start is not None, "a success has a start"
+    for name in _moved_objects(scene, attempt.start, ended):
+        back, at = ended.copy(), _addresses(scene, name)
+        back[at] = attempt.start[at]
+        yield f"the {name} where it started", back
+    for miss in task.near_misses:
+        for name in roles.objects_of(miss.thing):
+            off = ended.copy()
+            _displace(scene, off, name, miss)
+            yield f"the {name} {miss.what}", off
+
+
+def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:
+    for name in scene.things:
+        if name in scene.cloths:
+            moved = np.linalg.norm((ended - start)[scene.cloths[name].qpos], axis=1).max()
+        else:
+            at = scene.object_qpos[name]
+            moved = np.linalg.norm(ended[at : at + 3] - start[at : at + 3])
+        if float(moved) > _MOVED:
+            yield name
+
+
+def _addresses(scene: CompiledScene, name: str) -> Ids:
+    """Addresses of a thing's positions in qpos."""
+    if name in scene.cloths:
+        return scene.cloths[name].qpos
+    return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
+
+
+def _displace(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> None:
+    turned = rotation_from_vector([math.radians(miss.tilt_deg), 0.0, 0.0])
+    if name in scene.cloths:
+        cloth = scene.cloths[name]
+        points = cloth.points(qpos)
+        middle = points.mean(axis=0)
+        qpos[cloth.qpos] = (points - middle) @ turned.T + middle + miss.move - cloth.rest
+        return
+    at = scene.object_qpos[name]
+    qpos[at : at + 3] += miss.move
+    if miss.tilt_deg:
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, qpos[at + 3 : at + 7])
+        qpos[at + 3 : at + 7] = quat_from_rotation(turned @ R.reshape(3, 3))
+
+
+def _never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
+    if not reached:
+        return TaskCheck(name, False, None, "no attempt had a start")
+    count = sum(reached)
+    return TaskCheck(name, not count, count / len(reached), f"{count} of {len(reached)} {what} reach the goal")
+
+
+def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSequence:
+    """Actions that keep every arm where it is."""
+    ctrl = np.zeros(scene.model.nu)
+    for arm in scene.arms:
+        ctrl[arm.drives] = start[arm.recorded_qpos]
+    joints = np.array([start[arm.recorded_qpos] for arm in scene.arms])
+    return ActionSequence(
+        np.tile(ctrl, (ticks, 1)), np.zeros((ticks, len(scene.arms)), bool), np.tile(joints, (ticks, 1, 1))
+    )
+
+
+def validate_task(session: Session, minimum: float, progress: Progress) -> dict[str, Any]:
+    """Run as many trials of a task as the config has `episodes`, and every check.
+
+    Args:
+        minimum: share of trials in which the expert has to reach the goal.
+
+    Returns:
+        JSON-ready: ok, task, rig, n, n_success, success_rate, wilson95, causes, recovered, core_seconds_per_trial,
+        checks, trials (those that failed).
+
+    Raises InterruptedJobError if stopped by the user.
+    """
+    config = session.config
+    report = run_batch(session, (), progress)
+    rate = report["success_rate"]
+    low, high = report["wilson95"]
+    counted = f"{report['n_success']} of {report['n']} succeed, 95 % interval {low:.1%} to {high:.1%}"
+    detail = f"{counted}; at least {minimum:.0%} is needed"
+    checks = [check_program_fits(config.task), TaskCheck("expert", rate >= minimum, rate, detail)]
+    attempts = min(_MAX_ATTEMPTS, config.episodes)
+    with Simulators(session.without_meshes()) as simulators:
+        checks.append(check_reach(simulators.get(AttemptJob(config.seed, 0))))
+        checks.append(check_holding_still(simulators, config.seed, attempts))
+        checks.append(check_open_fingers(simulators, config.seed, attempts))
+        checks.append(_near_misses(simulators, report))
+    return {
+        "ok": all(check.ok is not False for check in checks),
+        **{key: report[key] for key in _BATCH_KEYS},
+        "checks": [asdict(check) for check in checks],
+        "trials": [trial for trial in report["trials"] if not trial["outcome"]["success"]],
+    }
+
+
+def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> TaskCheck:
+    won = next((trial for trial in report["trials"] if trial["outcome"]["success"]), None)
+    if won is None:
+        return TaskCheck("near_misses", None, None, "no attempt succeeded that things could be put off from")
+    job = AttemptJob(won["seed"], won["trial"])
+    simulator = simulators.get(job)
+    return check_near_misses(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
+
+
+def require_passed(report: Mapping[str, Any]) -> None:
+    """Make sure that every check passed. Raises SimulationError if a check failed."""
+    failed = [check for check in report["checks"] if check["ok"] is False]
+    if failed:
+        first = failed[0]
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise SimulationError(f"task {report['task']!r}: {first['name']}: {first['detail']}{more}")

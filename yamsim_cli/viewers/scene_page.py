@@ -1,0 +1,186 @@
+"""The base of all browser pages: a viser server for this machine, bodies that move, and a button to pause them."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import viser
+import websockets.asyncio.server
+
+from ..core.errors import ResourceError, UsageError
+from ..core.http_origin import refusal_reason
+from .page_address import PageAddress
+from .scene_nodes import ClothNodes, add_bodies
+from .viewed_scene import ViewedScene
+from .viewpoint import FOV_DEG, Viewpoint
+
+_DECIMALS = 5  # of positions (m) and quaternions: an arm at rest trembles by less, and rounding keeps that unsent
+_BEAT_SECONDS = 1.0  # s from one sign of life to a page to the next
+_SILENCE_SECONDS = 5.0  # s without a sign of life after which a page says that it is disconnected
+
+# Held while a server starts, see `_refusing_other_sites`.
+_STARTING = threading.Lock()
+
+
+class ScenePage:
+    """A page that shows a scene's bodies and cloths as they move. Closing the page frees its port.
+
+    Raises:
+        UsageError: the page cannot listen on the address.
+    """
+
+    def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
+        # Browsers drop connections at any time. Without a handler, each would print a traceback on stderr.
+        logging.getLogger("websockets").addHandler(logging.NullHandler())
+        self._shown = shown
+        self._server = serve_page(address, f"yamsim: {shown.title}")
+        self.url = f"http://{address.url_host}:{self._server.get_port()}"
+        self._show_bodies()
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = viewpoint.position, viewpoint.look_at
+        camera.fov, camera.near = math.radians(FOV_DEG), 0.01
+        self._heartbeat = self._server.gui.add_html("")
+        self._beat, self._beat_due = 0, 0.0
+        self._status = self._server.gui.add_markdown("")
+        self._pause_button = self._server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._pause_button.on_click(self._toggle_pause)
+
+    def update(self) -> None:
+        """Send all changes since the last call to all clients."""
+        if self._model is not self._shown.model:
+            for node in self._bodies.frames.values():
+                node.remove()
+            self._cloths.remove()
+            self._show_bodies()
+        positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
+        points = np.round(self._shown.cloth_points(), _DECIMALS)
+        with self._server.atomic():
+            if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
+                return  # The model was replaced in between; the next call shows the new one.
+            for body, frame in self._bodies.frames.items():
+                # viser does not send a pose that has not changed.
+                frame.position, frame.wxyz = positions[body], quaternions[body]
+            self._cloths.show(points)
+        if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
+            self._pause_button.label = label
+            self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
+        if (now := time.monotonic()) >= self._beat_due:
+            self._beat, self._beat_due = self._beat + 1, now + _BEAT_SECONDS
+            self._heartbeat.content = _disconnected(self._beat)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.stop()
+
+    def _show_bodies(self) -> None:
+        self._model = self._shown.model
+        self._bodies = add_bodies(self._server.scene, self._model)
+        self._cloths = ClothNodes(self._server.scene, self._model)
+
+    def _toggle_pause(self, _: Any) -> None:
+        self._shown.paused = not self._shown.paused
+
+
+def _disconnected(beat: int) -> str:
+    """A notice that appears by itself, on the panel and across the page, unless the next beat replaces it in time.
+
+    A page whose server is gone still shows the last state that was sent, such as a recording in progress. No server
+    can correct that any more, so the page holds the notice from the start.
+    """
+    name = f"yamsim-gone-{beat}"
+    hidden = "visibility: hidden; overflow: hidden; max-height: 0"
+    looks = "background: rgb(150, 0, 0); color: white; font-weight: bold"
+    shown = f"{hidden}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
+    across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
+    return (
+        f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
+        f'<div style="{shown}">Disconnected: nothing below is up to date.</div>'
+        f'<div style="{shown}; {across}">Disconnected: the server is gone, and nothing is recorded.</div>'
+    )
+
+
+class _LocalServer(viser.ViserServer):
+    """viser's server without its tunnel to a public address, which any client could request."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Do nothing: there is no tunnel."""
+        return
+
+
+def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
+    """An empty page on an address, which refuses requests of other sites; raises as `require_free_address`."""
+    require_free_address(address)
+    with _refusing_other_sites(address.host):
+        server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
+    if address.port and server.get_port() != address.port:
+        # Another program took the port meanwhile, and viser chose the next free one.
+        server.stop()
+        raise _port_error(address, "it is in use")
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.scene.world_axes.visible = False
+    return server
+
+
+@contextlib.contextmanager
+def _refusing_other_sites(host: str) -> Iterator[None]:
+    """A WebSocket server that starts inside this block refuses requests from pages of other sites.
+
+    viser makes its server by itself and has no hook for requests, so the function that viser calls is wrapped.
+    """
+    serve = websockets.asyncio.server.serve
+
+    def with_check(*args: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            headers = request.headers
+            refused = refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), host)
+            if refused is not None:
+                return connection.respond(403, refused)
+            return process_request(connection, request) if process_request is not None else None
+
+        return serve(*args, process_request=check, **options)
+
+    with _STARTING:
+        websockets.asyncio.server.serve = with_check  # type: ignore[assignment, misc]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = serve  # type: ignore[misc]
+
+
+def require_free_address(address: PageAddress) -> None:
+    """Make sure that a page can listen on an address.
+
+    Raises:
+        UsageError: the host is no address of this machine.
+        ResourceError: the port is taken, or may not be used.
+    """
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
+    except socket.gaierror as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"--host {address.host} is not valid ({reason}): give an address of this machine") from error
+    with socket.socket(family, kind) as probe:
+        if os.name == "posix":
+            # As the server does: closing connections of an earlier page do not block the port.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(place)
+        except OSError as error:
+            raise _port_error(address, error.strerror or str(error)) from error
+
+
+def _port_error(address: PageAddress, reason: str) -> UsageError | ResourceError:
+    if address.port == 0:
+        return UsageError(f"--host {address.host} cannot be used ({reason}): give an address of this machine")
+    return ResourceError(
+        f"--port {address.port} cannot be used on {address.host} ({reason}): give another, or 0 for a free one"
+    )

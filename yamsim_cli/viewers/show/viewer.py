@@ -1,0 +1,177 @@
+"""Show a scene in a browser page or in MuJoCo's own window, and a live rig whose joints a person moves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.images.image import Image
+from yamsim_cli.core.rendering.renderer import SceneRenderer
+from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings, task_blueprint
+from yamsim_cli.core.scene.cameras import station_camera, wrist_camera
+
+from ..page_address import PageAddress
+from ..viewed_scene import LiveRig, ViewedScene
+from ..viewpoint import Viewpoint, rig_viewpoint, workspace_viewpoint
+from .compose import compose_at_home, first_attempt_start
+
+if TYPE_CHECKING:
+    from ..scene_page import ScenePage
+
+PERIOD = 1 / 30  # s between two pictures; physics takes as many steps between them as real time needs
+_PICTURE = (320, 240)  # px, of a camera's picture on the page
+
+
+def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
+    """Compose a rig and put it into keyframe `home`, ready to run.
+
+    Args:
+        quality: of its cameras' pictures; None where none are rendered.
+    """
+    _, model = compose_at_home(_with_cameras(blueprint, quality), locations)
+    return LiveRig(blueprint.rig, model)
+
+
+def make_live_task(session: Session, *, boards: bool = True, quality: RenderConfig | None = None) -> LiveRig:
+    """A task's scene, with the layout of the seed's first attempt; see `make_live_rig`.
+
+    Raises:
+        SimulationError: the things have no room, or the scene cannot be compiled.
+    """
+    config, home = first_attempt_start(session)
+    blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
+    _, model = compose_at_home(blueprint, session.locations, home)
+    return LiveRig(config.rig, model, config.task.name)
+
+
+def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
+    """The same scene with the cameras of its wrists and of its station."""
+    pictures = PictureSettings(quality, _PICTURE) if quality is not None else None
+    rig = blueprint.rig
+    cameras = (
+        *blueprint.cameras,
+        *(wrist_camera(arm, _PICTURE) for arm in rig.arms),
+        *(station_camera(rig, camera, _PICTURE) for camera in rig.cameras),
+    )
+    return replace(blueprint, cameras=cameras, pictures=pictures)
+
+
+def task_viewpoint(config: RecordConfig) -> Viewpoint:
+    """The first view of a task's scene, towards a point between the arm and the middle of the table."""
+    x, y, _ = config.table.position
+    return workspace_viewpoint(x - 0.15, y, config.table.top + 0.1, config.rig.span)
+
+
+class LivePictures:
+    """Renders what a live rig's cameras see; the first call makes the renderer, for its own thread."""
+
+    def __init__(self, live: LiveRig) -> None:
+        self._live = live
+        self._renderer: SceneRenderer | None = None
+
+    def render(self, camera: str) -> Image:
+        """An RGB image (240, 320, 3) of a camera.
+
+        Raises:
+            ResourceError: no OpenGL context could be made.
+        """
+        if self._renderer is None:
+            self._renderer = SceneRenderer(self._live.model, _PICTURE)
+        with self._live.lock:
+            return self._renderer.render(self._live.data, camera)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+
+def view_rig(
+    live: LiveRig,
+    address: PageAddress | None,
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+    viewpoint: Viewpoint | None = None,
+    *,
+    boards: bool = True,
+    pictures: bool = False,
+) -> None:
+    """Run a rig's physics and show the rig, see `show_scene`.
+
+    Args:
+        viewpoint: the viewer's first view; the whole rig unless given.
+        boards: whether a page shows boards and mounts at first.
+        pictures: whether a page offers pictures of the rig's cameras.
+    """
+    viewpoint = viewpoint or rig_viewpoint(live.rig)
+    seen = LivePictures(live) if pictures else None
+
+    def open_page(address: PageAddress) -> ScenePage:
+        from ..rig_page import RigPage
+
+        return RigPage(live, viewpoint, address, boards=boards, pictures=seen)
+
+    try:
+        show_scene(live, viewpoint, address, open_page, ready, stopped)
+    finally:
+        if seen is not None:
+            seen.close()
+
+
+def show_scene(
+    scene: ViewedScene,
+    viewpoint: Viewpoint,
+    address: PageAddress | None,
+    open_page: Callable[[PageAddress], ScenePage],
+    ready: Callable[[str | None], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Show a scene in real time until `stopped` returns True, or MuJoCo's window is closed.
+
+    Args:
+        address: of the browser page; None for MuJoCo's window.
+        open_page: makes the page; called only where the viewer library is installed.
+        ready: called once, with the page's URL, when the viewer is open; not called if `stopped` returns True before.
+
+    Raises:
+        UsageError: the page cannot listen on the address.
+        ResourceError: the viewer library is not installed, or no window can be opened.
+    """
+    if address is None:
+        from ..mujoco_window import run_window
+
+        run_window(scene, viewpoint, PERIOD, lambda: ready(None), stopped)
+        return
+    require_viser()
+    page = open_page(address)
+    try:
+        if not stopped():
+            ready(page.url)
+        while not stopped():
+            began = time.monotonic()
+            scene.advance(began)
+            page.update()
+            time.sleep(max(0.0, began + PERIOD - time.monotonic()))
+    finally:
+        page.close()
+
+
+def require_viser() -> None:
+    """Make sure that a browser page can be served.
+
+    Raises:
+        ResourceError: the viewer library is not installed.
+    """
+    try:
+        from .. import scene_page as bodies_page  # noqa: F401
+    except ModuleNotFoundError as error:
+        if error.name != "viser":
+            raise
+        raise ResourceError("the browser page needs viser, which is not here: pip install 'yamsim[view]'") from error

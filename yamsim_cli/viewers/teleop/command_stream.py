@@ -1,0 +1,197 @@
+"""Streams of commands of a leader arm: a JSON object with a time on each line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import FiniteFloat, ValidationError, model_validator
+
+from yamsim_cli.core.config.recording import RecordConfig, Side
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.files.documents.config_base import Config, Quaternion
+from yamsim_cli.core.files.documents.units import Place, PlacePoint, QuantityBounds
+from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
+from yamsim_cli.core.robots.joint_limits import describe_limit_violation
+
+from .teleop_scene import TeleopScene
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
+
+_BEYOND = math.radians(30)  # rad, by which joints of a leader arm may lie beyond the stops, to which they are clipped
+_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values a little beyond both ends of the range
+
+
+class PoseTarget(Config):
+    """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
+
+    position: PlacePoint
+    quaternion: Quaternion
+
+    @property
+    def T(self) -> Array:
+        """The pose (4, 4)."""
+        return pose_from_quat(self.position, self.quaternion)
+
+
+class TeleopCommand(Config):
+    """One line of a stream; values that it leaves out do not change.
+
+    Attributes:
+        t: time since the stream's beginning, s.
+        arm: of two arms, the one for this and the following commands; at first, the arm that acts first in the task.
+        joints: of the arm, rad; or of both arms with openings, the left arm's first, as in frames.
+        ee: pose of `grasp_site` in the arm's base, or in the left arm's base of two, as `ee_pose` in frames.
+        gripper: opening of one finger, m.
+        magnet: whether the magnet is on.
+        event: start, stop or discard a recording.
+    """
+
+    t: Annotated[FiniteFloat, QuantityBounds("s", 0, 86400)]
+    arm: Side | None = None
+    joints: tuple[FiniteFloat, ...] | None = None
+    ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
+    gripper: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.1)] | None = None
+    magnet: bool | None = None
+    event: Literal["start", "stop", "discard"] | None = None
+
+    @property
+    def T_grasp_in_base(self) -> Array | None:
+        """Target pose (4, 4) of `grasp_site`; None if this line has none."""
+        if self.ee is None:
+            return None
+        return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
+
+    @model_validator(mode="after")
+    def _one_target(self) -> TeleopCommand:
+        if self.joints is not None and self.ee is not None:
+            raise ValueError("give joints or ee, not both")
+        if self.ee is not None and not isinstance(self.ee, PoseTarget):
+            T = np.array(self.ee)
+            R = T[:3, :3]
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+                raise ValueError("ee is no pose: its upper left 3 x 3 is no rotation")
+            if not np.array_equal(T[3], (0, 0, 0, 1)):
+                raise ValueError("ee is no pose: its last row has to be 0 0 0 1")
+        return self
+
+
+def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
+    """All commands of a file, in order of time, for the arms of a recording.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line is no command of these arms; the message names line and key.
+    """
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise ConfigError(f"--input {file} cannot be read: {reason}") from error
+    commands: list[TeleopCommand] = []
+    arms = _Arms(config)
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        command = _read(line, f"{file}:{number}")
+        arms.check(command, f"{file}:{number}")
+        if commands and command.t < commands[-1].t:
+            raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
+        commands.append(command)
+    if not commands:
+        raise ConfigError(f"--input {file} is empty: give one JSON object a line, such as {{'t': 0, 'event': 'start'}}")
+    return commands
+
+
+def _read(line: str, where: str) -> TeleopCommand:
+    try:
+        return TeleopCommand.model_validate_json(line)
+    except ValidationError as error:
+        # Of the two forms of `ee`, the error that is nested deepest is that of the intended form.
+        first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
+        key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
+        message = first["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{where}: {key + ': ' if key else ''}{message}") from error
+
+
+class _Arms:
+    """Checks consecutive commands against the arms of a recording."""
+
+    def __init__(self, config: RecordConfig) -> None:
+        rig = config.rig
+        self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recording_order}
+        self._all = len(rig.arms) * rig.drives
+        self._driven: Side = config.acting_arms[0].side
+        self._task, self._grasp = config.task.name, config.grasp
+
+    def check(self, command: TeleopCommand, where: str) -> None:
+        """Raises:
+        ConfigError: there is no such arm or no magnet, or the joints are not valid.
+        """
+        if self._grasp != "weld" and command.magnet is not None:
+            raise ConfigError(
+                f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "
+                "friction; leave it out, and close the `gripper`"
+            )
+        if command.arm is not None and command.arm not in self._arms:
+            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._arms))} one; leave it out")
+        self._driven = command.arm or self._driven
+        if command.joints is None:
+            return
+        joints = np.array(command.joints)
+        count, dof = len(joints), self._arms[self._driven].robot.dof
+        rows = {self._driven: joints}
+        if len(self._arms) > 1 and count == self._all:
+            rows = dict(zip(self._arms, joints.reshape(len(self._arms), -1), strict=True))
+        elif count != dof:
+            both = f", or {self._all} of both" if len(self._arms) > 1 else ""
+            raise ConfigError(f"{where}: joints: {count} numbers; give {dof} of the {self._driven} arm{both}")
+        for side, row in rows.items():
+            robot = self._arms[side].robot
+            if fault := describe_limit_violation(self._arms[side].name, robot, row, _BEYOND):
+                raise ConfigError(f"{where}: joints: {fault}")
+            try:
+                for opening in row[robot.dof :]:
+                    _OPENING.check(float(opening))
+            except ValueError as error:
+                raise ConfigError(f"{where}: joints: {error}") from error
+
+
+class StreamPlayer:
+    """Applies a stream's commands, each at the first tick that begins at or after its time."""
+
+    def __init__(self, commands: Sequence[TeleopCommand]) -> None:
+        self._commands = commands
+        self._next = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether every command has acted."""
+        return self._next == len(self._commands)
+
+    def act(self, scene: TeleopScene, now: float) -> None:
+        """Apply the commands that are due at `now`, s since the stream's beginning."""
+        # The tolerance covers the rounding of a tick's time, which is a sum of many ticks.
+        while not self.done and self._commands[self._next].t <= now + 1e-9:
+            self._apply(scene, self._commands[self._next])
+            self._next += 1
+
+    def _apply(self, scene: TeleopScene, command: TeleopCommand) -> None:
+        if command.event is not None:
+            {"start": scene.start, "stop": scene.stop, "discard": scene.discard}[command.event]()
+        if command.arm is not None:
+            scene.select_arm(command.arm)
+        if command.joints is not None:
+            joints = np.array(command.joints)
+            if joints.size > scene.dof:
+                scene.set_all_joint_targets(joints.reshape(len(scene.sides), -1))
+            else:
+                scene.set_joint_target(joints)
+        if (T := command.T_grasp_in_base) is not None:
+            scene.set_grasp_target(T)
+        if command.gripper is not None:
+            scene.set_gripper(command.gripper)
+        if command.magnet is not None:
+            scene.set_magnet(command.magnet)

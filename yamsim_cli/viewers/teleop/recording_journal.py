@@ -1,0 +1,154 @@
+"""Recordings on the disk while they are driven, so that the recording of a killed session can still be judged."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
+from yamsim_cli.core.dataset.dataset_paths import RECORDINGS
+from yamsim_cli.core.geometry.se3 import Array
+
+_STOP = "stop"
+
+
+@dataclass(frozen=True)
+class CommandTick:
+    """The commands of a control tick.
+
+    Attributes:
+        ctrl: to each arm's drives (arms, drives), rad and m.
+        magnet: whether each arm's weld was commanded to hold.
+        reference: each arm's reference joints and opening (arms, drives), rad and m, see `TeleopArm.asked`.
+    """
+
+    ctrl: Array
+    magnet: tuple[bool, ...]
+    reference: Array
+
+
+@dataclass(frozen=True)
+class UnfinishedRecording:
+    """The recording of a killed session.
+
+    Attributes:
+        path: the file.
+        start: MuJoCo's positions (nq,) at its beginning.
+        ticks: all ticks that passed.
+        stopped: number of ticks before the stop; None if there was no stop.
+    """
+
+    path: Path
+    job: AttemptJob
+    start: Array
+    ticks: tuple[CommandTick, ...]
+    stopped: int | None
+
+
+class RecordingJournal:
+    """Writes recordings tick by tick, each into its own file in a dataset's directory.
+
+    A file exists from a recording's start until its attempt is written into the dataset, or discarded. A written tick
+    survives the end of this process; a loss of power may cost the last second.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        self._folder = dataset / RECORDINGS
+        self._file: BinaryIO | None = None
+        self._attempt = -1
+
+    def begin(self, attempt: Attempt) -> None:
+        """Open the file of a recording.
+
+        Raises:
+            OSError: the disk refused it.
+        """
+        self.end()
+        self._folder.mkdir(exist_ok=True)
+        assert attempt.start is not None, "a driven attempt has a start"
+        self._attempt = attempt.job.attempt
+        # Unbuffered, since a buffer would be lost with this process.
+        self._file = self._place(self._attempt).open("wb", buffering=0)
+        self._write(
+            {
+                "seed": attempt.job.seed,
+                "attempt": attempt.job.attempt,
+                "layout": {name: list(place) for name, place in attempt.places.items()},
+                "start": attempt.start.tolist(),
+            }
+        )
+
+    def add(self, tick: CommandTick) -> None:
+        """Write a tick, if a recording goes on."""
+        if self._file is not None:
+            ctrl, asked = tick.ctrl.ravel().tolist(), tick.reference.ravel().tolist()
+            self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": asked})
+
+    def stop(self) -> None:
+        """Write that the recording was stopped; the ticks that follow let everything come to rest."""
+        self._write({"event": _STOP})
+
+    def end(self) -> None:
+        """Close the file; it stays until its attempt is dropped."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def discard(self) -> None:
+        """Close the file and drop it."""
+        self.end()
+        self.drop(self._attempt)
+
+    def drop(self, attempt: int) -> None:
+        """Remove an attempt's file."""
+        self._place(attempt).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()
+
+    def unfinished(self) -> list[UnfinishedRecording]:
+        """The recordings of killed sessions, in order; files without a beginning are removed."""
+        found = []
+        for path in sorted(self._folder.glob("*.jsonl")):
+            recording = _read(path)
+            if recording is None:
+                path.unlink()
+            else:
+                found.append(recording)
+        return found
+
+    def _place(self, attempt: int) -> Path:
+        return self._folder / f"{attempt:06d}.jsonl"
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        assert self._file is not None, "begin comes first"
+        self._file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+
+
+def _read(path: Path) -> UnfinishedRecording | None:
+    """A recording as far as it was written; None without its beginning."""
+    lines: list[dict[str, Any]] = []
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            lines.append(json.loads(line))
+        except ValueError:
+            # Only the last line can be cut off.
+            break
+    try:
+        job, start = AttemptJob(int(lines[0]["seed"]), int(lines[0]["attempt"])), np.array(lines[0]["start"], float)
+        ticks = tuple(_tick(line) for line in lines[1:] if "ctrl" in line)
+    except (IndexError, KeyError, TypeError, ValueError):
+        return None
+    stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP]
+    return UnfinishedRecording(path, job, start, ticks, stops[0] if stops else None)
+
+
+def _tick(line: Mapping[str, Any]) -> CommandTick:
+    magnet = tuple(bool(on) for on in line["magnet"])
+    ctrl, asked = (np.array(line[key], float).reshape(len(magnet), -1) for key in ("ctrl", "asked"))
+    return CommandTick(ctrl, magnet, asked)

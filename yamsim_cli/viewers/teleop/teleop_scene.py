@@ -1,0 +1,389 @@
+"""Arms that are driven tick by tick: targets in, driven attempts out. The module knows neither pages nor files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
+from yamsim_cli.core.episode.execution import SimulatedAttempt, build_outcome
+from yamsim_cli.core.episode.expert import arm_sides
+from yamsim_cli.core.episode.sampling import describe_missing_start, sample_attempt
+from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.errors import SimulationError
+from yamsim_cli.core.expert.planning.arm_solvers import start_postures
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.compiled import CompiledScene
+
+from ..teleop_interface import TeleopInterface, TeleopStatus
+from .attempt_writer import AttemptReceiver
+from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
+from .teleop_arm import TeleopArm
+
+TIME_LIMIT = 600.0  # s, of a recording, by default
+
+
+class TeleopAttemptScene:
+    """The compiled scene and the arms of the attempt that was begun last. Each cast of things has its own scene.
+
+    Attributes:
+        sides: of the arms, in the order of recordings.
+        postures: of the arms, at the start.
+    """
+
+    scene: CompiledScene
+    arms: tuple[TeleopArm, ...]
+
+    def __init__(self, session: Session) -> None:
+        self._config = session.config
+        self._simulators = Simulators(session)
+        self._simulator: Simulator | None = None
+        self.sides = arm_sides(session.config)
+        self.postures = start_postures(session.config)
+
+    def begin(self, job: AttemptJob) -> Attempt:
+        """The sampled attempt of a job.
+
+        Raises:
+            SimulationError: the attempt's things have no room.
+        """
+        attempt = self.sample(job)
+        if attempt.start is None:
+            assert self._simulator is not None, "begin comes first"
+            raise SimulationError(
+                f"task {self._config.task.name!r}: {describe_missing_start(self._simulator, attempt)}"
+            )
+        return attempt
+
+    def sample(self, job: AttemptJob, start: Array | None = None) -> Attempt:
+        """The sampled attempt of a job, with or without a start; or with a given start, MuJoCo's positions (nq,)."""
+        simulator = self._simulators.get(job)
+        if simulator is not self._simulator:
+            self._simulator, self.scene = simulator, simulator.scene
+            self.arms = tuple(TeleopArm(simulator.config, self.scene, k) for k in range(len(self.scene.arms)))
+        attempt = sample_attempt(simulator, job)
+        return attempt if start is None else replace(attempt, start=start)
+
+    def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
+        """The episode of the attempt that was begun last, at its start."""
+        assert self._simulator is not None, "begin comes first"
+        for arm, stand in zip(self.arms, self.postures, strict=True):
+            arm.reset(stand)
+        return open_episode(self._simulator, attempt, rules)
+
+    def result(self, attempt: Attempt, episode: Episode) -> SimulatedAttempt:
+        """End an attempt's episode, and return the attempt's result."""
+        assert self._simulator is not None, "begin comes first"
+        played = episode.finish()
+        return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
+
+
+class TeleopScene(TeleopInterface):
+    """A scene and its state; a `viewers.teleop_interface.Driven`. Its methods may be called from any thread.
+
+    Of two arms one is driven at a time, and the other continues to its last target. Methods without a side command the
+    driven arm. The arm follows a target, a pose of the hand or joints, see `TeleopArm`. After a stop, targets are
+    ignored until everything is at rest. A recording begins at rest at its attempt's layout. Each attempt has its own
+    cast, so the scene and the model change between attempts. A stop releases what magnets hold. Fingers keep their
+    grasp, since that may be the goal.
+
+    Attributes:
+        sides: of the arms, in the order of recordings.
+        driven: index of the driven arm in that order.
+
+    Args:
+        receiver: gets the driven attempts.
+        time_limit: of a recording, s.
+        end: who ends a recording: the person, or the first tick at which the goal has held for its hold time.
+
+    Raises:
+        SimulationError: the task's things have no room.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        receiver: AttemptReceiver,
+        journal: RecordingJournal | None = None,
+        time_limit: float = TIME_LIMIT,
+        end: EndRule = EndRule.ACTOR,
+    ) -> None:
+        super().__init__()
+        self._config = config = session.config
+        self._receiver, self._journal = receiver, journal
+        self._longest = max(1, round(time_limit / config.task.timing.tick))
+        self._rules = EpisodeRules(end)
+        self._magnets = config.grasp == "weld"
+        self.title = f"{config.task.name} teleop"
+        self._stage = TeleopAttemptScene(session)
+        self.sides = self._stage.sides
+        self.driven = config.acting_scene_arms[0]
+        self._recording = False
+        self.message = ""
+        self.episodes = self.failures = self.waiting = 0
+        self.discarded = 0
+        self._ticks = 0
+        # Ticks that are left until the attempt of a stopped recording is judged.
+        self._settling: int = 0
+        self._begin()
+
+    @property
+    def tick_seconds(self) -> float:
+        """Duration of a control tick, s."""
+        return self._config.task.timing.tick
+
+    @property
+    def dof(self) -> int:
+        """The number of joints of each arm, without fingers."""
+        return self._stage.scene.arms[0].dof
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the session began, over all recordings, s."""
+        return self._ticks * self.tick_seconds
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording goes on, or comes to rest after a stop."""
+        return self._recording
+
+    @property
+    def target(self) -> Array:
+        """Target pose (4, 4) of the pinch frame in `world`."""
+        return self._arm.target
+
+    @property
+    def status(self) -> TeleopStatus:
+        """The state of the session."""
+        with self.lock:
+            arm = self._arm
+            return TeleopStatus(
+                arm=arm.side if len(self.sides) > 1 else "",
+                recording=self._recording,
+                seconds=self._episode.seconds,
+                episodes=self.episodes,
+                failures=self.failures,
+                waiting=self.waiting,
+                target_distance=arm.target_distance,
+                at_limit=arm.at_limit,
+                obstacle=arm.obstacle,
+                gripper_open=arm.is_open,
+                magnet=arm.magnet if self._magnets else None,
+                magnet_holds=self._episode.held[self.driven],
+                message=self.message,
+                prompt=self._attempt.phrasing,
+                goal=self._episode.status,
+            )
+
+    def switch_arm(self) -> None:
+        """Drive the other arm, if there is one."""
+        with self.lock:
+            self.driven = (self.driven + 1) % len(self.sides)
+
+    def select_arm(self, side: str) -> None:
+        """Drive the arm of a side, "left" or "right", which has to exist."""
+        with self.lock:
+            self.driven = self.sides.index(side)
+
+    def set_target_pose(self, T_pinch_in_world: Array) -> None:
+        """Set the hand's target (4, 4); a target inside the table is lifted above it."""
+        self._command(lambda arm: arm.set_target_pose(T_pinch_in_world))
+
+    def set_grasp_target(self, T_grasp_in_base: Array) -> None:
+        """Set the hand's target: a pose (4, 4) of `grasp_site` in the base to which frames' `ee_pose` refers."""
+        self._command(lambda arm: arm.set_grasp_target(self._stage.scene.T_base_in_world @ T_grasp_in_base))
+
+    def set_joint_target(self, joints: Array) -> None:
+        """Set the arm's target joints, rad, as a leader arm does; they are clipped to the stops."""
+        self._command(lambda arm: arm.set_joint_target(joints))
+
+    def set_all_joint_targets(self, joints: Array) -> None:
+        """Set all arms' target joints and openings (arms, drives), rad and m; arms without fingers have no opening."""
+        with self.lock:
+            if not self._settling:
+                for arm, row in zip(self._arms, joints, strict=True):
+                    stand = arm.posture_of(row)
+                    arm.set_joint_target(stand.joints)
+                    arm.set_gripper(stand.opening)
+
+    def set_gripper(self, opening: float) -> None:
+        """Set the opening of each finger, m, clipped to its range."""
+        self._command(lambda arm: arm.set_gripper(opening))
+
+    def toggle_gripper(self) -> None:
+        """Open the gripper fully, or close it, see `TeleopArm.toggle_gripper`."""
+        self._command(lambda arm: arm.toggle_gripper())
+
+    def set_magnet(self, on: bool) -> None:
+        """Switch the magnet, which holds an object within its reach."""
+        self._command(lambda arm: arm.set_magnet(on))
+
+    def _command(self, command: Callable[[TeleopArm], None]) -> None:
+        """Command the driven arm, unless a stopped recording comes to rest."""
+        with self.lock:
+            if not self._settling:
+                command(self._arm)
+
+    def start(self) -> None:
+        """Reset everything to the attempt's start, and record."""
+        with self.lock:
+            self.settle()
+            self._begin(recording=True)
+            if self._journal:
+                self._journal.begin(self._attempt)
+            self.message = "recording"
+
+    def stop(self) -> None:
+        """End the recording, and release what magnets hold. The attempt is submitted after the time in which things
+        settle and the goal has to hold.
+        """
+        with self.lock:
+            if not self._recording or self._settling:
+                self.message = "nothing was being recorded"
+                return
+            self._end()
+
+    def _end(self) -> None:
+        self._halt_arms()
+        if self._journal:
+            self._journal.stop()
+        self._settling = self._rest_ticks
+        self.message = f"{'letting go, and ' if self._magnets else ''}waiting until all is at rest"
+        if not self._settling:
+            self._finish_recording()
+
+    def _halt_arms(self) -> None:
+        for arm in self._arms:
+            if self._magnets:
+                arm.release()
+            else:
+                arm.halt()
+
+    @property
+    def _rest_ticks(self) -> int:
+        """Ticks of a recording after a stop."""
+        task = self._config.task
+        return task.timing.settle_ticks + task.hold_ticks
+
+    def pause_unattended(self) -> None:
+        """Pause a recording that nobody watches any more."""
+        with self.lock:
+            if self._recording and not self.paused:
+                self.paused = True
+                self.message = "paused, since nobody was watching: Play goes on"
+
+    def submit_unfinished(self, left: UnfinishedRecording) -> None:
+        """Submit the recording of a killed session, after the release and the rest that it still lacks."""
+        with self.lock:
+            self._put(self._stage.sample(left.job, left.start), self._rules)
+            for tick in left.ticks:
+                self._episode.step(tick.ctrl, tick.magnet, tick.reference)
+            for k, arm in enumerate(self._arms):
+                asked = np.array([tick.reference[k] for tick in left.ticks])
+                if len(asked) and (asked != asked[0]).any():
+                    last = arm.posture_of(asked[-1])
+                    arm.reset(last)
+                    arm.set_joint_target(last.joints)
+            self._halt_arms()
+            since = 0 if left.stopped is None else len(left.ticks) - left.stopped
+            for _ in range(max(0, self._rest_ticks - since)):
+                self._act()
+            self._submit_recording()
+
+    def settle(self) -> None:
+        """Let the ticks after a stop pass at once."""
+        with self.lock:
+            while self._settling:
+                self._tick()
+
+    def _finish_recording(self) -> None:
+        if self._journal:
+            self._journal.end()
+        self._submit_recording()
+
+    def _submit_recording(self) -> None:
+        self._receiver.submit(self._stage.result(self._attempt, self._episode))
+        self.message = f"attempt {self._attempt.job.attempt} is being rendered"
+        self._begin()
+
+    def discard(self) -> None:
+        """Discard the recording; the same layout comes again."""
+        with self.lock:
+            if not self._recording:
+                self.message = "nothing was being recorded"
+                return
+            self.discarded += 1
+            if self._journal:
+                self._journal.discard()
+            self.message = "discarded"
+            self._begin()
+
+    def reset(self) -> None:
+        """Reset everything to the attempt's start; a present recording is discarded."""
+        with self.lock:
+            if self._recording:
+                self.discard()
+            else:
+                self._begin()
+
+    def tick(self) -> None:
+        """Let a control tick pass, unless paused."""
+        with self.lock:
+            if not self.paused:
+                self._tick()
+
+    def advance(self, now: float) -> None:
+        """Let a control tick pass; the caller keeps the time."""
+        self.tick()
+
+    def _begin(self, *, recording: bool = False) -> None:
+        """Put the scene to the next attempt's start. Only a recording can end by the rules."""
+        attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
+        self._put(attempt, self._rules if recording else EpisodeRules())
+        self._recording = recording
+
+    def _put(self, attempt: Attempt, rules: EpisodeRules) -> None:
+        self._attempt = attempt
+        self._episode = self._stage.set_up(attempt, rules)
+        self.model, self.data = self._stage.scene.model, self._episode.data
+        self._recording, self._settling = False, 0
+
+    @property
+    def _arms(self) -> tuple[TeleopArm, ...]:
+        return self._stage.arms
+
+    @property
+    def _arm(self) -> TeleopArm:
+        return self._arms[self.driven]
+
+    def _act(self) -> None:
+        """Let the arms' commands act for a tick."""
+        ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])
+        magnet = tuple(arm.magnet for arm in self._arms)
+        asked = np.array([arm.reference for arm in self._arms])
+        self._episode.step(ctrl, magnet, asked)
+        if self._recording and self._journal:
+            self._journal.add(CommandTick(ctrl, magnet, asked))
+
+    def _tick(self) -> None:
+        self._act()
+        for arm, holds in zip(self._arms, self._episode.held, strict=True):
+            if arm.magnet and not holds:
+                arm.magnet = False
+                if self._magnets:
+                    self.message = "the magnet found nothing within its reach"
+        self._ticks += 1
+        if self._settling:
+            self._settling -= 1
+            if not self._settling:
+                self._finish_recording()
+        elif self._recording and self._episode.end is not None:
+            self._finish_recording()
+        elif self._recording and self._episode.ticks >= self._longest:
+            self._end()
+            self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"

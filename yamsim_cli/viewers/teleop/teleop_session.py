@@ -1,0 +1,272 @@
+"""Teleoperation sessions: arms driven by a stream of commands, or by a person on a page."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.dataset.dataset_paths import episode_name
+from yamsim_cli.core.dataset.disk_errors import explain_disk_error
+from yamsim_cli.core.dataset.records import AttemptRecord
+from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
+from yamsim_cli.core.errors import PartialJobError
+from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.core.workers.stop_request import StopRequest
+
+from ..page_address import PageAddress
+from ..show.viewer import require_viser, task_viewpoint
+from .attempt_writer import AttemptWriter, open_worker
+from .command_stream import StreamPlayer, TeleopCommand
+from .recording_journal import RecordingJournal
+from .teleop_scene import TIME_LIMIT, TeleopScene
+
+_MAX_CATCH_UP = 0.25  # s; a loop that is farther behind continues from the present time
+_POLL_SECONDS = 0.5  # s, that the end of a session waits for an attempt at a time
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Deviations of the time between control ticks from its nominal value, ms.
+
+    Attributes:
+        rate_hz: nominal rate of ticks.
+        ticks: how many there were.
+        p50, p95, max: median, 95 % percentile and maximum.
+        late: how many ticks began more than half a tick after they were due.
+        lost: time that the simulation stood still because the loop was too far behind to catch up, ms. The recording
+            lacks no tick by that.
+    """
+
+    rate_hz: float
+    ticks: int
+    p50: float
+    p95: float
+    max: float
+    late: int
+    lost: float
+
+
+class TickClock:
+    """Paces a loop by the monotonic clock, and measures the jitter."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._due = time.monotonic()
+        self._began: list[float] = []
+        self._late = 0
+        self._lost = 0.0
+
+    def wait(self) -> None:
+        """Sleep until the next tick is due."""
+        now = time.monotonic()
+        due = self._due
+        if now - self._due > _MAX_CATCH_UP:
+            self._lost += now - self._due
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
+        self._began.append(time.monotonic())
+        self._late += self._began[-1] - due > self._period / 2
+        self._due += self._period
+
+    @property
+    def jitter(self) -> Jitter | None:
+        """None before the second tick."""
+        if len(self._began) < 2:
+            return None
+        off = 1000 * np.abs(np.diff(self._began) - self._period)
+        p50, p95 = np.percentile(off, (50, 95))
+        rate, ticks, most = 1 / self._period, len(self._began), float(off.max())
+        return Jitter(rate, ticks, float(p50), float(p95), most, self._late, 1000 * self._lost)
+
+
+@dataclass(frozen=True)
+class TeleopReport:
+    """The result of a session.
+
+    Attributes:
+        episodes, attempts: numbers in the dataset now.
+        trials: of this session, in order.
+        jitter: of the control ticks; None if they did not follow the clock.
+    """
+
+    path: Path
+    episodes: int
+    attempts: int
+    discarded: int
+    trials: tuple[AttemptRecord, ...]
+    jitter: Jitter | None
+
+
+@dataclass(frozen=True)
+class TeleopSession:
+    """The arms in their scene, and the writer of the attempts."""
+
+    scene: TeleopScene
+    attempts: AttemptWriter
+    dataset: DatasetWriter
+
+    def update(self, timeout: float = 0.0) -> None:
+        """Show the scene's user the next written attempt; raises as `AttemptWriter.next_written`."""
+        scene, attempts = self.scene, self.attempts
+        attempt = attempts.next_written(timeout)
+        scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
+        if attempt is not None:
+            scene.failures += attempt.episode is None
+            end = f"failed: {attempt.outcome.detail}" if attempt.episode is None else episode_name(attempt.episode)
+            scene.message = f"attempt {attempt.attempt}: {end}"
+
+    def finish(self, jitter: Jitter | None) -> TeleopReport:
+        """Wait until all attempts are written."""
+        while self.attempts.waiting:
+            self.update(_POLL_SECONDS)
+        data, trials = self.dataset, tuple(self.attempts.trials)
+        data.finish()
+        return TeleopReport(data.path, data.episodes, len(data.attempts), self.scene.discarded, trials, jitter)
+
+
+def check_page(address: PageAddress) -> None:
+    """Make sure that a page can be served, before its dataset is made.
+
+    Raises:
+        UsageError: the address is in use.
+        ResourceError: the viewer library is not installed.
+    """
+    require_viser()
+    from ..scene_page import require_free_address
+
+    require_free_address(address)
+
+
+@contextlib.contextmanager
+def open_teleop(
+    session: Session,
+    out: Path,
+    mode: OpenMode,
+    warn: Callable[[str], None],
+    *,
+    time_limit: float = TIME_LIMIT,
+) -> Iterator[TeleopSession]:
+    """Open a dataset and a scene to drive; recordings of killed sessions are judged first.
+
+    Args:
+        warn: called with each warning.
+        time_limit: of a recording, s, which is then stopped and judged.
+
+    Raises:
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
+        PartialJobError: the disk refused something.
+    """
+    session = state_meshes(session)
+    config = session.config
+    with DatasetWriter(out, config.data_config(), mode) as writer:
+        if writer.moved_aside:
+            warn(f"What was in {out} is now in {writer.moved_aside}.")
+        for repair in writer.repairs:
+            warn(repair.removesuffix(", and made again"))
+        for number in sorted(writer.lost_lines):
+            # A demonstration cannot be made again, which the ledger states from now on.
+            writer.log(writer.attempts[number])
+        for lost in writer.missing:
+            warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
+        try:
+            journal = RecordingJournal(writer.path)
+            with (
+                open_worker(session) as worker,
+                AttemptWriter(config_for_new_episodes(config, writer), writer, worker, journal.drop) as attempts,
+            ):
+                scene = TeleopScene(session, attempts, journal, time_limit)
+                _submit_unfinished(scene, attempts, journal, warn)
+                yield TeleopSession(scene, attempts, writer)
+        except OSError as error:
+            raise PartialJobError(
+                f"{explain_disk_error(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
+            ) from error
+        except BaseException:
+            with contextlib.suppress(OSError):
+                writer.finish()
+            raise
+
+
+def _submit_unfinished(
+    scene: TeleopScene, attempts: AttemptWriter, journal: RecordingJournal, warn: Callable[[str], None]
+) -> None:
+    """Submit the recordings of killed sessions whose attempt is the dataset's next one."""
+    for left in journal.unfinished():
+        attempt = left.job.attempt
+        if attempt < attempts.next_attempt or not left.ticks:
+            # The attempt is already written, or has no tick.
+            journal.drop(attempt)
+        elif attempt > attempts.next_attempt:
+            warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
+        else:
+            seconds = len(left.ticks) * scene.tick_seconds
+            warn(f"Attempt {attempt}, {seconds:.1f} s long, was left by a session that was killed: it is judged now.")
+            scene.submit_unfinished(left)
+
+
+def run_stream(
+    session: TeleopSession, commands: Sequence[TeleopCommand], stop: StopRequest, *, realtime: bool
+) -> TeleopReport:
+    """Drive the arms by a stream of commands. At its end a recording is stopped; if the user ends it, discarded.
+
+    Args:
+        realtime: whether ticks follow the clock; otherwise they pass as fast as possible, with the same result.
+    """
+    scene, player = session.scene, StreamPlayer(commands)
+    clock = TickClock(scene.tick_seconds) if realtime else None
+    while not stop.is_requested:
+        if clock is not None:
+            clock.wait()
+        player.act(scene, scene.time)
+        if player.done:
+            break
+        scene.tick()
+        session.update()
+    if scene.recording and not stop.is_requested:
+        scene.stop()
+    _end_recording(scene)
+    return session.finish(clock.jitter if clock else None)
+
+
+def _end_recording(scene: TeleopScene) -> None:
+    """Submit a stopped recording, and discard any other."""
+    scene.settle()
+    if scene.recording:
+        scene.discard()
+
+
+def run_page(
+    session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: StopRequest
+) -> TeleopReport:
+    """Serve a page until the user ends it; a recording that is not stopped by then is discarded.
+
+    Args:
+        ready: called with the page's URL once the page is served.
+
+    Raises:
+        UsageError: the address is in use.
+    """
+    from ..teleop_page import TeleopPage
+
+    page = TeleopPage(session.scene, task_viewpoint(config), address)
+    clock = TickClock(session.scene.tick_seconds)
+    try:
+        if not stop.is_requested:
+            ready(page.url)
+        while not stop.is_requested:
+            clock.wait()
+            session.scene.tick()
+            page.update()
+            session.update()
+    finally:
+        page.close()
+    _end_recording(session.scene)
+    return session.finish(clock.jitter)
