@@ -80,7 +80,7 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
 
 
 def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
-    call = python_call("objects.convex.run_decomposition", str(scratch))
+    call = python_call(run_decomposition, str(scratch))
     furthest = 0.0
 
     def report_progress() -> int:

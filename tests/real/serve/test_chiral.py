@@ -38,7 +38,7 @@ class Robot:
         self.resets = 0
 
     @property
-    def shot(self) -> Any:
+    def camera_frames(self) -> Any:
         return self.shots.shot
 
     def act(self, numbers: np.ndarray) -> None:

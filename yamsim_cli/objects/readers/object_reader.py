@@ -18,7 +18,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose
 from yamsim_cli.core.scene.assets.child_process import python_call, run_child
 from yamsim_cli.core.scene.assets.sources import SourceError
 
-from . import ENDINGS
+from . import ENDINGS, reader_process
 from .object_parts import ObjectDescription
 from .reader_process import REFUSED, read_written
 
@@ -83,7 +83,7 @@ def _read_as_is(path: Path) -> ObjectDescription:
 def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescription:
     out = scratch / "out"
     out.mkdir()
-    call = python_call("objects.readers.child.main", str(path), str(path.parent), str(out), int(np.ceil(seconds)))
+    call = python_call(reader_process.main, str(path), str(path.parent), str(out), int(np.ceil(seconds)))
     # One thread, since each thread reserves memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
     limit = _BUSY * seconds

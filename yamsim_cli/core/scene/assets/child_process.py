@@ -29,14 +29,14 @@ class ChildResult:
     stderr: str
 
 
-def python_call(function: str, *arguments: str | int) -> list[str]:
-    """The command that calls `function`, such as `core.package.module.function`, in another Python process.
+def python_call(function: Callable[..., object], *arguments: str | int) -> list[str]:
+    """Return the command that calls a module-level function of yamsim in another Python process.
 
     -P keeps files in the current folder from being imported.
     """
-    module, _, name = function.rpartition(".")
+    module, name = function.__module__, function.__qualname__
     root = str(Path(__file__).resolve().parents[4])
-    code = f"import sys; sys.path.insert(0, {root!r}); from yamsim_cli.{module} import {name}; {name}(*{arguments!r})"
+    code = f"import sys; sys.path.insert(0, {root!r}); from {module} import {name}; {name}(*{arguments!r})"
     return [sys.executable, "-P", "-c", code]
 
 
