@@ -332,14 +332,12 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
 
 
 def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
-    """Return cloth -> number of points along its x axis and its y axis."""
     cloths = {item.name: item.cloth for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
 
 
 def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
-    """Return articulated object -> names of its joints."""
     items = {item.name: item for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

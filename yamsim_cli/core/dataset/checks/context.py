@@ -120,7 +120,6 @@ def _is_episode(path: Path) -> bool:
 
 
 def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
-    """Return a sorting key that puts ep2 before ep10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]{1,18})", path.name)]
 
 

@@ -96,7 +96,6 @@ class LowdimChecks:
 
     Args:
         forms: flat key -> required spec; None requires the specs of the first frame.
-        problems: collects the faults.
 
     Attributes:
         frames: frame number -> frame, for readable frames.

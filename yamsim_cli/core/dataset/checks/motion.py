@@ -99,7 +99,6 @@ def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated
 
     Args:
         joints: frame number -> joints and openings of all arms, one arm after the other.
-        arms: limits of each arm.
         repeated: whether the number of arms is unknown. The first of `arms` is then repeated as often as it fits. A
             row of only its joints counts as one arm without its opening.
     """

@@ -22,7 +22,6 @@ class ProblemCode:
     """One kind of fault.
 
     Attributes:
-        severity: error or warning.
         title: description of the fault, as a clause that values can follow.
         advice: remedy for the fault.
     """

@@ -196,7 +196,7 @@ class DirectoryLock:
             os.close(descriptor)
 
     def note_rename(self, directory: Path) -> None:
-        """Set the new path of a renamed directory."""
+        """Note that the directory was renamed to `directory`."""
         self._directory = directory
 
     def release(self) -> None:

@@ -19,7 +19,6 @@ class InspectedEpisode:
     """Result of reading and hashing all files of an episode directory.
 
     Attributes:
-        number: episode number of the directory name.
         record: content of `episode.json`; None if unreadable.
         text: bytes of `episode.json`.
         size: total bytes of the files that the record lists, up to the first fault.

@@ -2,7 +2,7 @@
 
 A single thread writes the dataset with a `DatasetWriter`, episode by episode in recording order. The dataset is
 therefore consistent at all times and can be resumed. The staging directory holds only episodes that wait to be moved.
-If it is lost, its episodes are recorded again, with identical bytes.
+Episodes of a lost staging directory are recorded again, with identical bytes.
 
 <stage>/<name>-<hash of the dataset's path>/config.yaml
 attempts.jsonl         attempts since the dataset was last opened
@@ -32,7 +32,7 @@ from .integrity import inspect_episode
 from .writer import AttemptLog, DatasetWriter
 
 MAX_WAITING = 100  # attempts that wait to be moved; limits the local disk space if the target is slow
-_MAX_HALT_SECONDS = 10.0  # s, longest wait for the episode in transfer when the writer stops
+_HALT_SECONDS = 10.0  # s, longest wait for the episode in transfer when the writer stops
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class StagedWriter(AttemptLog):
         """Stop the move thread and write the dataset manifest. Remove the stage if all items were moved."""
         arrived = not self._queue.unfinished_tasks
         if not self._stop_move_thread():
-            # The target does not respond and would block this thread too.
+            # The move thread still waits for the target, which would block this thread too.
             return
         self._target.finish()
         if arrived and self._error is None:
@@ -146,12 +146,12 @@ class StagedWriter(AttemptLog):
         self._lock.release()
 
     def _stop_move_thread(self) -> bool:
-        """Let the move thread finish its current item. Return False if that exceeds `_MAX_HALT_SECONDS`."""
+        """Let the move thread finish its current item. Return False if that exceeds `_HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
             # This item only wakes the move thread. If the queue is full, the thread wakes without it.
             self._queue.put_nowait(_StagedItem(None, None))
-        self._move_thread.join(_MAX_HALT_SECONDS)
+        self._move_thread.join(_HALT_SECONDS)
         return not self._move_thread.is_alive()
 
     def _put(self, item: _StagedItem) -> None:
