@@ -139,7 +139,6 @@ def _range(values: Sequence[int]) -> dict[str, float] | None:
 
 
 def _workspace(results: CheckResults) -> dict[str, Any]:
-    """Return the sampling box, and extents (m, `world`) and covered cells of each object at start and end."""
     box = results.context.sampling
     names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
     objects = {}

@@ -111,7 +111,6 @@ def _figures(summary: Mapping[str, Any]) -> Markup:
 
 
 def _problems(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
-    """Return a table of the problem codes, with counts, examples and advice; None without problems."""
     if not problems:
         return None
     headings = (("problem", None), ("found", "number"), ("what and where", None), ("what to do", None))
@@ -180,7 +179,6 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
 
 
 def _workspace(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
-    """Plot the initial positions of each object, and the final ones if it moved. Colours show success."""
     names = list(dict.fromkeys(name for episode in results.episodes for name in episode.starts))[:_MAX_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=results.context.threshold)
     found = [

@@ -75,7 +75,6 @@ def check_dataset(dataset: Path, locations: Locations, workers: int, progress: P
 
 
 def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
-    """Return the facts of an episode that crashes every process that opens it: only this fault."""
     directory = error.job
     assert isinstance(directory, EpisodeDirectory)
     problems = ProblemCollector(directory.path.name)

@@ -95,7 +95,6 @@ def _success(report: Mapping[str, Any]) -> Markup | None:
 
 
 def _goal(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
-    """Return a table with a row for each predicate of the goal; None for tasks without a goal."""
     measures: dict[str, list[Mapping[str, Any]]] = {}
     for trial in trials:
         for measure in trial["outcome"].get("measures") or ():

@@ -174,7 +174,6 @@ class EpisodeVerifier(Closable):
 
     @functools.cached_property
     def _shown_meshes(self) -> dict[str, str]:
-        """Asset set -> description of the meshes that this machine renders."""
         return describe_meshes(self._session)
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
@@ -285,7 +284,6 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
 
 
 def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
-    """Return the first ground truth file whose bytes differ; None if all are equal."""
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
         stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
@@ -383,7 +381,6 @@ def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, A
 
 
 def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
-    """Return the versions that changed since the recording, each with its episodes."""
     concerned: dict[tuple[str, str, str], list[int]] = {}
     for verdict in verdicts:
         for name, (then, now) in verdict.changed.items():

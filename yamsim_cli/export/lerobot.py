@@ -47,10 +47,8 @@ def export_lerobot(
     The time of frame k is exactly k periods.
 
     Args:
-        progress: called with the number of written episodes and of all episodes.
         pictures: whether to write videos and camera matrices of all cameras.
         environment_state: whether to write object poses, see `core.dataset.environment_state`.
-        overwrite: see `export_directory`.
 
     Raises:
         DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
@@ -129,8 +127,6 @@ class _Content(ABC):
 
 
 class _SimulatedContent(_Content):
-    """Features of simulated episodes: joints, commands of drives and welds, and object poses."""
-
     def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
         super().__init__(pictures, {})
         self._source = source
@@ -241,7 +237,6 @@ def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Fram
 
 
 def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
-    """Return the value of `key` in each frame. Raise DatasetError if a frame lacks the key."""
     if not all(key in frame for frame in frames):
         raise DatasetError(f"{episode.directory} has no {key}, {_UNLIKE_FIRST}")
     return [frame[key] for frame in frames]
@@ -285,15 +280,9 @@ class _LeRobotWriter(Closable):
         self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
 
     def close(self) -> None:
-        """Close all files."""
         self._open.close()
 
     def add(self, episode: RecordedEpisode) -> None:
-        """Write one episode.
-
-        Raises:
-            DatasetError: the episode has other features than the first.
-        """
         number, period = len(self._provenance), self._source.frame_period
         video_place, encoding = SeriesFile(number), {}
         for camera in self._cameras:
@@ -332,7 +321,6 @@ class _LeRobotWriter(Closable):
         self._provenance.append({"episode_index": number} | origin)
 
     def _indices(self, frames: int, number: int, task: int) -> Values:
-        """Return the values of `INDEX_FEATURES`."""
         return {
             "timestamp": np.arange(frames) * self._source.frame_period,
             "frame_index": np.arange(frames),

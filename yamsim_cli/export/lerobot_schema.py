@@ -18,7 +18,7 @@ from ..core.closable import Closable
 from ..core.images.video import ENCODER
 
 VERSION = "v3.0"
-CHUNK_FILES = 1000  # files per chunk
+CHUNK_FILES = 1000
 DATA_FILE_MB = 100  # MB, size at which a new Parquet file begins
 VIDEO_FILE_MB = 200  # MB, size up to which lerobot's tools join videos; this export writes one video per episode
 KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads single frames at random
@@ -144,8 +144,6 @@ def info_json(
 
     Args:
         cameras: camera -> (width, height) of its video, px.
-        robots: robot model of each arm.
-        features: features of the Parquet files.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
@@ -197,8 +195,7 @@ class TableSeries(Closable):
     A context manager: the end of the block writes the footer of the last file.
 
     Args:
-        root: the dataset directory.
-        pattern: pattern of the file paths, such as `DATA`.
+        pattern: pattern of the file paths below `root`, such as `DATA`.
         limit_mb: size at which a file is closed, MB.
     """
 

@@ -35,7 +35,6 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
     """Yield a staging directory to fill in the block. If the block succeeds, the directory is renamed to `final`.
 
     Args:
-        final: the output directory.
         overwrite: whether to rename an existing `final` to a backup, once the new directory is complete. If False, an
             existing `final` that is not an empty directory is an error.
 

@@ -50,12 +50,8 @@ def export_raiden(
     the drive of the real arm reports them.
 
     Args:
-        source: the selected episodes.
         locations: locations of the robot models and of the meshes to render.
-        progress: called with the number of written episodes and of all episodes.
-        options: see `RaidenOptions`.
         workers: number of processes that render.
-        overwrite: see `export_directory`.
 
     Raises:
         DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
@@ -185,7 +181,6 @@ def export_real_raiden(
 def _converted(
     source: RealSource, converter: FrameConverter, episode: RealEpisode, recorded: Frames, actions: ActionSource
 ) -> list[dict[str, Any]]:
-    """Return the frames of an episode in raiden's layout, without unknown camera matrices."""
     if source.first.record.drives != source.rig.drives:
         raise DatasetError(
             f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
@@ -216,10 +211,6 @@ def _metadata(
 
     Args:
         names: camera -> its name in raiden's layout.
-        data: converted frames of the episode.
-        control: how the arm was controlled.
-        pictures: entry on the source of the images.
-        depth: whether the episode has depth images.
     """
     sizes = {names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
     one_size = len({tuple(size) for size in sizes.values()}) == 1
@@ -248,7 +239,6 @@ def _metadata(
 
 
 def _write_episode(folder: Path, times: Sequence[float], data: Frames, metadata: Mapping[str, Any]) -> None:
-    """Write the frames, capture times (s) and metadata of an episode, beside its images."""
     stream = io.BytesIO()
     np.save(stream, np.array([round(time * 1e9) for time in times], dtype=schema.TIMESTAMP_DTYPE))
     for camera in metadata["cameras"]:

@@ -176,7 +176,6 @@ def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> 
 
 
 def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    """Return the bytes of a depth image file after checking its content."""
     name = depth_name(camera, number)
     data = episode.read_verified(name)
     width, height = episode.record.cameras[camera]

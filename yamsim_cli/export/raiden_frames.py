@@ -102,7 +102,6 @@ class _ArmConverter:
         return np.concatenate([T[:3, 3], T[:3, :3].ravel(), joints[schema.JOINTS :]])
 
     def T_hand_in_base(self, joints: ArrayLike) -> Array:
-        """Return the hand pose (4, 4) in this arm's base."""
         return self._kinematics.T_grasp_in_base(np.asarray(joints)[: schema.JOINTS])
 
 

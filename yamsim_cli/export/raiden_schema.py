@@ -40,7 +40,7 @@ class RaidenOptions:
 
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
-        pictures: source of the images if `fps` is given.
+        pictures: source of the images; ignored if `fps` is None.
         images: file format of the images.
         single: whether the arrays of a single arm omit the right arm.
         hand_frame: kinematics for `action` and `actual_poses`.

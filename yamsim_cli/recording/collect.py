@@ -205,7 +205,6 @@ class Collector:
         )
 
     def _log_again(self, payload: AttemptPayload) -> None:
-        """Log the repetition of an attempt whose ledger line was lost."""
         number = missing_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:  # the original attempt had lost its workers
             detail = (

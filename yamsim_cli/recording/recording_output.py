@@ -145,7 +145,6 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
 def _check_space(
     config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, callbacks: RecordCallbacks
 ) -> None:
-    """Raise ResourceError if the episodes cannot fit, and warn if they may not."""
     if episodes <= 0:
         return
     disk = nearest_directory(place)

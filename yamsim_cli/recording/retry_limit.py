@@ -94,7 +94,6 @@ class RetryLimit:
 
     @staticmethod
     def _causes(attempts: Sequence[AttemptRecord]) -> str:
-        """Return the counts of causes, the last detail of the most common cause, and parts of the task to inspect."""
         failed = [attempt for attempt in attempts if not attempt.outcome.success]
         counts = Counter(str(attempt.outcome.cause) for attempt in failed).most_common()
         commonest = counts[0][0]

@@ -20,7 +20,7 @@ from pydantic import Field
 from ..errors import DatasetError
 from .records import Record
 
-DEPTH_TOLERANCE = 0.002  # m, largest difference between the depth image and the depth of a visible point.
+DEPTH_TOLERANCE = 0.002  # m, largest difference between the depth image and the depth of a visible point
 # m, largest depth by which an arm's own links may cover the centre of a visible joint. The centre lies inside the arm:
 # the motor housings are 66 mm wide and up to 100 mm long.
 JOINT_COVER = 0.07

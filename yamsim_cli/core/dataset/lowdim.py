@@ -151,7 +151,6 @@ def with_opening_shares(values: Array, full_openings: Sequence[float]) -> Array:
 
 
 def _squeeze_arms(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
-    """Remove the axis of arms if it has length one."""
     return values if values.shape[axis] > 1 else values.squeeze(axis)
 
 

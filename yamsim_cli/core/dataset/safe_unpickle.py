@@ -131,7 +131,6 @@ _NDARRAY = _AllowedName(None)  # a pickle can only pass this on to `_reconstruct
 
 
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
-    """Return the description of an empty array. The pickle sets its content later."""
     if kind is not _NDARRAY or shape != (0,):
         raise ForbiddenPickleError(f"the pickle makes an array of shape {_short(shape)} without content")
     return _Array(b"", _DType("u1"), (0,), "C")

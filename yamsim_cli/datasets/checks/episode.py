@@ -258,7 +258,6 @@ class _EpisodeCheck:
 
 
 def _require_sane(record: EpisodeRecord) -> EpisodeRecord:
-    """Return the record. Raise DatasetError if its numbers are impossible."""
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")
     for camera, (width, height) in record.cameras.items():

@@ -139,7 +139,7 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
         if count != expected:
             source = EPISODE if record else "lowdim" if counts["lowdim"] else "another camera"
             problems.add("frames.count", name, f"{count} in {name}", f"{expected}, as in {source}")
-        # Plain recordings may begin at 1.
+        # Frame numbers of plain recordings may begin at 1.
         present = sorted(streams[name])
         before = -1 if record or (present and present[0] != 1) else 0
         for low, high in itertools.pairwise([before, *present]):

@@ -140,7 +140,6 @@ class _LockHolder:
 
     @property
     def may_be_alive(self) -> bool:
-        """Whether the process may still run; always true for a process on another machine."""
         if self.is_local:
             try:
                 os.kill(self.pid, 0)

@@ -101,7 +101,7 @@ class StagedWriter(AttemptLog):
             self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
         )
         if record.attempt < len(self.attempts):
-            # The ledger already has the attempt, so `log` will not be called for it.
+            # `self.attempts` already has the attempt, so `log` does not queue its episode.
             self._put(_StagedItem(record.episode, None))
 
     def log(self, attempt: AttemptRecord) -> None:

@@ -152,7 +152,6 @@ class DatasetWriter(AttemptLog, Closable):
                 )
 
     def _load_attempts(self, ledger: Ledger) -> None:
-        """Count the attempts of the ledger, including those whose lines are lost."""
         kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
             self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
