@@ -1,4 +1,4 @@
-"""What checks found in a dataset, and its figures; nothing is simulated."""
+"""Combine the check results of a dataset, and compute its summary figures without simulation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..core.statistics import Coverage, compute_coverage, histogram, summarize_v
 from .checks.dataset_checks import check_dataset, read_ledger
 from .checks.episode_facts import EpisodeFacts
 
-CELL_M = 0.05  # m, largest width of the workspace's cells: about a banana's width
+CELL_M = 0.05  # m, largest cell width for workspace coverage: about the width of a banana
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class CheckResults:
     """The result of checking a dataset.
 
     Attributes:
-        path: the dataset's directory.
-        episodes: the dataset's episodes, in order.
-        attempts: the attempts in the ledger that can be read.
-        problems: faults of the dataset first, then those of its episodes in order.
+        path: the dataset directory.
+        episodes: facts about the episodes, in order.
+        attempts: the readable attempts of the ledger.
+        problems: faults of the dataset, followed by the faults of its episodes in order.
     """
 
     path: Path
@@ -41,11 +41,11 @@ class CheckResults:
 def combine_checks(
     dataset: Path, context: CheckContext, episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> CheckResults:
-    """Check a dataset as a whole, and put the results of all checks together.
+    """Check a dataset as a whole, and combine the results with those of its episodes.
 
     Args:
-        episodes: result of the checks of each episode, in order.
-        problems: faults that were found before the checks of episodes.
+        episodes: check result of each episode, in order.
+        problems: faults that were found before the episode checks.
     """
     attempts = read_ledger(dataset, problems) if context.recorded else []
     found = check_dataset(dataset, context, episodes, attempts, problems)
@@ -55,10 +55,10 @@ def combine_checks(
 
 
 def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
-    """The dataset's figures, ready for JSON; see docs/checking.md.
+    """Return the figures of a dataset, JSON-ready; see docs/checking.md.
 
     Args:
-        thresholds: distances (m) by which the outcomes are scored.
+        thresholds: success distances, m; ignored for real recordings and for tasks with a goal.
     """
     episodes, problems = results.episodes, list(results.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
@@ -97,9 +97,9 @@ def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, A
 
 
 def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckResults) -> bool:
-    """Whether an episode's object ended on its target, within `threshold` m of the target's centre.
+    """Return whether an episode's object ended on its target, within `threshold` m of the target's centre.
 
-    For a task that a goal judges, whether the goal was reached.
+    If a goal decides success, return whether the goal was reached.
     """
     if episode.outcome is None or results.context.judged_by_goal:
         return episode.outcome is not None and episode.outcome.success
@@ -108,7 +108,7 @@ def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckR
 
 
 def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """How points (x, y) cover the sampling box; None if the box is unknown."""
+    """Return how points (x, y) cover the sampling box; None if the box is unknown."""
     box = results.context.sampling
     return compute_coverage(points, box.x, box.y, CELL_M) if box else None
 
@@ -139,7 +139,6 @@ def _range(values: Sequence[int]) -> dict[str, float] | None:
 
 
 def _workspace(results: CheckResults) -> dict[str, Any]:
-    """The sampling box, and each object's extents (m, `world`) and cells hit at start and end."""
     box = results.context.sampling
     names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
     objects = {}

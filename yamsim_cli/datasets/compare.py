@@ -1,4 +1,4 @@
-"""Compares two episodes' frames: the first difference, and the largest of each value."""
+"""Compare the frames of two episodes: find the first difference, and the largest difference of each value."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Difference:
-    """A value that differs from the stored value.
+    """A difference between a stored and a reproduced value.
 
     Attributes:
-        frame: number of the frame; None for a value of the whole episode.
+        frame: frame number; None for a value of the whole episode.
         time_s: simulated time of the frame, s.
         quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
-        stored, got: both values; numbers in the unit of the quantity, else text.
+        stored, got: stored and reproduced value; numbers in the unit of the quantity, else text.
         difference: see `EpisodeComparison.largest`; None unless both values are finite numbers of the same shape.
     """
 
@@ -35,10 +35,9 @@ class EpisodeComparison:
     """The result of comparing two episodes.
 
     Attributes:
-        largest: quantity -> its largest difference. The difference of two numbers is divided by the stored number if
-            that is above 1: absolute for angles and positions (rad, m), relative for large numbers, such as a focal
-            length in px.
-        first_difference: the first difference beyond the tolerance; of several in one frame, the largest.
+        largest: quantity -> largest difference. The difference is divided by the stored magnitude if that exceeds 1.
+            It is absolute for small values (rad, m) and relative for large values, such as a focal length in px.
+        first_difference: the first difference beyond the tolerance. If a frame has several, the largest one.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
@@ -46,17 +45,18 @@ class EpisodeComparison:
 
     @property
     def max_error(self) -> float:
-        """The largest difference of all."""
+        """The largest difference of all quantities."""
         return max(self.largest.values(), default=0.0)
 
 
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
 ) -> EpisodeComparison:
-    """Compare two episodes' low-dimensional data, frame by frame and value by value.
+    """Compare the low-dimensional data of two episodes, frame by frame and value by value.
 
     Args:
-        tolerance: largest difference of numbers, see `EpisodeComparison.largest`; other values have to be equal.
+        stored, made: frames of the stored and of the reproduced episode.
+        tolerance: largest accepted difference of numbers, see `EpisodeComparison.largest`. Other values must be equal.
     """
     result = EpisodeComparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
@@ -68,7 +68,7 @@ def compare_frames(
 
 
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> EpisodeComparison:
-    """Compare values of whole episodes, such as their outcomes."""
+    """Compare values of whole episodes, such as outcomes. `tolerance`: see `compare_frames`."""
     result = EpisodeComparison()
     _compare(result, stored, made, tolerance, None, None)
     return result
@@ -82,7 +82,6 @@ def _compare(
     frame: int | None,
     time: float | None,
 ) -> None:
-    """Compare one frame, and add the differences to `result`."""
     worst: Difference | None = None
     for quantity, old, new in _leaves(stored, made):
         index, apart = _largest_difference(old, new)
@@ -98,7 +97,7 @@ def _compare(
 
 
 def _leaves(stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Every value's name, and its values on both sides; `_MISSING` on a side without the value."""
+    """Yield name, stored and reproduced value of every entry; `_MISSING` replaces an absent value."""
     for key in dict.fromkeys([*stored, *made]):
         name = f"{prefix}.{key}" if prefix else str(key)
         old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
@@ -116,7 +115,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _largest_difference(old: Any, new: Any) -> tuple[tuple[int, ...], float | None]:
-    """Index and size of the largest difference of two values; size None for unequal values that are no numbers."""
+    """Return index and size of the largest difference; size None if there is no numeric difference."""
     if not (_is_number(old) and _is_number(new)):
         same = type(old) is type(new) and bool(old == new)
         return (), 0.0 if same else None

@@ -1,4 +1,4 @@
-"""A dataset's report as one HTML page without other files, for a browser, a wiki or a printer."""
+"""Report on a dataset as one self-contained HTML page, for a browser, a wiki or a printer."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from ..core.plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
 from .checks.episode_facts import EpisodeFacts
 
-_MAX_CAUSES = 12  # causes of failure in the plot
-_MAX_EXAMPLES = 5  # examples of each problem's code; --json has them all
-_MAX_OBJECTS = 4  # objects with plots of the workspace
-_MOVED = 0.02  # m; only an object that moved farther in some episode gets a plot of its ends
+_MAX_CAUSES = 12  # failure causes in the plot
+_MAX_EXAMPLES = 5  # examples per problem code; --json lists all
+_MAX_OBJECTS = 4  # objects with workspace plots
+_MIN_MOTION = 0.02  # m; end positions are plotted only for objects that moved farther in some episode
 _WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
-_SPREAD = {"median": "median", "p95": "95 %", "max": "largest"}
+_SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
 @dataclass(frozen=True)
 class FrameStrip:
-    """JPEG files of an episode's first, middle and last frame, as far as they can be shown."""
+    """JPEG files of the first, middle and last frame of an episode. Unreadable frames are omitted."""
 
     episode: str
     caption: str
@@ -46,11 +46,11 @@ class FrameStrip:
 
 
 def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequence[FrameStrip], made: str) -> str:
-    """The page as HTML.
+    """Return the report page as HTML.
 
     Args:
-        summary: the survey's figures by `dataset.summary.summarize`.
-        made: see `markup.document`.
+        summary: the figures from `check_summary.summarize`.
+        made: see `markup.html_page`.
     """
     path = results.path.absolute()
     name = path.name or str(results.path)
@@ -68,13 +68,13 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
 
 
 def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """The numbers of errors and of warnings: ``"1 error"``, ``"1,200 warnings"``."""
+    """Return the numbers of errors and warnings as texts, such as ``"1 error"`` and ``"1,200 warnings"``."""
     errors, warnings = summary["errors"], summary["warnings"]
     return f"{errors:,} error{'' if errors == 1 else 's'}", f"{warnings:,} warning{'' if warnings == 1 else 's'}"
 
 
 def group_by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
-    """Problems grouped by their codes, errors first."""
+    """Return problems grouped by code, errors first."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for problem in problems:
         groups.setdefault(problem["code"], []).append(problem)
@@ -111,7 +111,6 @@ def _figures(summary: Mapping[str, Any]) -> Markup:
 
 
 def _problems(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
-    """A table of the codes that were found, with counts, examples and advice; None without problems."""
     if not problems:
         return None
     headings = (("problem", None), ("found", "number"), ("what and where", None), ("what to do", None))
@@ -128,7 +127,7 @@ def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
     if len(problems) > _MAX_EXAMPLES:
         examples.append(html_tag("li", f"and {len(problems) - _MAX_EXAMPLES:,} more"))
     first = problems[0]
-    # Commands stand between backquotes in advice.
+    # Advice has commands in backquotes.
     advice = [html_tag("code", part) if k % 2 else part for k, part in enumerate(first["advice"].split("`"))]
     return html_tag(
         "tr",
@@ -169,7 +168,7 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
     ):
         if spread := summary[key]:
             bins = spread["histogram"]
-            caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD.items())
+            caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD_LABELS.items())
             picture = plots.plot_distances(bins["edges"], bins["counts"], marked, title)
             figures.append(captioned(title, picture, caption.capitalize() + "."))
     if causes := attempts["causes"]:
@@ -180,7 +179,6 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
 
 
 def _workspace(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
-    """Plots of each object's start, and of its end if it moved, coloured by success at the smallest threshold."""
     names = list(dict.fromkeys(name for episode in results.episodes for name in episode.starts))[:_MAX_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=results.context.threshold)
     found = [
@@ -219,7 +217,7 @@ def _failed_starts(results: CheckResults, name: str) -> list[Point]:
 
 def _moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
     pairs = [(e.starts[name], e.ends[name]) for e in episodes if name in e.starts and name in e.ends]
-    return any(math.dist(start, end) > _MOVED for start, end in pairs)
+    return any(math.dist(start, end) > _MIN_MOTION for start, end in pairs)
 
 
 def _workspace_legend(results: CheckResults, threshold: float) -> Markup:

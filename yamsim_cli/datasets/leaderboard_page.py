@@ -1,4 +1,4 @@
-"""Evaluations of policies on the same trials as one HTML page, the best first."""
+"""HTML page that ranks evaluations of policies on the same trials."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 
 from ..core.markup import Markup, html_page, html_table, html_tag, percent, section
 
-# Outcomes of a pair of policies on a trial, in the order of the table.
+# Outcomes of a pair of policies on a trial, in table order.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
 
 
 def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], made: str) -> str:
-    """The page as HTML.
+    """Return the leaderboard page as HTML.
 
     Args:
-        reports: of `evaluate.evaluation.summary`, the evaluated policy's first.
-        pairs: of `evaluate.compare.compare`, of the first with each of the others.
-        made: see `markup.document`.
+        reports: results of `policies.evaluate.evaluation.evaluation_report`; the first is of the evaluated policy.
+        pairs: results of `policies.evaluate.compare.compare_reports`, of the first with each other policy.
+        made: see `markup.html_page`.
     """
     first = reports[0]
     ranked = sorted(reports, key=lambda report: -report["stats"]["success_rate"])

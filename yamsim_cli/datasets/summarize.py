@@ -1,4 +1,4 @@
-"""Summarize a dataset: worker processes check its episodes, and this process writes the pages on what they find."""
+"""Check a dataset with worker processes, and write report pages on the results."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .dataset_page import FrameStrip, dataset_page
 from .leaderboard_page import leaderboard_page
 from .trials_page import start_boxes, trials_page
 
-_STRIPS = 6  # episodes of which a page shows pictures
-_THUMBNAIL_PX = 240  # longer side of these pictures
+_MAX_STRIPS = 6  # episodes with images on a page
+_THUMBNAIL_PX = 240  # px, longer side of these images
 
 
 class EpisodeChecker(Closable):
-    """Checks episodes, in a worker's own process: the JPEG decoder writes complaints to its process's stderr."""
+    """Checks episodes in a separate worker process, because the JPEG decoder writes warnings to its stderr."""
 
     def __init__(self, context: CheckContext) -> None:
         self._context = context
@@ -49,11 +49,11 @@ class EpisodeChecker(Closable):
 
 
 def check_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> CheckResults:
-    """Check a dataset with worker processes. Every file is opened, and nothing is changed.
+    """Check a dataset with worker processes. Every file is opened and none is changed.
 
     Raises:
-        DatasetError: there is no dataset.
-        InterruptedJobError: stopped by the user.
+        DatasetError: `dataset` is not a readable dataset.
+        InterruptedJobError: the user stopped the job.
         PartialJobError: no worker can be kept alive.
     """
     directories, recorded = find_episodes(dataset)
@@ -75,7 +75,6 @@ def check_dataset(dataset: Path, locations: Locations, workers: int, progress: P
 
 
 def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
-    """The facts of an episode that ends every process that opens it: this fault alone."""
     directory = error.job
     assert isinstance(directory, EpisodeDirectory)
     problems = ProblemCollector(directory.path.name)
@@ -84,26 +83,26 @@ def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
 
 
 def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) -> None:
-    """Write a dataset's page, whole or not at all; raises ResourceError if the file cannot be written."""
+    """Write the report page of a dataset atomically. Raise ResourceError if the file cannot be written."""
     write_page(dataset_page(results, summary, contact_sheet(results), page_footer()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
-    """Write the page of a batch of trials of `config`; raises as `write_report`."""
+    """Write the report page of a batch of trials of `config`; raises as `write_report`."""
     write_page(trials_page(report, start_boxes(config), page_footer()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write a leaderboard's page; raises as `write_report`."""
+    """Write a leaderboard page; raises as `write_report`."""
     write_page(leaderboard_page(reports, pairs, page_footer()), path)
 
 
 def contact_sheet(results: CheckResults) -> list[FrameStrip]:
-    """First, middle and last picture of `_STRIPS` episodes, those that ended farthest from the target first."""
+    """Return images of up to `_MAX_STRIPS` episodes, starting with those that ended farthest from the target."""
     shown = sorted(
         (episode for episode in results.episodes if any(episode.images.values())), key=_error_rank, reverse=True
     )
-    return [strip for episode in shown[:_STRIPS] if (strip := _strip(results.path, episode)).pictures]
+    return [strip for episode in shown[:_MAX_STRIPS] if (strip := _strip(results.path, episode)).pictures]
 
 
 def _error_rank(episode: EpisodeFacts) -> tuple[int, float]:
@@ -122,7 +121,7 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """A thumbnail; None if the file has changed since the checks, and is no picture any more."""
+    """Return a thumbnail; None if the file has changed since the checks and is no longer an image."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

@@ -1,4 +1,4 @@
-"""A batch's report as one HTML page: its rates, margins of its goals, starts of things, and failures."""
+"""HTML report on a batch of trials: success rates, goal margins, initial positions of objects, and failures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Box = tuple[Point, Point]
 
 
 def start_boxes(config: RecordConfig) -> dict[str, Box]:
-    """Thing -> the box in `world` in which it starts, as x and y ranges, m; without what starts on another thing."""
+    """Return object -> x and y range of its start region in `world`, m. Objects that start on others are omitted."""
     return {
         name: (start.x, start.y)
         for role, start in config.starts.items()
@@ -39,12 +39,12 @@ def start_boxes(config: RecordConfig) -> dict[str, Box]:
 
 
 def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) -> str:
-    """The page as HTML.
+    """Return the trials page as HTML.
 
     Args:
-        report: the report of `trials.run_batch`.
+        report: result of `core.episode.trials.run_batch`.
         boxes: see `start_boxes`.
-        made: see `markup.document`.
+        made: see `markup.html_page`.
     """
     good = [trial for trial in report["trials"] if trial["outcome"]["success"]]
     failed = [trial for trial in report["trials"] if not trial["outcome"]["success"]]
@@ -95,7 +95,6 @@ def _success(report: Mapping[str, Any]) -> Markup | None:
 
 
 def _goal(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
-    """A row for each predicate of the goal; None for tasks without a goal of their own."""
     measures: dict[str, list[Mapping[str, Any]]] = {}
     for trial in trials:
         for measure in trial["outcome"].get("measures") or ():
@@ -116,7 +115,6 @@ def _measured(what: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, str, 
 def _workspace(
     good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], boxes: Mapping[str, Box]
 ) -> Markup | None:
-    """Plots of each object's starts; None if no layout is known."""
     panels = []
     for name in dict.fromkeys(name for trial in (*good, *failed) for name in trial["layout"]):
         succeeded, others = (

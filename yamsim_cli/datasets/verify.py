@@ -1,6 +1,6 @@
-"""Verify a dataset: worker processes simulate its episodes again, and compare them with what is stored.
+"""Verify a dataset: worker processes reproduce its episodes and compare them with the stored data.
 
-An episode is simulated again from its seed (`SEED`), from its recorded actions (`ACTIONS`), and its pictures are
+An episode is simulated again from its seed (`SEED`) and from its recorded actions (`ACTIONS`), and its images are
 rendered again (`IMAGES`).
 """
 
@@ -37,7 +37,7 @@ from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
 from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
-# The checks, in the order in which their differences are reported.
+# Checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -46,12 +46,12 @@ Frames = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How much may differ.
+    """Largest accepted differences.
 
     Attributes:
-        values: of a number, see `dataset.compare.EpisodeComparison`.
-        images: mean difference of an image's pixels, 0 .. 255; at 0 the files have to be the same byte for byte. None
-            leaves images out.
+        values: difference of a number, see `compare.EpisodeComparison.largest`.
+        images: mean pixel difference of an image, 0 to 255. At 0, image files must be equal byte for byte. None skips
+            images.
     """
 
     values: float
@@ -63,11 +63,11 @@ class EpisodeVerdict:
     """The result of verifying one episode.
 
     Attributes:
-        episode: the episode's number.
-        checks: check -> comparison of the stored episode with the simulated one.
-        skipped: check -> why the check was not possible.
-        problems: file -> fault besides different values; "" for the whole episode.
-        changed: name -> version at the recording and now, where these differ.
+        episode: episode number.
+        checks: check -> comparison of the stored and the reproduced episode.
+        skipped: check -> reason why the check was not possible.
+        problems: file -> fault other than a difference of values; "" for the whole episode.
+        changed: name -> version at recording time and now, if they differ.
     """
 
     episode: int
@@ -83,10 +83,10 @@ class EpisodeVerdict:
 
 
 class EpisodeVerifier(Closable):
-    """Verifies episodes of one dataset; a context manager, since a verifier may own a renderer.
+    """Verifies episodes of one dataset. A context manager, because a verifier may own a renderer.
 
     Args:
-        session: of the dataset's own config; its meshes matter to images alone.
+        session: session of the dataset's own config. Its meshes affect only images.
     """
 
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
@@ -105,7 +105,7 @@ class EpisodeVerifier(Closable):
             episode = open_episode(directory)
             if others := self._other_meshes(episode):
                 problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
-            changed = self._changed(episode)
+            changed = self._changed_versions(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
@@ -124,14 +124,14 @@ class EpisodeVerifier(Closable):
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # Stands first: the error says more than that a file was altered.
+            # Put the error first because it says more than that a file was altered.
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
     def _from_seed(
         self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
-        """Simulate the attempt from its seed and number; `skipped` gets why its images are not compared."""
+        """Simulate the attempt from its seed and number. Add to `skipped` why its images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
@@ -161,7 +161,7 @@ class EpisodeVerifier(Closable):
     def _simulator(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
 
-    def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
+    def _changed_versions(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
         then, now = first | episode.record.versions, library_versions()
         simulator = self._simulator(episode.record)
@@ -169,12 +169,11 @@ class EpisodeVerifier(Closable):
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = describe(text)
-                now[f"meshes {name}"] = describe(self._shown.get(name))
+                now[f"meshes {name}"] = describe(self._shown_meshes.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
 
     @functools.cached_property
-    def _shown(self) -> dict[str, str]:
-        """Which meshes of each set this machine shows."""
+    def _shown_meshes(self) -> dict[str, str]:
         return describe_meshes(self._session)
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
@@ -189,17 +188,17 @@ class EpisodeVerifier(Closable):
 def reproduce_frames(
     simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float
 ) -> EpisodeComparison | None:
-    """Repeat an episode's actions in physics from its recorded start, and compare with the stored frames.
+    """Replay an episode's actions in physics from its recorded start, and compare with the stored frames.
 
     Args:
-        simulator: of the config that the episode was recorded with.
-        tolerance: see `dataset.compare`.
+        simulator: simulator of the config that the episode was recorded with.
+        tolerance: see `compare_frames`.
 
     Returns:
-        None if the episode holds no actions that physics can repeat.
+        The comparison; None if the episode has no actions that physics can replay.
 
     Raises:
-        DatasetError: the episode is of another scene.
+        DatasetError: the episode was recorded in another scene.
     """
     model = simulator.scene.model
     recorded = recorded_actions(frames, model.nq, model.nu)
@@ -210,9 +209,9 @@ def reproduce_frames(
     attempt = recorded_attempt(episode.record, start)
     rules = EXPERT_RULES if episode.record.source == "record" else REPLAY_RULES
     done = run_actions(simulator, attempt, actions, rules)
-    # Actions do not show which skills the expert tried again.
+    # Actions do not tell which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
-    # Earlier engines judged and measured otherwise; where things ended does not depend on that.
+    # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
     keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
@@ -221,13 +220,13 @@ def reproduce_frames(
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
-    """Repeat an episode's actions in physics; None if the episode holds no actions that physics can repeat.
+    """Replay an episode's actions in physics, and compare exactly with its frames. Result as in `reproduce_frames`.
 
     Args:
-        session: of the dataset's own config.
+        session: session of the dataset's own config.
 
     Raises:
-        DatasetError: a file is damaged, or the episode is of another scene.
+        DatasetError: a file is damaged, or the episode was recorded in another scene.
     """
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
@@ -235,12 +234,11 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
 
 
 def _engine(record: EpisodeRecord) -> str:
-    """The revision of the engine that made a recording."""
     return record.versions.get("engine", FIRST_ENGINE)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
-    """All frames of an episode; altered files are noted in `problems`, and read too."""
+    """Read all frames of an episode. Altered files are reported in `problems`, and read too."""
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_name(k))
@@ -251,7 +249,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
 
 
 def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
-    """An outcome's numbers and verdict, or the `keys` of them; without the text, which says the same."""
+    """Return the numbers and verdict of an outcome, restricted to `keys` if given. The redundant text is omitted."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
@@ -260,7 +258,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
-    """One comparison of both. Where only the number of frames differs, the outcome's difference stands first."""
+    """Merge two comparisons. If the frames differ only in number, a difference of `once` comes first."""
     first = frames.first_difference or once.first_difference
     if frames.first_difference and frames.first_difference.frame is None:
         first = once.first_difference or frames.first_difference
@@ -268,7 +266,7 @@ def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> Ep
 
 
 def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> EpisodeComparison:
-    """Compare recorded JPEGs with new ones; `largest` holds each camera's largest mean difference, 0 .. 255."""
+    """Compare recorded with rendered JPEGs. `largest` is camera -> largest mean difference, 0 to 255."""
     result = EpisodeComparison()
     record = episode.record
     for k in range(record.frames):
@@ -286,7 +284,6 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
 
 
 def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
-    """The first file of ground truth whose bytes differ; None if none does."""
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
         stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
@@ -295,7 +292,7 @@ def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> D
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:
-    """Mean difference of two JPEGs' pixels, 0 .. 255; None if one is damaged or has another size."""
+    """Return the mean pixel difference of two JPEGs, 0 to 255; None if one is damaged or the sizes differ."""
     one, other = decode_jpeg(stored), decode_jpeg(made)
     if one is None or other is None or one.shape != other.shape:
         return None
@@ -308,15 +305,16 @@ def verify(
     """Verify episodes of one dataset.
 
     Args:
-        episodes: number and directory of each.
-        session: of the dataset's own config; its meshes matter to images alone.
+        episodes: number and directory of each episode.
+        session: session of the dataset's own config. Its meshes affect only images.
+        progress: called with the number of verified episodes and of all episodes.
 
     Returns:
-        JSON-ready: episodes, agree, max_error, first_divergence, divergences, problems, checks, versions_changed,
-        skipped, tolerance, seconds.
+        JSON-ready report with episodes, agree, max_error, first_divergence, divergences, problems, checks,
+        versions_changed, tolerance, image_tolerance, seconds.
 
     Raises:
-        InterruptedJobError: stopped by the user.
+        InterruptedJobError: the user stopped the job.
     """
     began = time.monotonic()
     factory = functools.partial(EpisodeVerifier, session, tolerances)
@@ -347,7 +345,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
-        # Images are left out: their differences have another unit.
+        # Images are excluded because their differences have another unit.
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,
@@ -364,7 +362,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
 
 
 def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
-    """One check over all its episodes; None if no episode was checked or skipped, as when images are left out."""
+    """Summarize one check over all episodes; None if no episode was checked or skipped."""
     found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
     reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
     if not found and not reasons:
@@ -383,7 +381,6 @@ def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, A
 
 
 def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
-    """Versions that changed since the recording, each with its episodes."""
     concerned: dict[tuple[str, str, str], list[int]] = {}
     for verdict in verdicts:
         for name, (then, now) in verdict.changed.items():

@@ -1,6 +1,6 @@
-"""The dataset that an export reads, episode by episode: simulated episodes, or recordings of real arms.
+"""Source dataset of an export, read episode by episode: simulated episodes or real recordings.
 
-Frames of real recordings are the recorded ones, or at even times the nearest recorded ones.
+An export of a real recording has its recorded frames, or the recorded frames nearest to evenly spaced times.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 
-# Source of actions: commands, measurements one frame later, or none.
+# Source of actions: recorded commands, joints measured one frame later, or none.
 ActionSource = Literal["recorded", "measured", "none"]
 Frames = Sequence[Mapping[str, Any]]  # the frames of an episode, see `dataset.lowdim`
 
-_WHOLE_FPS = 0.01  # share by which a frame rate may differ from a whole number: clocks differ by less
-_UNEVEN = 0.1  # share of the period; larger differences of a pause, or of an episode's usual pause, are reported
-ROUNDING_S = 1e-9  # s, tolerance of times, so that the last frame counts
+_FPS_TOLERANCE = 0.01  # share by which a frame rate may differ from an integer to be rounded: clocks differ by less
+_MAX_UNEVENNESS = 0.1  # share of the period by which the time between frames may differ from the period
+ROUNDING_S = 1e-9  # s, tolerance for comparing times, so that the last frame counts
 
 
 @dataclass(frozen=True)
 class ExportSource(ABC):
-    """Episodes of one dataset, all with the same cameras.
+    """Selected episodes of one dataset, all with the same cameras.
 
     Attributes:
-        path: the dataset's directory.
-        directories: directories of the chosen episodes, in order.
-        first: the first of the episodes.
+        path: the dataset directory.
+        directories: directories of the selected episodes, in order.
+        first: the first selected episode.
         config: the dataset's config.
     """
 
@@ -63,7 +63,7 @@ class ExportSource(ABC):
 
     @abstractmethod
     def episodes(self) -> Iterator[RecordedEpisode]:
-        """The episodes, opened one after the other.
+        """Open and yield the episodes one by one.
 
         Raises:
             DatasetError: an episode is damaged, or differs from the first in its cameras, arms or rate.
@@ -76,17 +76,17 @@ class ExportSource(ABC):
 
     @property
     def cameras(self) -> dict[str, tuple[int, int]]:
-        """Camera -> width and height of its images, px."""
+        """Camera -> (width, height) of its images, px."""
         return self.first.record.cameras
 
     @property
     def prefixes(self) -> tuple[str, ...]:
-        """Prefix of the names of each arm's parts, in the order of recordings; empty for a lone arm."""
+        """Name prefix of each arm, in recording order; "" for a single arm."""
         return arm_prefixes(self.rig)
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Names of the drives in `joints`, in the order of recordings."""
+        """Names of the drives in `joints`, in recording order."""
         return drive_names(self.rig)
 
     @property
@@ -97,14 +97,14 @@ class ExportSource(ABC):
 
 @dataclass(frozen=True)
 class SimulatedSource(ExportSource):
-    """Simulated episodes of one dataset, all with the same cameras and the same frame period."""
+    """Simulated episodes of one dataset, all with the same cameras, frame period, objects and number of arms."""
 
     first: StoredEpisode
     config: RecordConfig
 
     @property
     def welds(self) -> tuple[str, ...]:
-        """Names of the welds in an action."""
+        """Names of the weld elements of an action."""
         return weld_names(self.config)
 
     def episodes(self) -> Iterator[StoredEpisode]:
@@ -117,32 +117,32 @@ class SimulatedSource(ExportSource):
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording with chosen frames, which may repeat.
+    """A real recording with a selection of its frames, which may repeat.
 
     Attributes:
-        chosen: number of the recorded frame for each frame.
+        chosen: for each frame, the number of the recorded frame.
     """
 
     record: RealEpisodeRecord
     chosen: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
-        """The low-dimensional data of the chosen frames; raises as `RecordedEpisode.frames`."""
+        """Read the low-dimensional data of the selected frames; raises as `RecordedEpisode.frames`."""
         recorded = {k: self.frame(k, self.read_verified(lowdim_name(k))) for k in dict.fromkeys(self.chosen)}
         return [recorded[k] for k in self.chosen]
 
     def image(self, camera: str, number: int) -> bytes:
-        """The recorded JPEG of a chosen frame; raises as `RecordedEpisode.image`."""
+        """Return the JPEG bytes of a selected frame; raises as `RecordedEpisode.image`."""
         return self.read_verified(image_name(camera, self.chosen[number]))
 
 
 @dataclass(frozen=True)
 class RealSource(ExportSource):
-    """Episodes of one dataset of real recordings, all with the same cameras and arms.
+    """Real recordings of one dataset, all with the same cameras and arms.
 
     Attributes:
         period: time from one exported frame to the next, s.
-        is_resampled: whether frames are the ones nearest to even times, instead of all recorded ones.
+        is_resampled: whether to export the frames nearest to evenly spaced times instead of all recorded frames.
     """
 
     config: RealConfig
@@ -156,7 +156,7 @@ class RealSource(ExportSource):
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Names of the drives in `joints`; without grippers if those were not recorded."""
+        """Names of the drives in `joints`, without grippers if these were not recorded."""
         rig, count = self.rig, self.first.record.drives
         named = zip(self.prefixes, rig.recording_order, strict=True)
         return tuple(prefix + name for prefix, k in named for name in rig.arms[k].robot.drives[:count])
@@ -167,7 +167,7 @@ class RealSource(ExportSource):
             episode = open_recorded(directory)
             _require_alike(episode, self.first, ("cameras", "arms", "drives"))
             usual = episode.record.frame_period_s
-            if not self.is_resampled and abs(usual / self.period - 1) > _UNEVEN:
+            if not self.is_resampled and abs(usual / self.period - 1) > _MAX_UNEVENNESS:
                 raise DatasetError(
                     f"{directory} has a frame every {1000 * usual:.1f} ms, and the chosen episodes usually every "
                     f"{1000 * self.period:.1f}: export it apart, see --episodes, or give --fps"
@@ -185,10 +185,10 @@ class RealSource(ExportSource):
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
-        """Each arm's joints or commands (n, arms, drives), from rows of them (n, arms * drives).
+        """Return joints or commands (n, arms, drives) from rows (n, arms * drives), with gripper shares.
 
-        Joints are in rad. Grippers, recorded as openings of one finger in m, become shares: 0 closed, 1 open. Shares
-        are not clipped.
+        Joints are in rad. Grippers are recorded as openings of one finger in m. The function converts these to shares,
+        0 closed to 1 open, without clipping.
         """
         record = self.first.record
         rows = np.array(values, dtype=np.float64).reshape(-1, record.arms, record.drives)
@@ -199,10 +199,11 @@ class RealSource(ExportSource):
         return rows
 
     def actions(self, episode: RealEpisode, frames: Frames, source: ActionSource) -> Array:
-        """Each arm's actions (n, arms, drives): joints in rad, grippers as shares.
+        """Return the actions (n, arms, drives): joints in rad, grippers as shares of the opening.
 
         Args:
-            source: `recorded` commands, or joints `measured` one frame later; the last frame repeats its own.
+            source: "recorded" for commands, or "measured" for joints one frame later. The last frame then uses its own
+                joints.
 
         Raises:
             DatasetError: commands are requested and were not recorded.
@@ -217,9 +218,9 @@ class RealSource(ExportSource):
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
     def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
-        """A line on an episode that was recorded at uneven times and is written at even ones; None for any other."""
+        """Return a line on an unevenly recorded episode that is exported at even times; None for any other episode."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
-        if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _UNEVEN:
+        if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _MAX_UNEVENNESS:
             return None
         return (
             f"{episode.directory.name}: its frames were recorded {1000 * pauses.min():.1f} to "
@@ -239,26 +240,26 @@ def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Seque
 
 
 def nearest_to_even(times: Array, period: float) -> tuple[int, ...]:
-    """The number of the frame nearest to each multiple of `period` (s), from the first frame to the last.
+    """Return the index of the frame nearest to each multiple of `period` (s), from the first to the last frame.
 
     Args:
-        times: of the frames (n,), s, increasing.
+        times: increasing times of the frames (n,), s.
     """
     since = times - times[0]
     even = np.arange(math.floor((since[-1] + ROUNDING_S) / period) + 1) * period
     middles = (since[1:] + since[:-1]) / 2
-    # In the middle between two frames, give or take rounding, the earlier frame is chosen.
+    # Halfway between two frames, up to rounding, select the earlier frame.
     return tuple(np.searchsorted(middles, even - ROUNDING_S).tolist())
 
 
 def open_source(dataset: Path, episodes: str | None, locations: Locations) -> SimulatedSource:
-    """The chosen episodes of a simulated dataset.
+    """Open selected episodes of a simulated dataset.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
 
     Raises:
-        DatasetError: there is no dataset, it is damaged, or holds real recordings.
+        DatasetError: `dataset` is no dataset, is damaged, or holds real recordings.
         UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
@@ -266,14 +267,14 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> Si
 
 
 def open_real_source(dataset: Path, episodes: str | None, locations: Locations, fps: float | None = None) -> RealSource:
-    """The chosen episodes of a dataset of real recordings.
+    """Open selected episodes of a dataset of real recordings.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
-        fps: frames per second at even times; None for the recorded frames, at their usual rate.
+        fps: frames per second of the export, at even times; None for all recorded frames at their usual rate.
 
     Raises:
-        DatasetError: there is no dataset, it is damaged, or was simulated.
+        DatasetError: `dataset` is no dataset, is damaged, or was simulated.
         UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
@@ -287,12 +288,12 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Frames per second, from each episode's frame period (s); a rate close to a whole number is rounded to it."""
+    """Return the median frame rate of episodes with these frame periods (s), rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
-    return float(whole) if abs(rate - whole) <= _WHOLE_FPS * rate else round(rate, 3)
+    return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)
 
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
-    """The cameras with depth images in an episode."""
+    """Return the cameras of an episode that have depth images."""
     return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)

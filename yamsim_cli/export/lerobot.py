@@ -28,9 +28,9 @@ from .lerobot_schema import LeRobotFeature, SeriesFile, TableSeries, episode_tab
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .output_directory import ExportResult, export_directory
 
-Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of an episode
+Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of one episode
 
-_APART = "unlike the first one: export them apart, see --episodes"
+_UNLIKE_FIRST = "unlike the first one: export them apart, see --episodes"
 
 
 def export_lerobot(
@@ -42,14 +42,16 @@ def export_lerobot(
     environment_state: bool = False,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
+    """Write a dataset as LeRobotDataset v3.0, with numbers in Parquet and images in H.264.
+
+    The time of frame k is exactly k periods.
 
     Args:
-        pictures: write videos of all cameras, and the cameras' matrices.
-        environment_state: write poses of things, see `core.dataset.environment_state`.
+        pictures: whether to write videos and camera matrices of all cameras.
+        environment_state: whether to write object poses, see `core.dataset.environment_state`.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged, or episodes have things with other joints.
+        DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
@@ -65,14 +67,15 @@ def export_real_lerobot(
     actions: ActionSource = "recorded",
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
+    """Write real recordings as LeRobotDataset v3.0. Features that were not recorded are omitted.
 
     Args:
-        pictures: write videos of all cameras, and the known matrices of cameras.
+        pictures: whether to write videos of all cameras and the known camera matrices.
+        actions: source of actions, see `RealSource.actions`; "none" omits them.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or an episode has
-            other features than the first.
+        DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or the features
+            of an episode differ from those of the first.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
@@ -93,11 +96,11 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
 
 
 class _Content(ABC):
-    """The features of an export, except images and those that the format itself adds.
+    """Features of an export, without images and without the index features of the format.
 
     Attributes:
         pictures: whether the export has videos.
-        about: the dataset's entries in the provenance file, complete after the last episode.
+        about: entries on the dataset in the provenance file, complete after the last episode.
         notes: lines for the user, complete after the last episode.
     """
 
@@ -108,11 +111,11 @@ class _Content(ABC):
 
     @abstractmethod
     def columns(self) -> dict[str, LeRobotFeature]:
-        """The features in the Parquet files."""
+        """Return the features in the Parquet files."""
 
     @abstractmethod
     def values(self, episode: Any, frames: Frames) -> Values:
-        """An episode's values by feature.
+        """Return the values of an episode by feature.
 
         Raises:
             DatasetError: the episode has other features than the first.
@@ -120,12 +123,10 @@ class _Content(ABC):
 
     @abstractmethod
     def origin(self, episode: Any) -> dict[str, Any]:
-        """An episode's entry in the provenance file."""
+        """Return the entry of an episode in the provenance file."""
 
 
 class _SimulatedContent(_Content):
-    """Joints, commands of drives and welds, and poses of things."""
-
     def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
         super().__init__(pictures, {})
         self._source = source
@@ -168,7 +169,7 @@ class _SimulatedContent(_Content):
 
 
 class _RealContent(_Content):
-    """Measurements, commands, recorded times, and known matrices of cameras.
+    """Features of real recordings: measurements, commands, recorded times, and known camera matrices.
 
     Grippers are shares of their opening, as in public datasets of real stations.
     """
@@ -206,7 +207,7 @@ class _RealContent(_Content):
         for key, cameras in (("intrinsics", self._intrinsics), ("extrinsics", self._extrinsics)):
             for camera in cameras:
                 if not all(camera in matrices for matrices in _column_values(episode, frames, key)):
-                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_APART}")
+                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_UNLIKE_FIRST}")
         values |= _matrices(self._intrinsics, self._extrinsics, frames)
         if (note := source.describe_uneven_times(episode, frames)) is not None:
             self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
@@ -217,14 +218,14 @@ class _RealContent(_Content):
 
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """A frame's state and action: its `state` and `action` if it has them, else its joints, and drives and welds."""
+    """Return the keys `state` and `action` of a frame if present, else its joints, and its commands with welds."""
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
 
 
 def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
-    """Matrices of cameras, row by row."""
+    """Return the camera matrices as rows, flattened in row-major order."""
     found = {
         schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
         for camera in intrinsics
@@ -236,25 +237,20 @@ def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Fram
 
 
 def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
-    """The value under a key of each frame.
-
-    Raises:
-        DatasetError: a frame has no such key.
-    """
     if not all(key in frame for frame in frames):
-        raise DatasetError(f"{episode.directory} has no {key}, {_APART}")
+        raise DatasetError(f"{episode.directory} has no {key}, {_UNLIKE_FIRST}")
     return [frame[key] for frame in frames]
 
 
 def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: float) -> tuple[float, Stats]:
-    """Write an episode's images of one camera to a file of its own; returns its length (s) and the statistics.
+    """Write the images of one episode and camera to a separate file. Return its duration (s) and the statistics.
 
-    lerobot's tools delete and split such episodes by copying files. Where several episodes share a file, the tools
-    encode the file anew at a whole number of frames per second (seen in 0.6.1), which shifts all frames in time.
+    With separate files, lerobot's tools delete and split episodes by copying files. If several episodes share a file,
+    the tools encode it again at an integer frame rate (seen in 0.6.1), which shifts all frames in time.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     counts = PixelCounts()
-    # lerobot's decoder, which uses a PyAV older than 17, ignores the tag for the colours' encoding and assumes BT.601.
+    # lerobot's decoder uses a PyAV older than 17, which ignores the tag for the colour matrix and assumes BT.601.
     with VideoWriter(path, period, key_frame_interval=schema.KEY_FRAME_INTERVAL, matrix=BT601) as video:
         for image in recorded_images(episode, (camera,)):
             video.write(image)
@@ -263,7 +259,7 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
 
 
 class _LeRobotWriter(Closable):
-    """Writes a dataset's episodes into a directory; leaving it closes all files.
+    """Writes the episodes of a dataset into a directory. A context manager that closes all files.
 
     Attributes:
         frames: number of frames written.
@@ -280,19 +276,13 @@ class _LeRobotWriter(Closable):
         self._open = contextlib.ExitStack()
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
-        # Decoding and encoding leave the interpreter free, so cameras are encoded in parallel.
+        # Decoding and encoding release the GIL, so cameras are encoded in parallel.
         self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
 
     def close(self) -> None:
-        """Close all files."""
         self._open.close()
 
     def add(self, episode: RecordedEpisode) -> None:
-        """Write one episode.
-
-        Raises:
-            DatasetError: the episode has other features than the first.
-        """
         number, period = len(self._provenance), self._source.frame_period
         video_place, encoding = SeriesFile(number), {}
         for camera in self._cameras:
@@ -331,7 +321,6 @@ class _LeRobotWriter(Closable):
         self._provenance.append({"episode_index": number} | origin)
 
     def _indices(self, frames: int, number: int, task: int) -> Values:
-        """Values of the features that every dataset of the format has."""
         return {
             "timestamp": np.arange(frames) * self._source.frame_period,
             "frame_index": np.arange(frames),
@@ -341,10 +330,10 @@ class _LeRobotWriter(Closable):
         }
 
     def write_meta(self) -> None:
-        """Write the files that describe the whole dataset, after all episodes."""
+        """Write the files that describe the whole dataset. Call this method after all episodes are added."""
         source = self._source
         write_tasks(self._root, list(self._tasks))
-        # A video's width and height are even.
+        # Width and height of a video are even.
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in self._cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
         robots = [source.rig.arms[k].model.name for k in source.rig.recording_order]
@@ -366,5 +355,4 @@ class _LeRobotWriter(Closable):
 
 
 def _plain_stats(stats: Stats) -> dict[str, NDArray[Any]]:
-    """Statistics with their count as a whole number."""
     return {name: value.astype(np.int64) if name == "count" else value for name, value in stats.items()}

@@ -1,6 +1,6 @@
-"""The files of LeRobotDataset v3.0: their places, features, `meta/info.json`, and tables in Parquet.
+"""Files of LeRobotDataset v3.0: paths, features, `meta/info.json`, and Parquet tables.
 
-Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
+Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`, where `CODEBASE_VERSION` is the format version.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from ..core.closable import Closable
 from ..core.images.video import ENCODER
 
 VERSION = "v3.0"
-CHUNK_FILES = 1000  # files in a chunk
-DATA_FILE_MB = 100  # size at which a new Parquet file begins
-VIDEO_FILE_MB = 200  # size up to which lerobot's tools join videos; this export writes one video for each episode
-KEY_FRAME_INTERVAL = 2  # frames; training reads single frames at random. Source: lerobot's own encoding
+CHUNK_FILES = 1000
+DATA_FILE_MB = 100  # MB, size at which a new Parquet file begins
+VIDEO_FILE_MB = 200  # MB, size up to which lerobot's tools join videos; this export writes one video per episode
+KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads single frames at random
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# Not part of the format: the recorded episode of each exported one, and its seed for simulating it again.
+# Not part of the format: the source episode of each exported episode, and its seed for simulating it again.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -35,26 +35,26 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# lerobot gives this key to policies in place of pictures.
+# lerobot gives this key to policies instead of images.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
-# Of real recordings: measured velocities of the joints, rad/s, and recorded times of the frames, s. Other programs
-# ignore both, since their names begin neither with `observation` nor with `action`.
+# Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
+# because their names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
-_TWO = "bi_"  # prefix of a robot's type for two arms, as in lerobot's own names
+_BIMANUAL_PREFIX = "bi_"  # prefix of the robot type of two arms, as in lerobot's own names
 
 
 @dataclass(frozen=True)
 class SeriesFile:
-    """A file of a series, by its number."""
+    """A file in a series of numbered files."""
 
     number: int
 
     @property
     def chunk(self) -> int:
-        """Number of the file's chunk."""
+        """Number of the chunk that contains the file."""
         return self.number // CHUNK_FILES
 
     @property
@@ -63,20 +63,20 @@ class SeriesFile:
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """The relative path by one of the patterns above."""
+        """Return the path relative to the dataset, from a pattern such as `DATA`."""
         return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
 
 
 @dataclass(frozen=True)
 class LeRobotFeature:
-    """A column: dtype and shape of a frame's value, (1,) or a row, and the names of the row's elements."""
+    """A column: dtype and shape of the value of one frame, and the names of its elements."""
 
     dtype: str
     shape: tuple[int, ...]
     names: tuple[str, ...] | None = None
 
     def to_json_data(self) -> dict[str, Any]:
-        """The feature's entry in `info.json`."""
+        """Return the entry of the feature in `info.json`."""
         return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
 
 
@@ -91,36 +91,36 @@ INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
 
 
 def _matrix(letter: str, size: int) -> LeRobotFeature:
-    """The feature of a square matrix, row by row, with elements named by row and column from 0, such as `K02`.
+    """Return the feature of a square matrix in row-major order, with element names such as `K02` (row 0, column 2).
 
-    The feature is flat, since lerobot's tools for editing datasets cannot write arrays of two dimensions.
+    The feature is flat because lerobot's tools for editing datasets cannot write two-dimensional arrays.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
     return LeRobotFeature("float32", (len(names),), names)
 
 
 def image_key(camera: str) -> str:
-    """Key of a camera's images."""
+    """Return the key of a camera's images."""
     return f"observation.images.{camera}"
 
 
 def intrinsics_key(camera: str) -> str:
-    """Key of a camera's matrix K."""
+    """Return the key of a camera's matrix K."""
     return f"camera.intrinsics.{camera}"
 
 
 def extrinsics_key(camera: str) -> str:
-    """Key of a camera's pose in the robot's base; with two arms, in the left arm's base."""
+    """Return the key of a camera's pose in the robot base; with two arms, in the left arm's base."""
     return f"camera.extrinsics.{camera}"
 
 
 def row_feature(names: Sequence[str]) -> LeRobotFeature:
-    """The feature of a row of numbers with names."""
+    """Return the feature of a row of named numbers."""
     return LeRobotFeature("float32", (len(names),), tuple(names))
 
 
 def matrix_features(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, LeRobotFeature]:
-    """The features of cameras with a known K, and of cameras with a known pose."""
+    """Return the features of cameras with a known K, `intrinsics`, and of cameras with a known pose, `extrinsics`."""
     features = {}
     for camera in dict.fromkeys((*intrinsics, *extrinsics)):
         if camera in intrinsics:
@@ -140,17 +140,15 @@ def info_json(
     frames: int,
     tasks: int,
 ) -> dict[str, Any]:
-    """The content of `meta/info.json`.
+    """Return the content of `meta/info.json`.
 
     Args:
-        cameras: camera -> width and height (px) of its images in the videos.
-        robots: the model of each arm.
-        features: of the Parquet files.
+        cameras: camera -> (width, height) of its video, px.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
-        "robot_type": robots[0] if len(robots) == 1 else _TWO + "_".join(dict.fromkeys(robots)),
+        "robot_type": robots[0] if len(robots) == 1 else _BIMANUAL_PREFIX + "_".join(dict.fromkeys(robots)),
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
@@ -176,7 +174,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "video.fps": int(fps) if fps == int(fps) else fps,
         "video.channels": 3,
         "has_audio": False,
-        # lerobot uses these when encoding a video again.
+        # lerobot uses these entries to encode a video again.
         "video.g": KEY_FRAME_INTERVAL,
         "video.crf": int(ENCODER["crf"]),
         "video.preset": ENCODER["preset"],
@@ -194,11 +192,10 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
 class TableSeries(Closable):
     """Writes tables with the same columns to a series of Parquet files.
 
-    Use it as a context manager: leaving it writes the last file's footer.
+    A context manager: the end of the block writes the footer of the last file.
 
     Args:
-        root: the dataset's directory.
-        pattern: the pattern of the files' paths.
+        pattern: pattern of the file paths below `root`, such as `DATA`.
         limit_mb: size at which a file is closed, MB.
     """
 
@@ -209,14 +206,14 @@ class TableSeries(Closable):
         self._path = root
 
     def next_place(self) -> SeriesFile:
-        """The file for the next table."""
+        """Return the file for the next table."""
         if self._writer is not None and self._path.stat().st_size >= self._limit:
             self.close()
             self._place = SeriesFile(self._place.number + 1)
         return self._place
 
     def write(self, table: Any) -> None:
-        """Add a table."""
+        """Append a table."""
         import pyarrow.parquet
 
         place = self.next_place()
@@ -227,14 +224,14 @@ class TableSeries(Closable):
         self._writer.write_table(table)
 
     def close(self) -> None:
-        """Write the last file's footer."""
+        """Write the footer of the last file."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
 
 def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDArray[Any]]) -> Any:
-    """A table of an episode's frames, from values (frames, ...) by feature."""
+    """Return the table of an episode's frames, from values (frames, ...) by feature."""
     import pyarrow
 
     def array(key: str, feature: LeRobotFeature) -> Any:
@@ -246,7 +243,7 @@ def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDA
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
-    """A table of one episode's row in `meta/episodes`: numbers, a list of texts, and statistics as arrays."""
+    """Return one row of `meta/episodes` as a table, with arrays converted to lists."""
     import pyarrow
 
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}
@@ -254,7 +251,7 @@ def episode_table(row: Mapping[str, Any]) -> Any:
 
 
 def write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    """Write `meta/tasks.parquet`: the tasks' numbers, with the texts as pandas' index."""
+    """Write `meta/tasks.parquet`: the task numbers, with the task texts as pandas index."""
     import pyarrow
     import pyarrow.parquet
 

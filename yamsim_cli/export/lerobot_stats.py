@@ -1,4 +1,4 @@
-"""Statistics of features for each episode, and for the whole dataset in bounded memory."""
+"""Feature statistics for each episode, and for the whole dataset in bounded memory."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..core.images.image import Image
 
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-_LEVELS = 256
-_STRIDE = 4  # pixels between those that count, in both directions: means and quantiles hardly change
+_LEVELS = 256  # intensity levels of an 8-bit channel
+_STRIDE = 4  # pixels between counted pixels, in both directions: means and quantiles hardly change
 
 Stats = dict[str, Array]
 
 
 def column_stats(values: ArrayLike) -> Stats:
-    """Statistics of values (frames, ...) over the frames; `count` (1,) is the number of frames."""
+    """Return statistics of values (frames, ...) over the frames. `count` (1,) is the number of frames."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 1:
         array = array[:, None]
@@ -29,21 +29,21 @@ def column_stats(values: ArrayLike) -> Stats:
 
 
 class PixelCounts:
-    """Counts of each level in each channel of images, from which all statistics follow exactly."""
+    """Histogram of the intensity levels of each image channel, from which all statistics follow exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((3, _LEVELS), np.int64)
         self._images = 0
 
     def add(self, image: Image) -> None:
-        """Count an RGB image (height, width, 3)."""
+        """Add an RGB image (height, width, 3)."""
         pixels = image[::_STRIDE, ::_STRIDE]
         for channel in range(3):
             self._counts[channel] += np.bincount(pixels[..., channel].ravel(), minlength=_LEVELS)
         self._images += 1
 
     def stats(self) -> Stats:
-        """Statistics of the channels, in 0..1, each (3, 1, 1); `count` is the number of images."""
+        """Return statistics of the channels scaled to 0..1, each (3, 1, 1). `count` (1,) is the number of images."""
         total = self._counts.sum(1)
         levels = np.arange(_LEVELS) / (_LEVELS - 1)
         mean = self._counts @ levels / total
@@ -55,7 +55,7 @@ class PixelCounts:
         }
 
     def _level(self, part: float) -> Array:
-        """The lowest level (3,), in 0..1, at or below which lie a share `part` of the pixels and at least one."""
+        """Return the quantile `part` of each channel (3,), in 0..1: the lowest level with enough pixels at or below."""
         below = np.cumsum(self._counts, axis=1)
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))
         found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
@@ -63,21 +63,21 @@ class PixelCounts:
 
 
 class RunningStats:
-    """Statistics of many episodes together: exact, except for quantiles, which are means weighted by frames.
+    """Statistics over many episodes: exact, except that quantiles are means weighted by `count`.
 
-    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`, which gives the same numbers.
+    Source: `aggregate_feature_stats` of lerobot 0.4.4 and 0.6.1, which gives the same numbers.
     """
 
     def __init__(self) -> None:
         self._features: dict[str, Stats] = {}
 
     def add(self, episode: Mapping[str, Stats]) -> None:
-        """Add an episode's statistics, by feature."""
+        """Add the statistics of an episode, by feature."""
         for key, stats in episode.items():
             self._features[key] = _combined(self._features[key], stats) if key in self._features else dict(stats)
 
     def stats(self) -> dict[str, Stats]:
-        """Feature -> statistics of all episodes."""
+        """Return feature -> statistics of all episodes."""
         return self._features
 
 

@@ -1,4 +1,4 @@
-"""The directory that an export writes; it does not appear until it is whole."""
+"""Output directory of an export, which becomes visible only when complete."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..core.files.writing import StagedDirectory, staged_directory
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What an export wrote.
+    """Result of an export.
 
     Attributes:
-        path: the directory or file.
-        episodes, frames: their numbers.
-        moved_aside: new path of what was at `path` before; None if nothing was.
+        path: the output directory or file.
+        episodes, frames: numbers of exported episodes and frames.
+        moved_aside: path of the backup of an earlier output at `path`; None if there was none.
         notes: lines for the user on where the export differs from the recording.
     """
 
@@ -32,15 +32,16 @@ class ExportResult:
 
 @contextmanager
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
-    """A directory to fill in the block. It appears as `final` when the block ends without an error.
+    """Yield a staging directory to fill in the block. If the block succeeds, the directory is renamed to `final`.
 
     Args:
-        overwrite: move what is at `final` aside, once the new directory is whole, instead of refusing to start.
+        overwrite: whether to rename an existing `final` to a backup, once the new directory is complete. If False, an
+            existing `final` that is not an empty directory is an error.
 
     Raises:
-        UsageError: `final` is in use, or has no parent.
-        PartialJobError: the disk refused something; nothing of the export is left.
-        InterruptedJobError: stopped by the user; nothing of the export is left.
+        UsageError: `final` is in use, or its parent directory does not exist.
+        PartialJobError: a write failed. No part of the export is left.
+        InterruptedJobError: the user stopped the job. No part of the export is left.
     """
     require_parent(final)
     if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):
@@ -56,10 +57,6 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
 
 
 def require_parent(out: Path) -> None:
-    """Refuse a path without a parent directory, before the work begins.
-
-    Raises:
-        UsageError: there is no such directory.
-    """
+    """Raise UsageError if the parent directory of `out` does not exist."""
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")

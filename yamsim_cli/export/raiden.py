@@ -1,4 +1,4 @@
-"""Export to the converted layout of the real stack, for programs that read real recordings; see `raiden_schema`."""
+"""Export to raiden's converted layout, for programs that read recordings of the real arms; see `raiden_schema`."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
-_CONTROL = {"record": "plan"}  # source of a simulated episode -> how the arm was driven, if named otherwise
-_REAL_CONTROL = "unknown"  # real recordings do not say how the arm was driven
+_CONTROL_BY_SOURCE = {"record": "plan"}  # episode source -> control entry in the metadata, if it has another name
+_REAL_CONTROL = "unknown"  # real recordings do not say how the arm was controlled
 
-Job = tuple[Path, Path]  # an episode's directory, and the directory to export it to
+Job = tuple[Path, Path]  # episode directory, and directory to export it to
 
 
 def export_raiden(
@@ -43,21 +43,21 @@ def export_raiden(
     workers: int = 1,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a simulated dataset in the real stack's layout.
+    """Write a simulated dataset in raiden's layout.
 
-    The global frame is the base of the left arm. A lone arm is the left one; the right arm then stands still with all
-    joints 0, unless `options.single` leaves it out. Grippers are shares of the opening, 0 closed to 1 open, as the real
-    arm's drive reports them.
+    The global frame is the base of the left arm. A single arm is exported as the left arm. The right arm then rests
+    with all joints 0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as
+    the drive of the real arm reports them.
 
     Args:
-        locations: of the meshes that are rendered.
+        locations: locations of the robot models and of the meshes to render.
         workers: number of processes that render.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged, or physics no longer leads to the recorded states.
-        ResourceError: nothing can render here.
+        DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
+        ResourceError: no renderer is available.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also for two arms with
-            `options.single`.
+            `options.single`, or if the layout cannot represent an arm.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -76,7 +76,7 @@ def export_raiden(
                 data,
                 options,
                 framerate=1 / record.frame_period_s if options.fps is None else options.fps,
-                control=_CONTROL.get(record.source, record.source),
+                control=_CONTROL_BY_SOURCE.get(record.source, record.source),
                 pictures=made.pictures,
                 depth=bool(depth_cameras(episode)),
             )
@@ -91,7 +91,6 @@ def export_raiden(
 
 
 def _as_recorded(source: SimulatedSource) -> RecordConfig:
-    """The dataset's config, with the size of the recorded pictures."""
     sizes = set(source.cameras.values())
     if len(sizes) > 1:
         raise DatasetError(
@@ -104,11 +103,7 @@ def _as_recorded(source: SimulatedSource) -> RecordConfig:
 def _convert_all(
     factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Each episode's folder and content, in the order in which the episodes are done.
-
-    Args:
-        workers: number of processes; 0 for this process.
-    """
+    """Yield the folder and content of each episode in order of completion. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
         executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
@@ -131,18 +126,19 @@ def export_real_raiden(
     *,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write real recordings in the real stack's layout. Each frame is the recorded one nearest to its time.
+    """Write real recordings in raiden's layout. Each frame is the recorded frame nearest to its time.
 
-    Poses of hands follow from the joints by the kinematics that `options` names. Only known matrices of cameras are
-    written, the arrays of a lone arm hold that arm alone, and there is no calibration.
+    Hand poses are computed from the joints with the kinematics in `options`. Only known camera matrices are written.
+    The arrays of a single arm hold only that arm. No calibration file is written.
 
     Args:
-        source: at the rate of `options`.
+        source: the selected episodes, opened with the rate of `options`.
+        actions: source of actions, see `RealSource.actions`.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged; there are no pictures, beside which the layout keeps times;
-            or the requested commands were not recorded.
-        UsageError: the layout has no place for such an arm, or for frames without actions.
+        DatasetError: a file is missing, altered or damaged; the dataset has no images, beside which the layout stores
+            times; or the requested commands were not recorded.
+        UsageError: the layout cannot represent the arm, or frames without actions.
         PartialJobError, InterruptedJobError: see `export_directory`.
     """
     if actions == "none":
@@ -185,7 +181,6 @@ def export_real_raiden(
 def _converted(
     source: RealSource, converter: FrameConverter, episode: RealEpisode, recorded: Frames, actions: ActionSource
 ) -> list[dict[str, Any]]:
-    """An episode's frames in raiden's layout, without unknown matrices of cameras."""
     if source.first.record.drives != source.rig.drives:
         raise DatasetError(
             f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
@@ -212,15 +207,10 @@ def _metadata(
     pictures: Mapping[str, Any],
     depth: bool = False,
 ) -> dict[str, Any]:
-    """The content of `metadata.json`.
+    """Return the content of `metadata.json`.
 
     Args:
         names: camera -> its name in raiden's layout.
-        data: the episode's converted frames.
-        framerate: frames per second.
-        control: how the arm was driven.
-        pictures: source of the pictures.
-        depth: whether there are depth images.
     """
     sizes = {names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
     one_size = len({tuple(size) for size in sizes.values()}) == 1
@@ -249,7 +239,6 @@ def _metadata(
 
 
 def _write_episode(folder: Path, times: Sequence[float], data: Frames, metadata: Mapping[str, Any]) -> None:
-    """Write an episode's frames, capture times (s) and metadata, beside its pictures."""
     stream = io.BytesIO()
     np.save(stream, np.array([round(time * 1e9) for time in times], dtype=schema.TIMESTAMP_DTYPE))
     for camera in metadata["cameras"]:

@@ -1,4 +1,4 @@
-"""Makes one episode's frames and pictures for raiden's layout, as they were recorded or at another rate."""
+"""Convert frames and images of one episode for raiden's layout, as recorded or at another frame rate."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .export_source import depth_cameras
 from .raiden_schema import RaidenOptions
 from .resample import ResampledEpisode, nearest_frames, resample_episode
 
-# Largest mean difference, of 255, between a picture rendered anew and the recorded one. OpenGL of another machine stays
-# below; missing meshes, or another version's appearance, exceed it.
-_MOST_DIFFERENCE = 3.0
+# 0 to 255, largest mean difference between a newly rendered image and the recorded one. OpenGL of another machine stays
+# below this limit. Missing meshes, or the appearance of another version, exceed it.
+_MAX_DIFFERENCE = 3.0
 
 
 @dataclass(frozen=True)
 class ConvertedEpisode:
-    """An episode's frames, whose pictures are written already.
+    """Frames of an episode whose images are already written.
 
     Attributes:
-        times: of the frames, s.
-        frames: in the form of recorded ones.
-        pictures: the metadata's entry on the pictures.
+        times: times of the frames, s.
+        frames: low-dimensional data, with the keys of recorded frames.
+        pictures: metadata entry on the images.
     """
 
     times: Sequence[float]
@@ -50,10 +50,10 @@ class ConvertedEpisode:
 
 
 class EpisodeConverter(Closable):
-    """Makes episodes of one dataset, and owns a renderer if it renders.
+    """Converts episodes of one dataset, and owns a renderer if it renders.
 
     Args:
-        session: of the dataset's config, with the size of rendered pictures; its meshes are needed only for rendering.
+        session: session of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
         names: camera -> its name in raiden's layout.
     """
 
@@ -65,15 +65,15 @@ class EpisodeConverter(Closable):
         self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
-        """Make an episode and write its pictures.
+        """Convert an episode and write its images.
 
         Args:
-            job: the episode's directory, and the folder to write into.
+            job: the episode directory, and the folder to write to.
 
         Raises:
-            DatasetError: the episode is damaged, or cannot be resampled; see `resample`.
-            ResourceError: nothing can render here.
-            PartialJobError: the disk refused something.
+            DatasetError: the episode is damaged, or cannot be resampled; see `resample_episode`.
+            ResourceError: no renderer is available.
+            PartialJobError: a write failed.
         """
         directory, folder = job
         try:
@@ -127,10 +127,10 @@ class EpisodeConverter(Closable):
         difference = np.inf
         if rendered.shape == recorded.shape:
             difference = float(np.abs(rendered.astype(np.int16) - recorded).mean())
-        if difference > _MOST_DIFFERENCE:
+        if difference > _MAX_DIFFERENCE:
             raise DatasetError(
                 f"{episode.directory}: {camera} rendered anew is not what was recorded ({difference:.1f} of 255 off in "
-                f"the mean, at most {_MOST_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are missing, or take "
+                f"the mean, at most {_MAX_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are missing, or take "
                 "the recorded pictures with --pictures nearest"
             )
 
@@ -143,14 +143,14 @@ class EpisodeConverter(Closable):
 def copy_images(
     episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
 ) -> None:
-    """Copy recorded pictures: JPEGs byte for byte, or PNGs of their pixels.
+    """Copy recorded images: JPEGs byte for byte, or their pixels as PNGs.
 
     Args:
         names: camera -> its name in raiden's layout.
         frames: numbers of the recorded frames, which may repeat.
 
     Raises:
-        DatasetError: a picture is missing, altered or damaged.
+        DatasetError: an image is missing, altered or damaged.
     """
     for camera, name in names.items():
         before, data = -1, b""
@@ -176,7 +176,6 @@ def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> 
 
 
 def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    """The bytes of a depth image's file, whose content is checked."""
     name = depth_name(camera, number)
     data = episode.read_verified(name)
     width, height = episode.record.cameras[camera]

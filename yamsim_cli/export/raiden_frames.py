@@ -1,7 +1,7 @@
-"""Frames and the calibration file of raiden's layout: joints, hands and cameras, with the left arm first.
+"""Frames and calibration file of raiden's layout: joints, hands and cameras, with the left arm first.
 
-raiden reads a wrist camera's `hand_eye_calibration`, and any other camera's `extrinsics`. The lab's fork reads the
-`extrinsics` of all cameras, so a wrist camera has both. Neither reads `type`.
+raiden reads the `hand_eye_calibration` of wrist cameras and the `extrinsics` of other cameras. The lab's fork reads the
+`extrinsics` of all cameras, so a wrist camera has both. Neither program reads `type`.
 
 Source: TRI-ML/raiden 2353b10, `converter.py` and `server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`,
 `exo_calibrate.py`, `wrist_verify_rerun.py`.
@@ -28,45 +28,45 @@ from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
 _SIDES = ("left", "right")
-# Wrist cameras in raiden's layout, in the order of `_SIDES`. A lone arm is the left one.
+# Wrist cameras in raiden's layout, in the order of `_SIDES`. A single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
-_MODELS = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file in the robot model's folder
+_KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file in the robot model's folder
 _DESCRIPTIONS = {
     "yamsim": "site grasp_site of the simulated arm: where the pictures show the hand",
     "i2rt": "site grasp_site of i2rt 7b6d501, yam with linear_4310: what raiden's kinematics make of the joints",
 }
 
 _ZERO_TIME = "1970-01-01T00:00:00.000000"
-# A real right wrist camera hangs upside down. raiden's code turns its pictures and its hand-eye pose by half a turn, so
-# that the file must hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
-_UPSIDE_DOWN = _WRIST_CAMERAS[1]
+# The real right wrist camera is mounted upside down. raiden's code turns its images and its hand-eye pose by 180
+# degrees, so the file must hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
+_UPSIDE_DOWN_CAMERA = _WRIST_CAMERAS[1]
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
-    """The metadata's entry on the hand frame."""
+    """Return the metadata entry on the hand frame."""
     return {"name": name, "description": _DESCRIPTIONS[name]}
 
 
 def camera_names(source: SimulatedSource) -> dict[str, str]:
-    """Camera -> its name in raiden's layout."""
+    """Return camera -> its name in raiden's layout."""
     wrists = _wrist_arms(source)
     return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
 
 
 def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
-    """Wrist camera -> the place of its arm in recordings."""
+    """Return wrist camera -> index of its arm in recording order."""
     config = source.config
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
 
 
 class _ArmConverter:
-    """Converts an arm's recorded joints (7,), six in rad and one finger's opening in m, to the real stack's values.
+    """Converts recorded joints (7,) of an arm, six in rad and one finger opening in m, to values of raiden's layout.
 
     Raises:
-        UsageError: the layout has no place for such an arm, or `--hand-frame` none for its hand.
+        UsageError: the layout cannot represent the arm, or `--hand-frame` has no kinematics for it.
     """
 
     def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrameName) -> None:
@@ -77,13 +77,13 @@ class _ArmConverter:
                 f"raiden's layout is of arms with {schema.JOINTS} joints and a gripper, and {arm.name} ({robot.model}) "
                 f"has {robot.dof} and {hand}: export it as lerobot or rerun"
             )
-        if frame in _MODELS:
+        if frame in _KINEMATICS_FILES:
             try:
-                file = locations.file(f"robot_models/{robot.model}/{_MODELS[frame]}")
+                file = locations.file(f"robot_models/{robot.model}/{_KINEMATICS_FILES[frame]}")
             except ResourceError:
                 raise UsageError(
-                    f"--hand-frame: {robot.model} has no {_MODELS[frame]} in its folder of robot_models/, where that "
-                    "hand would be: take --hand-frame yamsim"
+                    f"--hand-frame: {robot.model} has no {_KINEMATICS_FILES[frame]} in its folder of robot_models/, "
+                    "where that hand would be: take --hand-frame yamsim"
                 ) from None
             self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
         else:
@@ -91,18 +91,17 @@ class _ArmConverter:
         self._opening = robot.fingers.range[1]
 
     def with_share(self, joints: ArrayLike) -> Array:
-        """Six joints, and the gripper as a share of its opening, (7,)."""
+        """Return six joints in rad, and the gripper as a share of its opening, clipped to 0..1, (7,)."""
         values = np.array(joints, dtype=np.float64)
         values[schema.JOINTS] = np.clip(values[schema.JOINTS] / self._opening, 0.0, 1.0)
         return values
 
     def hand(self, joints: Array) -> Array:
-        """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
+        """Return hand position, row-major rotation matrix and gripper share (13,), in this arm's base."""
         T = self.T_hand_in_base(joints)
         return np.concatenate([T[:3, 3], T[:3, :3].ravel(), joints[schema.JOINTS :]])
 
     def T_hand_in_base(self, joints: ArrayLike) -> Array:
-        """The hand's pose (4, 4) in this arm's base."""
         return self._kinematics.T_grasp_in_base(np.asarray(joints)[: schema.JOINTS])
 
 
@@ -116,7 +115,7 @@ class FrameConverter:
         single: whether arrays hold one arm instead of two.
 
     Raises:
-        UsageError: two arms are to be written as one, or the layout has no place for an arm.
+        UsageError: `single` is given for two arms, or the layout cannot represent an arm.
     """
 
     def __init__(
@@ -132,23 +131,23 @@ class FrameConverter:
         if single and len(arms) > 1:
             raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
         self.names = names
-        # A lone arm's model also serves for the other arm, which was not recorded.
+        # The model of a single arm is also used for the other arm, which was not recorded.
         pair = (arms[0], arms[-1])[: 1 if single else 2]
         self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
 
     def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
-        """A simulated frame in raiden's layout."""
+        """Convert a simulated frame to raiden's layout."""
         data = self.converted(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
         if BETWEEN_BASES in frame:
             data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
         return data
 
     def converted(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
-        """A frame in raiden's layout, without the pose of the right base.
+        """Convert a frame to raiden's layout, without the pose of the right base.
 
         Args:
-            frame: its texts, and the known matrices of cameras.
-            joints, command: each arm's, six in rad and the gripper's share (7,).
+            frame: supplies the texts and the known camera matrices.
+            joints, command: for each arm, six joints in rad and the gripper share (7,).
         """
         return {
             **{
@@ -159,17 +158,17 @@ class FrameConverter:
             "action": _f32(self._hands(command)),
             "actual_poses": _f32(self._hands(joints)),
             "action_joints": _f32(command),
-            # Arrays of no dimensions, as raiden's `converter.py` writes them.
+            # Zero-dimensional arrays, as raiden's `converter.py` writes them.
             "language_task": np.array(frame["language_task"], dtype=object),
             "language_prompt": np.array(frame["language_prompt"], dtype=object),
         }
 
     def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
-        """The pose (4, 4) of an arm's hand in its own base, from all joints of a converted frame."""
+        """Return the hand pose (4, 4) of an arm in its own base, from the joints of a converted frame."""
         return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
 
     def _with_shares(self, joints: ArrayLike) -> list[Array]:
-        """Each arm's converted joints (7,), from recorded ones (7,) or (14,)."""
+        """Return the converted joints (7,) of each arm, from recorded ones (7,) or (14,). A missing arm is zero."""
         rows = np.zeros((len(self._arms), schema.ARM))
         recorded = np.reshape(joints, (-1, schema.ARM))
         rows[: len(recorded)] = recorded
@@ -186,11 +185,11 @@ def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
 def calibration_json(
     source: SimulatedSource, converter: FrameConverter, options: RaidenOptions, frames: Frames
 ) -> dict[str, Any]:
-    """The content of `calibration_results.json`.
+    """Return the content of `calibration_results.json`.
 
     Args:
-        frames: converted frames of one episode. A wrist camera's position is their mean: by other kinematics than the
-            simulated arm's, the hand-eye pose differs slightly from frame to frame.
+        frames: converted frames of one episode. The position of a wrist camera is the mean over these frames. With
+            kinematics other than the simulated arm's, the hand-eye pose differs slightly between frames.
     """
     T = frames[0].get(schema.BETWEEN_ARMS)
     T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)
@@ -250,7 +249,7 @@ def _wrist_camera(
         for frame in frames
     ]
     T = pose(np.mean([T[:3, 3] for T in in_hand], axis=0), in_hand[0][:3, :3])
-    upside_down = name == _UPSIDE_DOWN
+    upside_down = name == _UPSIDE_DOWN_CAMERA
     hand_eye = _transform(T @ _HALF_TURN if upside_down else T)
     return {
         "type": "hand_eye",

@@ -1,7 +1,7 @@
-"""The converted layout of the real stack: its files, keys and sizes, and the options of an export to it.
+"""Raiden's converted layout: files, keys and sizes, and the options of an export.
 
-Source: TRI-ML/raiden 2353b10: what `converter.py` writes, and what `shardify.py`, `visualizer.py`, `replay.py` and
-`server.py` read. Where raiden's documentation differs, such as on pictures, the code decides.
+Source: TRI-ML/raiden 2353b10, output of `converter.py` and input of `shardify.py`, `visualizer.py`, `replay.py` and
+`server.py`. This module follows raiden's code where its documentation differs, for example on images.
 """
 
 from __future__ import annotations
@@ -10,22 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-# "draw" renders a picture at each frame's time; "nearest" takes the recorded picture nearest in time.
+# "draw" renders an image at the time of each frame. "nearest" takes the recorded image nearest in time.
 PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
-HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for poses of hands, see `raiden_frames.hand_frame`
+HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
 
-FPS = 30.0  # frames per second: `rd replay` plays at this rate, and `rd shardify` counts windows in its frames
+FPS = 30.0  # frames per second at which `rd replay` plays, and in whose frames `rd shardify` counts windows
 
-# Numbers of an arm in the layout: joints, and joints with the gripper.
-JOINTS = 6
-ARM = JOINTS + 1
+JOINTS = 6  # joint values per arm in the layout
+ARM = JOINTS + 1  # values per arm, with the gripper
 
-# Key of the right base's pose in the left base: it maps points from the right base to the left one.
-BETWEEN_ARMS = "T_left_from_right"
+BETWEEN_ARMS = "T_left_from_right"  # key of the pose of the right base in the left base
 
-TIMESTAMP_DTYPE = "int64"  # of capture times, ns
-DEPTH_DTYPE = "uint16"  # of depth images, mm
+TIMESTAMP_DTYPE = "int64"  # dtype of capture times, ns
+DEPTH_DTYPE = "uint16"  # dtype of depth images, mm
 DEPTH_KEY = "depth"
 
 # Files of the dataset, of an episode, and of an episode's camera.
@@ -38,14 +36,14 @@ TIMESTAMPS_FILE = "timestamps.npy"
 
 @dataclass(frozen=True)
 class RaidenOptions:
-    """The options of an export.
+    """Options of an export.
 
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
-        pictures: their source, if `fps` is given.
-        images: format of the pictures.
-        single: whether arrays hold a lone arm without a right arm that stands still.
-        hand_frame: the kinematics for `action` and `actual_poses`.
+        pictures: source of the images; ignored if `fps` is None.
+        images: file format of the images.
+        single: whether the arrays of a single arm omit the right arm.
+        hand_frame: kinematics for `action` and `actual_poses`.
     """
 
     fps: float | None = FPS
@@ -56,20 +54,20 @@ class RaidenOptions:
 
     @property
     def renders(self) -> bool:
-        """Whether the export renders pictures."""
+        """Whether the export renders images."""
         return self.fps is not None and self.pictures == "draw"
 
 
 def episode_name(number: int) -> str:
-    """Name of an episode's directory."""
+    """Return the directory name of an episode."""
     return f"{number:04d}"
 
 
 def frame_name(frame: int, extension: str) -> str:
-    """Name of a frame's file."""
+    """Return the file name of a frame."""
     return f"{frame:010d}.{extension}"
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """The metadata's entry on pictures of the nearest recorded frames, recorded every `period` s."""
+    """Return the metadata entry on images taken from the recorded `frames`, which were recorded every `period` s."""
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

@@ -1,4 +1,4 @@
-"""Frames of an episode at another rate, from simulating its control ticks again."""
+"""Resample an episode to another frame rate by simulating its control ticks again."""
 
 from __future__ import annotations
 
@@ -23,20 +23,19 @@ from ..core.scene.compiled import CompiledScene
 from .export_source import ROUNDING_S
 from .state_sampler import StateSampler
 
-_MOST_DEVIATION = (
-    1e-4  # m or rad, of repeated physics from the recorded states; rounding of other machines adds up to it
-)
+# m or rad, largest deviation of replayed physics from recorded states. Rounding on other machines adds up to this.
+_MAX_DEVIATION = 1e-4
 
 
 @dataclass(frozen=True)
 class ResampledEpisode:
-    """An episode at another rate.
+    """An episode at another frame rate.
 
     Attributes:
-        attempt: the episode's attempt.
-        times: the frames' times (n,), s.
-        qpos: MuJoCo's positions (n, nq) at these times.
-        frames: the low-dimensional data at these times, see `dataset.lowdim`.
+        attempt: the attempt of the episode.
+        times: times of the frames (n,), s.
+        qpos: MuJoCo `qpos` (n, nq) at these times.
+        frames: low-dimensional data at these times, see `core.dataset.lowdim`.
     """
 
     attempt: Attempt
@@ -46,29 +45,29 @@ class ResampledEpisode:
 
 
 def frame_times(frames: int, period: float, fps: float) -> Array:
-    """The times k / fps (n,), s, from the first of `frames` recorded frames, `period` s apart, to the last."""
+    """Return the times k / fps (n,), s, within the duration of `frames` recorded frames that are `period` s apart."""
     times: Array = np.arange(math.floor(((frames - 1) * period + ROUNDING_S) * fps) + 1) / fps
     return times
 
 
 def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
-    """The recorded frame nearest to each time, s."""
+    """Return the index of the nearest of `frames` recorded frames, `period` s apart, for each time, s."""
     return [min(round(time / period), frames - 1) for time in times]
 
 
 def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -> ResampledEpisode:
-    """An episode at `fps` frames per second. States are simulated, not interpolated.
+    """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
 
-    `action_joints` is the plan's reference one control tick ahead, which was recorded once per frame. Between frames,
-    the reference is the arm's position one tick ahead plus the plan's lead over the arm. The lead is interpolated
-    between frames, and so is the opening of the fingers.
+    `action_joints` is the planned reference one control tick ahead, which was recorded once per frame. Between frames,
+    the reference is the arm position one tick ahead plus the lead of the plan over the arm. The lead and the finger
+    opening are interpolated between frames.
 
     Args:
-        simulator: of the dataset's own config.
+        simulator: simulator of the dataset's own config.
 
     Raises:
-        DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer leads to
-            its recorded states.
+        DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer
+            reproduces its recorded states.
     """
     recorded, record = episode.frames(), episode.record
     scene = simulator.scene
@@ -83,7 +82,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     tick = period / len(recorded[0]["sim_ctrl"])
     times = frame_times(len(recorded), period, fps)
     stored = np.arange(float(len(recorded))) * period
-    # States are needed at each frame's time, and one tick later, for which the frame's command is.
+    # The state is needed at the time of each frame, and one tick later, which is the target time of its command.
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )
@@ -96,7 +95,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     lead = planned - _arms(scene, commanded)
     reference = _arms(scene, ahead) + _between(times, stored, lead)
     if scene.arms[0].fingers is not None:
-        # Each arm's last number is the opening of its fingers.
+        # The last value of each arm is its finger opening.
         reference[..., -1] = _between(times, stored, planned[..., -1])
     acting = np.minimum(((times + ROUNDING_S) / tick).astype(int), len(actions.ctrl) - 1)
     states = [
@@ -110,13 +109,13 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
 
 
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
-    """Each arm's joints and opening (n, arms, drives), from MuJoCo's positions (n, nq)."""
+    """Return joints and finger openings (n, arms, drives) from MuJoCo `qpos` (n, nq)."""
     joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
     return joints
 
 
 def _between(times: Array, nodes: Array, values: Array) -> Array:
-    """Values (n, ...) at `times` (n,), interpolated linearly from `values` (m, ...) at `nodes` (m,)."""
+    """Interpolate `values` (m, ...) at `nodes` (m,) linearly at `times` (n,). Return (n, ...)."""
     columns = values.reshape(len(values), -1).T
     found: Array = np.column_stack([np.interp(times, nodes, column) for column in columns])
     return found.reshape(len(times), *values.shape[1:])
@@ -124,8 +123,8 @@ def _between(times: Array, nodes: Array, values: Array) -> Array:
 
 def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
     deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
-    if np.nanmax(deviation, initial=0.0) > _MOST_DEVIATION or np.isnan(deviation).any():
-        k = int(np.argmax(~(deviation <= _MOST_DEVIATION)))
+    if np.nanmax(deviation, initial=0.0) > _MAX_DEVIATION or np.isnan(deviation).any():
+        k = int(np.argmax(~(deviation <= _MAX_DEVIATION)))
         now, was = library_versions(), episode.record.versions
         changed = ", ".join(
             f"{name} {was[name]} then, {now[name]} now" for name in now if was.get(name, now[name]) != now[name]

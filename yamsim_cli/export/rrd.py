@@ -1,4 +1,4 @@
-"""Export for the rerun viewer: an `.rrd` per episode with images, joints, poses and camera frusta."""
+"""Export for the rerun viewer: one `.rrd` per episode with images, joints, poses and camera frusta."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from ..core.progress import Progress
 from .export_source import ExportSource, depth_cameras
 from .output_directory import ExportResult, export_directory
 
-_PICTURE_DISTANCE = 0.15  # m, of a picture in front of its camera
-_AXIS = 0.05  # m, length of a pose's axes
+_IMAGE_DISTANCE = 0.15  # m, distance of an image in front of its camera
+_AXIS_LENGTH = 0.05  # m, length of the axes that show a pose
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left base.
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot base; with two arms, in the left base.
 
-    Real recordings are shown at their recorded times, without what was not recorded.
+    Real recordings are shown at their recorded times. Data that was not recorded is omitted.
 
     Raises:
         DatasetError: a file is missing, altered or damaged.
@@ -52,7 +52,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
-    # Properties are left out, since they hold the time of day.
+    # Properties are omitted because they contain the time of day.
     stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")
@@ -80,7 +80,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
-    """Log a camera; its entity is in `base` if its pose is known, else in `cameras`."""
+    """Log a camera and return its entity path: below `base` if K and pose are known, else below `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):
@@ -91,7 +91,7 @@ def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[s
     pinhole = rerun.Pinhole(
         image_from_camera=frame["intrinsics"][camera],
         resolution=[width, height],
-        image_plane_distance=_PICTURE_DISTANCE,
+        image_plane_distance=_IMAGE_DISTANCE,
     )
     stream.log(place, pinhole)
     return place
@@ -103,7 +103,7 @@ def _log_static(
     import rerun
 
     stream.log("base", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS, colors=_AXIS_COLOURS)
+    axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS_LENGTH, colors=_AXIS_COLOURS)
     hands = [_hands(source, frame) for frame in frames]
     for item in (*hands[0], *things):
         stream.log(f"base/{item}/axes", axes, static=True)
@@ -123,7 +123,7 @@ def _log_static(
 
 
 def _hands(source: ExportSource, frame: Mapping[str, Any]) -> dict[str, Array]:
-    """Name -> pose (4, 4) of each hand; empty if poses were not recorded."""
+    """Return name -> pose (4, 4) of each hand; empty if poses were not recorded."""
     if "ee_pose" not in frame:
         return {}
     poses = np.reshape(frame["ee_pose"], (-1, 4, 4))

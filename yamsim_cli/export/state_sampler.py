@@ -1,4 +1,4 @@
-"""Samples states of a running simulation at given times, also between its steps."""
+"""Sample states of a running simulation at given times, which may lie between its steps."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 
 from ..core.geometry.se3 import Array
 
-_ROUNDING_S = 1e-9  # s, tolerance of comparisons of times, which are sums of steps
+_ROUNDING_S = 1e-9  # s, tolerance for comparing times, which are sums of steps
 
 
 class StateSampler:
-    """Stores MuJoCo's positions at given times while a simulation runs, as the `on_step` of `episode.Episode`.
+    """Stores MuJoCo `qpos` at given times while a simulation runs; an `on_step` callback of `core.episode.Episode`.
 
-    A sample at the time of a step is that step's state, bit for bit. Between two steps, positions are interpolated.
+    A sample at the time of a step equals the state of that step exactly. Between two steps, positions are interpolated.
 
     Attributes:
         qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
 
     Args:
-        model: the simulation's model.
-        times: the times (n,), in order, s.
+        model: the simulated model.
+        times: sample times (n,) in ascending order, s.
     """
 
     def __init__(self, model: mujoco.MjModel, times: Array) -> None:
@@ -31,7 +31,7 @@ class StateSampler:
         self.qpos = np.full((len(times), model.nq), np.nan)
 
     def __call__(self, data: mujoco.MjData) -> None:
-        """Store the samples up to the present state: the start, or the state after a step."""
+        """Store all samples up to the current state: the initial state, or the state after a step."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + _ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1

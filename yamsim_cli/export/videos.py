@@ -1,4 +1,4 @@
-"""Export as a video of each episode, or as a contact sheet of all episodes."""
+"""Export videos of episodes, or a contact sheet of all episodes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ..core.rendering.view_cameras import draw_labels, resize_area
 from .export_source import ExportSource, RealSource
 from .output_directory import ExportResult, export_directory, require_parent
 
-_SHEET_QUALITY = 90
-_LARGEST_SIDE = 16_000  # px, of a sheet: some programs open no larger JPEG
+_SHEET_QUALITY = 90  # JPEG quality of a sheet
+_MAX_SIDE_PX = 16_000  # largest width and height of a sheet: some programs cannot open a larger JPEG
 
 
 def export_mp4(
@@ -31,16 +31,17 @@ def export_mp4(
     speed: float = 1.0,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write an H.264 video of each episode into a directory; frame k is at exactly k periods.
+    """Write an H.264 video of each episode into a directory. The time of frame k is exactly k periods.
 
     Args:
-        cameras: shown side by side; empty for all.
-        speed: factor by which the video is faster.
+        cameras: cameras to show side by side; empty for all.
+        speed: playback speed; 1 is real time.
 
     Raises:
-        UsageError: a camera was not recorded; and see `export_directory`.
-        DatasetError: an image is missing, altered or damaged, or there is none.
+        UsageError: a camera was not recorded, or the cameras differ in image height; also see `export_directory`.
+        DatasetError: an image is missing, altered or damaged, or the dataset has no images.
         ResourceError: PyAV is not installed.
+        PartialJobError, InterruptedJobError: see `export_directory`.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
@@ -68,17 +69,18 @@ def export_sheet(
     width: int = 160,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write one JPEG with a row for each episode: images spread evenly from its first frame to its last.
+    """Write one JPEG with rows for each episode. A row has images evenly spread from the first frame to the last.
 
     Args:
-        cameras: with a row each; empty for the first camera.
+        cameras: cameras to show, in one row per episode each; empty for the first camera.
         columns: number of images in a row.
-        width: of each image, px.
+        width: width of each image, px.
+        overwrite: whether to rename an existing `out` to a backup.
 
     Raises:
-        UsageError: a camera was not recorded, `out` is no name for a JPEG or in use, or the picture would be too large.
+        UsageError: a camera was not recorded, `out` is in use or not a JPEG name, or the sheet would be too large.
         DatasetError: an image is missing, altered or damaged.
-        PartialJobError, InterruptedJobError: it could not be written, or the user stopped it; nothing was written.
+        PartialJobError, InterruptedJobError: a write failed, or the user stopped the job. No sheet was written.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):
@@ -88,9 +90,9 @@ def export_sheet(
         raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
     heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
     size = (columns * width, len(source) * sum(heights.values()))
-    if max(size) > _LARGEST_SIDE:
+    if max(size) > _MAX_SIDE_PX:
         raise UsageError(
-            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_LARGEST_SIDE} is the most: take "
+            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_MAX_SIDE_PX} is the most: take "
             "fewer with --episodes, or a smaller --width"
         )
     moved = None
@@ -111,7 +113,7 @@ def export_sheet(
 
 
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
-    """Images of one episode side by side, each of width and height `size`, px."""
+    """Return images of one episode side by side, each with width and height `size`, px."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))

@@ -1,12 +1,12 @@
-"""Hands out attempts, and writes finished attempts into the dataset in order.
+"""Distribute attempts to workers, and write finished attempts to the dataset in order.
 
-Episode k is the k-th successful attempt in the order of attempts, whichever worker finishes first. The data therefore
-depends on the configuration and the seed alone.
+Episode k is the k-th successful attempt in the order of attempts, regardless of which worker finishes first. The data
+therefore depends only on the configuration and the seed.
 
-An attempt that ends every worker that tries it becomes a failure of cause `worker_lost`. The attempt remains a failure
-when the recording is resumed: later episodes are numbered without it. Such an end can also be the machine's fault.
-A lost attempt is therefore in doubt until a later attempt comes back. If none does, the recording stops without
-writing the attempts in doubt, and `--resume` tries them again.
+An attempt that crashes all its workers becomes a failure with cause `worker_lost`. The attempt remains a failure after
+a resume, because later episodes are numbered without it. The crash can also be the machine's fault, so
+a lost attempt is uncertain until another attempt finishes. If none does, the recording stops without writing the
+uncertain attempts, and `--resume` tries them again.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from ..core.workers.executors import Executor, LostJobError
 from ..core.workers.stop_request import StopRequest
 from .retry_limit import AllStartsFail, RetryLimit
 
-_LOOKAHEAD = 4  # attempts per worker ahead of the oldest unfinished attempt; limits the episodes in memory
-_MAX_LOST_IN_A_ROW = 3  # attempts in a row that lose their workers, after which the machine is at fault
-_STOP_SECONDS = 60.0  # s, that attempts in hand may take after a request to stop
-_POLL_SECONDS = 0.5
+_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten attempt; limits the episodes in memory
+_MAX_LOST_IN_A_ROW = 3  # consecutive lost attempts after which the machine is considered at fault
+_STOP_SECONDS = 60.0  # s, longest wait for running attempts after a stop request
+_POLL_SECONDS = 0.5  # s, wait for a result before the stop request is checked again
 
 EpisodeExecutor = Executor[AttemptJob, AttemptPayload]
 
@@ -38,7 +38,7 @@ class RecordCallbacks:
     """Callbacks of a recording.
 
     Attributes:
-        progress: called with episodes done, episodes wanted and attempts made.
+        progress: called with the numbers of finished episodes, requested episodes and attempts.
         warn: called with a sentence for the user.
     """
 
@@ -47,7 +47,7 @@ class RecordCallbacks:
 
 
 class Collector:
-    """Hands out attempts and takes their results until the dataset is complete."""
+    """Submits attempts to an executor and writes their results until the dataset is complete."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class Collector:
         self._sink = sink
         self._watch = callbacks
         self._stop = stop
-        # Attempts whose episode or line is gone are made again first, under their old numbers.
+        # Attempts whose episode or ledger line is lost are repeated first, under their old numbers.
         self._lost_attempts = {attempt.attempt: attempt for attempt in sink.missing}
         self._queue = sorted(self._lost_attempts.keys() | sink.lost_lines, reverse=True)
         self._next = len(sink.attempts)
@@ -72,34 +72,34 @@ class Collector:
 
     @property
     def outstanding(self) -> int:
-        """Episodes that still have to be made."""
+        """Number of episodes that are still to be recorded."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
     def work(self) -> int:
-        """How many attempts have to be made at least."""
+        """Smallest number of attempts that are still needed."""
         return self.outstanding + len(self._sink.lost_lines)
 
     @property
     def done(self) -> int:
-        """Episodes that are whole."""
+        """Number of complete episodes."""
         return self._sink.episodes - len(self._lost_attempts)
 
     def run(self, executor: EpisodeExecutor) -> None:
-        """Record until the dataset holds all episodes.
+        """Record until the dataset holds all requested episodes.
 
         Raises:
-            InterruptedJobError: stopped by the user; attempts in hand were waited for at most `_STOP_SECONDS`.
-            DatasetError: a lost episode cannot be made again on this machine.
-            PartialJobError: the task fails too often, or workers do not last.
+            InterruptedJobError: the user stopped the job. Running attempts were given `_STOP_SECONDS` to finish.
+            DatasetError: a lost episode cannot be reproduced on this machine.
+            PartialJobError: the task fails too often, or workers keep crashing.
             SimulationError: the task cannot work, see `check_retry_limit`.
-            OSError: the disk refused something.
+            OSError: a write failed.
         """
         self._report()
         while self.work:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
-                executor.submit(AttemptJob(self._config.seed, self._take()))
-            # After handing out, so that workers are busy during writing.
+                executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
+            # Write after submitting, so that workers are busy in the meantime.
             if self._commit_finished():
                 continue
             if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):
@@ -119,13 +119,13 @@ class Collector:
         self._finished[job.attempt] = payload
 
     def _commit_finished(self) -> bool:
-        """Write what can be written, in the order of attempts; returns whether anything was written."""
+        """Write all results that are next in the order of attempts, and return whether any was written."""
         before = len(self._finished)
         for attempt in self._lost_attempts.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
             self._log_again(self._finished.pop(lost))
-        # Further episodes get numbers only when all attempts before them are known.
+        # New episodes get numbers only when all attempts before them are known.
         while not self._sink.lost_lines and self._next_is_finished:
             self._commit(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
@@ -139,18 +139,18 @@ class Collector:
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
     def _can_start(self, executor: EpisodeExecutor) -> bool:
-        """Whether another attempt may be handed out: no more than are needed if all succeed."""
+        """Return whether to submit another attempt: no more than are needed if all succeed."""
         if self._queue:
             return True
         if self._next >= self._limit.most_attempts and not self._uncertain_attempts:
             return False
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)
-        # An attempt in doubt blocks writing until a later attempt has come back.
+        # An uncertain attempt blocks writing until another attempt has finished.
         near = ahead < _LOOKAHEAD * self._config.workers or (self._uncertain_attempts and not executor.in_flight)
         return promised < self.outstanding and bool(near)
 
-    def _take(self) -> int:
+    def _next_attempt(self) -> int:
         if self._queue:
             return self._queue.pop()
         self._next += 1
@@ -181,9 +181,9 @@ class Collector:
         self.check_retry_limit()
 
     def check_retry_limit(self) -> None:
-        """Raise GaveUpError if the task works too rarely, and SimulationError if it cannot work."""
+        """Raise RetryLimitError if the task succeeds too rarely, and SimulationError if it cannot work."""
         if self._sink.lost_lines:
-            # The results of these attempts are not known yet.
+            # The results of these attempts are still unknown.
             return
         if self.outstanding > len(self._lost_attempts) and (
             error := self._limit.stop_error(self._sink.attempts, self._sink.episodes)
@@ -191,23 +191,22 @@ class Collector:
             raise error
 
     def _restore(self, payload: AttemptPayload) -> None:
-        """Publish a lost episode again, under its old number."""
+        """Publish the repeated attempt of a lost episode, under the old episode number."""
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
-            raise self._ends_by_retry_limit(payload, lost.episode or 0)
+            raise self._not_reproduced_error(payload, lost.episode or 0)
         self._publish(payload, lost.episode)
         del self._lost_attempts[lost.attempt]
 
-    def _ends_by_retry_limit(self, payload: AttemptPayload, episode: int) -> DatasetError:
+    def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
         return DatasetError(
             f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
             f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
         )
 
     def _log_again(self, payload: AttemptPayload) -> None:
-        """Log an attempt whose line was lost. An attempt that gave no episode but succeeds now had lost its workers."""
         number = missing_episode(self._sink.attempts, payload.job.attempt)
-        if payload.outcome.success and number is None:
+        if payload.outcome.success and number is None:  # the original attempt had lost its workers
             detail = (
                 "its line in the ledger was lost; made again it succeeds, and the episodes after it do not count it"
             )
@@ -216,8 +215,8 @@ class Collector:
         if episode is not None:
             self._publish(payload, episode)
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
-            # Later episodes exist, and this episode can have come from no other attempt.
-            raise self._ends_by_retry_limit(payload, number)
+            # Later episodes exist, and no other attempt can have given this episode.
+            raise self._not_reproduced_error(payload, number)
         self._sink.log(attempt_record(payload, episode))
         self.check_retry_limit()
 
@@ -225,7 +224,7 @@ class Collector:
         self._sink.publish(episode_record(self._config, payload, episode), payload.files)
 
     def _compare_renderers(self, payload: AttemptPayload) -> None:
-        """Warn if workers render with different drivers, which give different bytes."""
+        """Warn if workers render with different OpenGL drivers, which give different image bytes."""
         if self._renderer and payload.renderer and payload.renderer != self._renderer:
             self._watch.warn(
                 f"Workers render with different OpenGL ({self._renderer}; {payload.renderer}): "

@@ -1,4 +1,4 @@
-"""Estimates the size of a recording, and checks before it starts that the disk has room."""
+"""Estimate the size of a recording, and check the free disk space before recording."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from ..core.config.rendering import ImageConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.errors import ResourceError, count_noun
 
-_LEAST_PER_PIXEL = 0.03  # bytes of a JPEG per pixel, lower bound: plain scenes at low quality
-# JPEG quality -> bytes per pixel of a typical image. Source: the pictures of docs/images and tests/golden, 300 to 720
-# pixels wide, encoded at each quality. Noise (`--randomize`) doubles it.
-_LIKELY_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
-_PER_IMAGE = 600  # bytes of a JPEG besides its pixels: headers and tables
-_PER_LOWDIM = 2200  # bytes of a frame's lowdim pickle; measured, 1600 to 2200
-_PER_HASH = 85  # bytes in an episode's record for each of its files; measured, 85 to 95
-# Bytes of ground truth per pixel, depth and segmentation together: lower bound, and typical. Source: measured at
-# 640x480, 0.09 in the scene camera and 0.12 in the wrist camera.
-_LEAST_TRUTH, _LIKELY_TRUTH = 0.04, 0.11
-_PER_TRUTH = 1000  # bytes of ground truth per frame besides images; measured, 600
-_RESERVE = 1_000_000  # bytes that stay free, for the ledger, the manifest and other programs
-_LEAST_OF_MEAN = 0.9  # share of the mean recorded episode that others take at least, where all have as many frames
+_MIN_JPEG_PER_PIXEL = 0.03  # bytes per pixel of a JPEG, lower bound: plain scenes at low quality
+# JPEG quality -> bytes per pixel of a typical image. Source: the images of docs/images and tests/golden, 300 to 720
+# pixels wide, encoded at each quality. Noise (`--randomize`) doubles these values.
+_JPEG_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
+_JPEG_OVERHEAD = 600  # bytes of a JPEG for headers and tables
+_LOWDIM_BYTES = 2200  # bytes of the lowdim pickle of a frame; measured: 1600 to 2200
+_HASH_BYTES = 85  # bytes in the record of an episode for each of its files; measured: 85 to 95
+# Bytes of ground truth per pixel, for depth and segmentation together: lower bound and typical value. Measured at
+# 640x480: 0.09 in the scene camera and 0.12 in the wrist camera.
+_MIN_TRUTH_PER_PIXEL, _LIKELY_TRUTH_PER_PIXEL = 0.04, 0.11
+_TRUTH_ARRAY_BYTES = 1000  # bytes of ground truth arrays per frame and camera; measured: 600
+_RESERVED_BYTES = 1_000_000  # kept free for the ledger, the manifest and other programs
+_MIN_SHARE_OF_MEAN = 0.9  # lower bound of an episode's size as a share of the mean size, at equal numbers of frames
 
 
 @dataclass(frozen=True)
 class EpisodeSize:
-    """The size of an episode on a disk.
+    """Size of an episode on disk.
 
     Attributes:
         least, likely: lower bound and estimate of bytes.
@@ -47,62 +47,62 @@ class EpisodeSize:
     def estimate(
         cls, frames: tuple[int, int], cameras: int, image: ImageConfig, block: int, *, truth: bool = False
     ) -> EpisodeSize:
-        """An estimate from the settings alone.
+        """Estimate the size from the settings alone.
 
         Args:
-            frames: of an episode, at least and typically.
-            block: size of the filesystem's blocks, bytes.
+            frames: lower bound and typical value of the frames per episode.
+            block: block size of the filesystem, bytes.
             truth: whether ground truth is recorded.
         """
         pixels = image.size_px[0] * image.size_px[1]
-        qualities = list(_LIKELY_PER_PIXEL)
-        likely_per_pixel = float(np.interp(image.jpeg_quality, qualities, [_LIKELY_PER_PIXEL[q] for q in qualities]))
+        qualities = list(_JPEG_PER_PIXEL)
+        likely_per_pixel = float(np.interp(image.jpeg_quality, qualities, [_JPEG_PER_PIXEL[q] for q in qualities]))
 
         def total(count: int, per_pixel: float, per_truth: float) -> int:
-            picture = _round_up_to_blocks(_PER_IMAGE + per_pixel * pixels, block)
+            picture = _round_up_to_blocks(_JPEG_OVERHEAD + per_pixel * pixels, block)
             if truth:
-                picture += 2 * _round_up_to_blocks(per_truth * pixels / 2, block) + _PER_TRUTH
-            record = _round_up_to_blocks(_PER_HASH * files_per_episode(count, cameras, truth=truth), block)
-            return count * (cameras * picture + _round_up_to_blocks(_PER_LOWDIM, block)) + record
+                picture += 2 * _round_up_to_blocks(per_truth * pixels / 2, block) + _TRUTH_ARRAY_BYTES
+            record = _round_up_to_blocks(_HASH_BYTES * files_per_episode(count, cameras, truth=truth), block)
+            return count * (cameras * picture + _round_up_to_blocks(_LOWDIM_BYTES, block)) + record
 
-        # The episode's directory, `rgb`, `lowdim`, a folder per camera, and `episode.json`. With truth also `depth`,
-        # `segmentation` and `truth`, and two more folders per camera.
+        # The episode directory, `rgb`, `lowdim`, one folder per camera, and `episode.json`. Truth adds `depth`,
+        # `segmentation` and `truth`, and two folders per camera.
         besides = cameras + 4 + (3 + 2 * cameras if truth else 0)
         least_inodes, inodes = (files_per_episode(count, cameras, truth=truth) + besides for count in frames)
         return cls(
-            total(frames[0], _LEAST_PER_PIXEL, _LEAST_TRUTH),
-            total(frames[1], likely_per_pixel, _LIKELY_TRUTH),
+            total(frames[0], _MIN_JPEG_PER_PIXEL, _MIN_TRUTH_PER_PIXEL),
+            total(frames[1], likely_per_pixel, _LIKELY_TRUTH_PER_PIXEL),
             least_inodes,
             inodes,
         )
 
     def from_recorded(self, entries: Collection[ManifestEntry], block: int) -> EpisodeSize:
-        """The size with the bytes of recorded episodes; `self` if there are none."""
+        """Return the size with bytes estimated from recorded episodes; `self` if `entries` is empty."""
         if not entries:
             return self
-        # On average, half a block is lost at the end of each file.
+        # On average, each file wastes half a block.
         mean = sum(entry.bytes for entry in entries) / len(entries) + self.inodes * block / 2
-        least = _LEAST_OF_MEAN * mean * self.least_inodes / self.inodes
+        least = _MIN_SHARE_OF_MEAN * mean * self.least_inodes / self.inodes
         return replace(self, least=int(least), likely=int(mean))
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
-    """Number of an episode's files, without `episode.json`."""
+    """Return the number of files of an episode, without `episode.json`."""
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Compare the free space with the size of `episodes` more episodes.
+    """Compare the free space at `place` with the size of `episodes` more episodes.
 
     Returns:
-        A warning if the episodes may not fit, or None.
+        A warning if the episodes may not fit, else None.
 
     Raises:
         ResourceError: the episodes cannot fit.
     """
     state = os.statvfs(place)
-    free = max(0, state.f_bavail * state.f_frsize - _RESERVE)
-    # Filesystems that make inodes on demand report none.
+    free = max(0, state.f_bavail * state.f_frsize - _RESERVED_BYTES)
+    # Filesystems that create inodes on demand report zero inodes.
     inodes = state.f_favail if state.f_files else math.inf
     fit = int(min(free / size.least, inodes / size.least_inodes))
     verb = "takes" if episodes == 1 else "take"
@@ -115,8 +115,8 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
         raise ResourceError(f"{takes}, but {there}: {fit} fit; make room, choose another --out, or a smaller --n")
     if free < size.likely * episodes or inodes < size.inodes * episodes:
         return (
-            f"{takes}, probably {size.inodes * episodes} files and {_format_size(size.likely * episodes)}, and {there}: "
-            "if the disk fills up, continue with --resume."
+            f"{takes}, probably {size.inodes * episodes} files and {_format_size(size.likely * episodes)}, "
+            f"and {there}: if the disk fills up, continue with --resume."
         )
     return None
 

@@ -1,6 +1,6 @@
-"""What runs a recording's attempts: this process, other processes of this machine, or a Ray cluster.
+"""Factories for the executors of a recording: this process, other processes of this machine, or a Ray cluster.
 
-Workers of a Ray cluster need no shared filesystem and no meshes: robot models and meshes are sent to them as bytes.
+Workers of a Ray cluster need no shared filesystem and no local meshes: they receive robot models and meshes as bytes.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class ExecutorFactory(Protocol):
     """Opens an executor for a recording."""
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """Start `workers` workers that make and render attempts."""
+        """Start `workers` workers that simulate and render attempts."""
         ...
 
 
 @dataclass(frozen=True)
 class ProcessExecutorFactory:
-    """Processes of this machine; see `ProcessPool`."""
+    """Runs attempts in processes of this machine; see `ProcessPool`."""
 
     job_seconds: float = JOB_SECONDS
 
@@ -47,7 +47,7 @@ class ProcessExecutorFactory:
 
 @dataclass(frozen=True)
 class RayExecutorFactory:
-    """Actors of a Ray cluster; see `RayPool`."""
+    """Runs attempts in actors of a Ray cluster; see `RayPool` for the attributes."""
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class RayExecutorFactory:
 
 
 class InlineExecutorFactory:
-    """This process alone, whatever the number of workers."""
+    """Runs attempts in this process only, regardless of the number of workers."""
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `ExecutorFactory.open`."""
@@ -72,8 +72,8 @@ class PackedSession:
     """A session with the content of its files.
 
     Attributes:
-        files: path below the directory of unpacking -> content.
-        meshes: asset set -> its folder below that directory, or None for primitives.
+        files: path relative to the target directory of `unpack_session` -> content.
+        meshes: asset set -> its folder relative to that directory, or None for primitives.
     """
 
     config: RecordConfig
@@ -82,10 +82,10 @@ class PackedSession:
 
 
 def pack_session(session: Session) -> PackedSession:
-    """Read all robot models and meshes of a session."""
+    """Pack a session with the content of all its robot models and meshes."""
     locations = session.locations
     files: dict[str, bytes] = {}
-    # The most important root comes last, so that its files replace those of other roots.
+    # The root with the highest priority comes last, so that its files replace those of other roots.
     for root in reversed(locations.data):
         files |= _read(root / _MODELS, _MODELS)
     for name, folder in locations.meshes.items():
@@ -107,8 +107,8 @@ def unpack_session(packed: PackedSession, place: Path) -> Session:
 
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
-    """An `AttemptRunner` of a packed session, whose files are removed at the end."""
-    # Every cast of things has a scene of its own, composed when first needed, so that the files stay.
+    """Yield an `AttemptRunner` of a packed session. The unpacked files are removed at the end."""
+    # The files must stay: each role assignment has its own scene, which is composed when first needed.
     with (
         tempfile.TemporaryDirectory(prefix="yamsim-") as place,
         AttemptRunner(unpack_session(packed, Path(place)), render=True) as runner,

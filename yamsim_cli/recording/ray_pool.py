@@ -1,7 +1,7 @@
-"""Workers that are actors on a Ray cluster.
+"""Worker pool with actors of a Ray cluster.
 
-Actors run the same code as local processes, by the same rules. An actor that is lost with its process or its node
-costs its job one try, and is replaced where the cluster has room.
+Actors run the same code as local processes, under the same rules. If an actor is lost with its process or node, its job
+loses one try, and a new actor starts where the cluster has capacity.
 """
 
 from __future__ import annotations
@@ -20,21 +20,22 @@ from ..core.workers.executors import Factory, J, R
 from ..core.workers.job_server import STOP_SIGNALS, JobServer
 from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_CONNECT_SECONDS = 5.0  # s, that the head of a cluster may take to accept a connection
+_CONNECT_SECONDS = 5.0  # s, timeout for a connection to the head of a cluster
 
 
 class RayPool(BaseWorkerPool[J, R]):
     """An `Executor` over the actors of a Ray cluster; see `BaseWorkerPool`.
 
     Args:
-        factory: makes each worker's runner, in the actor.
-        workers: how many workers there are; each takes one CPU of the cluster.
-        address: address of a running cluster, as `ray.init` takes it. None starts a cluster on this machine, which
-            ends with the pool.
-        environ: environment variables of the actors' processes.
+        factory: makes the runner of each worker, inside the actor.
+        workers: number of workers, each on one CPU of the cluster.
+        address: address of a running cluster, as for `ray.init`. None starts a cluster on this machine that ends with
+            the pool.
+        environ: environment variables of the actor processes.
+        job_seconds: time limit of a job, s.
 
     Raises:
-        ResourceError: Ray is not installed, no cluster answers, or it has fewer CPUs than `workers`.
+        ResourceError: Ray is not installed, no cluster answers, or the cluster has fewer CPUs than `workers`.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class _Actor(Generic[J]):
         self._ray = ray
         self._handle = handle
         self.name = name
-        # Reference to the awaited answer; None while the actor is idle.
+        # Ray reference to the pending answer; None while the actor is idle.
         self.answer: Any = opened
 
     def send(self, job: J) -> None:
@@ -80,7 +81,7 @@ class _Cluster(Generic[J, R]):
                 f"the Ray cluster has {cpus} CPUs, and {workers} workers need one each: "
                 f"add nodes, or give --workers {cpus}"
             )
-        # One copy in the cluster's store, which each node fetches once.
+        # One copy in the cluster's object store, which each node fetches once.
         self._factory = self._ray.put(pickle.dumps(factory))
         options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         if environ:
@@ -129,7 +130,7 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
             else:
                 _require_listener(address)
                 ray.init(address=address, **quiet)
-        # SystemExit, too: if a head has vanished, Ray waits for it, and then sends its own process a SIGTERM.
+        # Includes SystemExit: if the head is gone, Ray waits for it and then sends SIGTERM to its own process.
         except (OSError, RuntimeError, ValueError, SystemExit, ray.exceptions.RayError) as error:
             reason = "no answer" if isinstance(error, SystemExit) else f"{error}".partition("\n")[0]
             where = f"at {address}" if address else "on this machine"
@@ -137,7 +138,7 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
 
 
 def _require_listener(address: str) -> None:
-    """Raise OSError if nothing listens at a HOST:PORT: Ray itself takes minutes to report that."""
+    """Raise OSError if no server listens at a HOST:PORT. Ray itself takes minutes to report that."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdecimal():
         socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
@@ -145,12 +146,12 @@ def _require_listener(address: str) -> None:
 
 @contextlib.contextmanager
 def _restore_signal_handlers() -> Iterator[None]:
-    """Restore the signals' handlers after the block: Ray replaces that of SIGTERM when it connects."""
+    """Restore signal handlers after the block, because Ray replaces the SIGTERM handler when it connects."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield
     finally:
         for number, handler in before.items():
-            # Only the main thread can set handlers. In another thread, Ray cannot replace them, either.
+            # Only the main thread can set handlers. In other threads, Ray cannot replace them either.
             with contextlib.suppress(ValueError):
                 signal.signal(number, handler)

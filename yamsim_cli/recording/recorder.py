@@ -1,4 +1,4 @@
-"""Records a dataset: workers make attempts, and this process alone writes."""
+"""Record a dataset: workers simulate attempts, and only this process writes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .retry_limit import RetryLimitError, all_starts_fail
 
 @dataclass(frozen=True)
 class RecordReport:
-    """Episodes and attempts in the dataset, the recording's duration, and the new place of an earlier dataset."""
+    """Result of a recording: totals of the dataset, duration in s, and the backup path of an earlier dataset."""
 
     path: Path
     episodes: int
@@ -41,14 +41,14 @@ def record(
     callbacks: RecordCallbacks,
     stop: StopRequest,
 ) -> RecordReport:
-    """Record until the dataset holds the config's `episodes` successful episodes, see `collect`.
+    """Record until the dataset holds the number of successful episodes that the config requests; see `collect`.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `open_destination`; or a thing has failed its
-            certificate.
-        InterruptedJobError: stopped by the user.
-        PartialJobError: the disk refused something, workers do not last, or the task fails too often.
-        SimulationError: the task cannot work as it is.
+        UsageError, ConfigError, DatasetError, ResourceError: see `open_destination`. ResourceError also if an object
+            has failed its certificate.
+        InterruptedJobError: the user stopped the job.
+        PartialJobError: a write failed, workers keep crashing, or the task fails too often.
+        SimulationError: the task cannot work.
     """
     began = time.monotonic()
     _check_certificates(session, callbacks)
@@ -59,7 +59,7 @@ def record(
         collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
         with _report_on_early_end(config, collector, destination):
             if collector.work:
-                # A resumed recording may have given up before.
+                # A resumed recording may have reached the retry limit before.
                 collector.check_retry_limit()
                 workers = min(config.workers, collector.work)
                 with executor_factory.open(session, workers) as executor:
@@ -70,7 +70,7 @@ def record(
 
 
 def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
-    """Refuse a thing that has failed its certificate, and warn of one that has changed since."""
+    """Raise ResourceError if an object has failed its certificate. Warn if an object has changed since then."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
     for item in (*config.task.objects, *config.randomization.extras):
@@ -90,7 +90,7 @@ def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
 def _report_on_early_end(
     config: RecordConfig, collector: Collector, destination: OpenRecordingOutput
 ) -> Iterator[None]:
-    """If the recording ends early, write the manifest, and state in the error what is recorded and what is left."""
+    """If the recording ends early, write the manifest, and add the recorded and remaining episodes to the error."""
     place = destination.writer.path
 
     def whole() -> str:

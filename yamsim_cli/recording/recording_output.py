@@ -1,4 +1,4 @@
-"""Where a recording goes: a dataset's directory, directly or by way of a stage."""
+"""Output of a recording: a dataset directory, written directly or through a staging directory."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from ..core.workers.stop_request import StopRequest
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
-_ROUND_TRIPS_PER_FILE = 6  # to make, write, flush and close. Source: measured over sshfs, 60 ms at 10 ms a round trip
-_ROUND_TRIP = 0.01  # s, of the server in warnings
-_POLL_SECONDS = 0.5
-_MIN_DURATION = 0.5  # shortest successful episode, as a share of a program's typical duration
+_ROUND_TRIPS_PER_FILE = 6  # to create, write, flush and close; measured over sshfs: 60 ms at 10 ms per round trip
+_ROUND_TRIP = 0.01  # s, server round trip assumed in warnings
+_POLL_SECONDS = 0.5  # s, wait before the stop request is checked again
+_MIN_DURATION = 0.5  # shortest successful episode, as a share of the typical duration
 
 
 @dataclass(frozen=True)
 class RecordingOutput:
-    """Where a recording goes, and what to do if that directory is not empty.
+    """Output directory of a recording, and what to do if it is not empty.
 
     Attributes:
-        stage: a local directory for episodes on their way to a slow or remote `path`; see `StagedWriter`.
+        stage: local staging directory for episodes that wait for a slow or remote `path`; see `StagedWriter`.
     """
 
     path: Path
@@ -43,7 +43,7 @@ class RecordingOutput:
 
 
 class OpenRecordingOutput:
-    """An output that is open for writing; `config` is the recording's, see `config_for_new_episodes`."""
+    """An output that is open for writing. `config` is the result of `config_for_new_episodes`."""
 
     def __init__(self, config: RecordConfig, writer: DatasetWriter, staged: StagedWriter | None) -> None:
         self.config = config_for_new_episodes(config, writer)
@@ -52,22 +52,22 @@ class OpenRecordingOutput:
 
     @property
     def sink(self) -> Sink:
-        """The writer that takes the recording."""
+        """The writer for new episodes."""
         return self._staged or self.writer
 
     @property
     def describe_staged(self) -> str:
-        """For messages: the episodes that are still in the stage."""
+        """Clause for messages on the episodes that are still in the stage; empty without any."""
         if self._staged is None or not (waiting := self._staged.pending_episodes):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
 
     def finish(self, callbacks: RecordCallbacks, stop: StopRequest) -> None:
-        """Wait until everything has arrived, and write the manifest.
+        """Wait until all episodes are in the dataset, and write the manifest.
 
         Raises:
-            InterruptedJobError: stopped by the user.
-            OSError: the disk refused something.
+            InterruptedJobError: the user stopped the job.
+            OSError: a write failed.
         """
         if self._staged is None:
             self.writer.finish()
@@ -80,7 +80,7 @@ class OpenRecordingOutput:
         self._staged.finish()
 
     def abandon(self) -> None:
-        """Write as much of the manifest as the disk allows; the next --resume writes it whole."""
+        """Write the manifest and ignore disk errors. The next --resume writes the manifest again."""
         with contextlib.suppress(OSError):
             (self._staged or self.writer).finish()
 
@@ -89,17 +89,17 @@ class OpenRecordingOutput:
 def open_destination(
     config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks
 ) -> Iterator[OpenRecordingOutput]:
-    """Open an output for the `with` block; no other recorder can open it.
+    """Open an output for the `with` block. No other recorder can open the output meanwhile.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `StagedWriter`.
-        ResourceError: the disk has no room.
+        ResourceError: the disk has not enough free space.
     """
-    # Warns before any access to the mount, which may not answer.
+    # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
     if not resuming:
-        # Before anything is written that would block the next try.
+        # Check before any file is written that would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others
@@ -121,7 +121,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """The output's network mount, or None; warns of the cost of network mounts."""
+    """Return the network mount of the output, or None. Warn about the cost of network mounts."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
@@ -145,7 +145,6 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
 def _check_space(
     config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, callbacks: RecordCallbacks
 ) -> None:
-    """Raise ResourceError if the episodes cannot fit, and warn if they may not."""
     if episodes <= 0:
         return
     disk = nearest_directory(place)
@@ -157,7 +156,7 @@ def _check_space(
 
 
 def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
-    """Frames of an episode, at least and typically: from the mean of `entries`, or else estimated."""
+    """Return lower bound and typical number of frames of an episode, from the mean of `entries` or else estimated."""
     every = config.task.timing.ticks_per_frame
     frames = math.ceil(typical_ticks(config.task) / every)
     if entries:

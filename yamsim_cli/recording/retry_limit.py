@@ -1,10 +1,10 @@
-"""When a recording gives up: its task cannot work, or works too rarely.
+"""Retry limit of a recording: stop if the task cannot work, or succeeds too rarely.
 
-Ten failures of one cause prove little: a task that works one time in five starts so in one recording of nine. Where
-geometry alone decides on the cause, the starts of a hundred more attempts are therefore checked, without physics. Then
-a task that works one time in five is given up wrongly in one recording of 4e10 (0.8 ** 110), and a task that works one
-time in ten in one of 1e5. Where physics decides, a task is given up after a hundred attempts without a success: wrongly
-in one recording of 5e9, and one of 4e4.
+Ten failures with one cause prove little. A task with success rate 1/5 starts with ten failures in one of nine
+recordings. If the cause depends only on geometry, the starts of a hundred more attempts are checked without physics.
+A task with success rate 1/5 is then wrongly stopped in one of 4e10 recordings (0.8 ** 110), with rate 1/10 in one of
+1e5. If the cause depends on physics, recording stops after a hundred attempts without success. For the same success
+rates, that is wrong in one of 5e9 and one of 4e4 recordings.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ..core.episode.simulator import Simulators
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE = 10  # first attempts that all fail for one cause, after which more starts are checked
-MORE_STARTS = 100  # starts that are checked then
-MIN_ATTEMPTS = 100  # attempts that every task is given; a task without a success among them cannot work
-_ATTEMPTS_PER_EPISODE = 20  # attempts per wanted episode, after which the task works too rarely
+SAME_CAUSE = 10  # number of initial attempts that all fail for one cause before `MORE_STARTS` starts are checked
+MORE_STARTS = 100  # starts to check after `SAME_CAUSE` failures
+MIN_ATTEMPTS = 100  # attempts for every task; a task without a success among them cannot work
+_ATTEMPTS_PER_EPISODE = 20  # attempts per requested episode, after which the task succeeds too rarely
 
-HAND_HEIGHT = 0.05  # m over the table, at which grippers grasp things
+HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
-# Cause -> parts of a task to look at.
-_LOOK_AT: Mapping[str, str] = {
+# Failure cause -> parts of a task to inspect.
+_TASK_PARTS: Mapping[str, str] = {
     FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
     FailureCause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",
     FailureCause.SLIPPED: "the object's `grasp.friction` and mass",
@@ -48,15 +48,14 @@ _LOOK_AT: Mapping[str, str] = {
 
 
 class RetryLimitError(PartialJobError):
-    """The task works too rarely; what was recorded is whole, and `--resume` would not help."""
+    """The task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
 
 
-# Whether all attempts from a number on fail for a cause, see `all_starts_fail`.
-AllStartsFail = Callable[[FailureCause, int], bool]
+AllStartsFail = Callable[[FailureCause, int], bool]  # `all_starts_fail` without its session
 
 
 class RetryLimit:
-    """Decides from the attempts, in their order, when a recording gives up; the number of workers has no effect."""
+    """Decides when to stop a recording, from the attempts in order. The number of workers has no effect."""
 
     def __init__(self, config: RecordConfig, no_better_start: AllStartsFail) -> None:
         self._name, self._wanted = config.task.name, config.episodes
@@ -69,7 +68,7 @@ class RetryLimit:
         return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def stop_error(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:
-        """The error that ends a recording after `attempts`, of which `episodes` succeeded; None to go on."""
+        """Return the error that stops a recording after `attempts` with `episodes` successes; None to continue."""
         tried, last = len(attempts), attempts[-1].outcome if attempts else None
         if last is None or (episodes and tried < self.most_attempts):
             return None
@@ -95,20 +94,19 @@ class RetryLimit:
 
     @staticmethod
     def _causes(attempts: Sequence[AttemptRecord]) -> str:
-        """Counts of causes, the last detail of the commonest cause, and what to look at."""
         failed = [attempt for attempt in attempts if not attempt.outcome.success]
         counts = Counter(str(attempt.outcome.cause) for attempt in failed).most_common()
         commonest = counts[0][0]
         detail = next(each.outcome.detail for each in reversed(failed) if each.outcome.cause == commonest)
         listed = ", ".join(f"{count} {cause}" for cause, count in counts)
-        advice = _LOOK_AT.get(commonest)
+        advice = _TASK_PARTS.get(commonest)
         return f"{listed} ({detail})" + (f"; look at {advice}" if advice else "")
 
 
 def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
-    """Whether the starts of all `MORE_STARTS` attempts from number `first` on fail for a cause.
+    """Return whether the starts of all `MORE_STARTS` attempts from number `first` on fail for `cause`.
 
-    False for causes that depend on physics.
+    The result is False for causes that depend on physics.
     """
     if cause not in (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE):
         return False
@@ -120,9 +118,9 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
 
 
 def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: AttemptJob) -> bool:
-    """Whether an attempt's things have room and, for `UNREACHABLE`, whether grippers reach all things to be grasped.
+    """Return whether the objects have room and, for `UNREACHABLE`, whether grippers reach all objects to be grasped.
 
-    Programs need more than that, so that a program fails wherever this check fails.
+    These conditions are necessary for a program: if the check fails, the program fails too.
     """
     simulator = simulators.get(job)
     places = sample_object_placements(simulator, job)

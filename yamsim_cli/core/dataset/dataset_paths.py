@@ -1,15 +1,15 @@
-"""Names and paths of everything in a dataset's directory, which only this module defines.
+"""Names and paths of all files in a dataset directory. No other module defines them.
 
 <dataset>/config.yaml            the resolved configuration
-attempts.jsonl         one line per attempt, successes and failures, in order
-manifest.json          the published episodes; made from them, and can be made again
+attempts.jsonl         ledger: one line per attempt, successes and failures, in order
+manifest.json          index of the published episodes; can be regenerated from them
 ep_000000/episode.json seed, outcome, versions, sha256 of every file
 rgb/<camera>/000000.jpg
 lowdim/000000.pkl
 depth/<camera>/000000.npz, segmentation/<camera>/000000.png, truth/<camera>.npz, truth/labels.json
-.staging/              episodes being written; never read
-.lock                  the process that records into the dataset; removed afterwards
-.damaged/              damaged episodes and ledgers that were moved away; never read
+.staging/              incomplete episodes that are being written; never read
+.lock                  names the process that records into the dataset; removed afterwards
+.damaged/              quarantined episodes and ledgers; never read
 """
 
 from __future__ import annotations
@@ -24,58 +24,58 @@ EPISODE = "episode.json"
 TRUTH_LABELS = "truth/labels.json"
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
-RECORDINGS = ".recordings"  # current recordings of teleoperation, or those of a killed session
+RECORDINGS = ".recordings"  # folder of teleoperation recordings in progress, or left by a killed session
 LOCK = ".lock"
 DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
 FORMAT_VERSION = 1  # recordings of engine 1, with an object and a target
-PROGRAM_FORMAT_VERSION = 2  # tasks with any number of things
+PROGRAM_FORMAT_VERSION = 2  # tasks with any number of objects
 REAL_FORMAT_VERSION = 3  # imported recordings
 
-# Files that a crash may leave beside the final files, see `files.write_file`.
+# Temporary files that a crash may leave beside the final files; see `files.writing.write_file`.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 
 
 def episode_name(number: int) -> str:
-    """Directory name of an episode."""
+    """Return the directory name of an episode."""
     return f"ep_{number:06d}"
 
 
 def image_name(camera: str, frame: int) -> str:
-    """Path of a colour image inside its episode."""
+    """Return the path of a colour image, relative to its episode."""
     return f"rgb/{camera}/{frame:06d}.jpg"
 
 
 def lowdim_name(frame: int) -> str:
-    """Path of a frame's low-dimensional data inside its episode."""
+    """Return the path of a frame's low-dimensional data, relative to its episode."""
     return f"lowdim/{frame:06d}.pkl"
 
 
 def depth_name(camera: str, frame: int) -> str:
-    """Path of a depth image inside its episode."""
+    """Return the path of a depth image, relative to its episode."""
     return f"depth/{camera}/{frame:06d}.npz"
 
 
 def segmentation_name(camera: str, frame: int) -> str:
-    """Path of a segmentation image inside its episode."""
+    """Return the path of a segmentation image, relative to its episode."""
     return f"segmentation/{camera}/{frame:06d}.png"
 
 
 def truth_name(camera: str) -> str:
-    """Path of one camera's poses, keypoints and boxes inside its episode."""
+    """Return the path of one camera's poses, keypoints and boxes, relative to its episode."""
     return f"truth/{camera}.npz"
 
 
 def is_leftover(name: str) -> bool:
-    """Whether an entry of a dataset's directory is a remainder of writing, without data."""
+    """Return whether an entry of a dataset directory is left over from writing and holds no data."""
     return name in (STAGING, LOCK) or _PART_NAME.match(name) is not None
 
 
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:
-    """Number and directory of every published episode, in order."""
+    """Return the number and directory of every published episode, in order."""
     found = [
         (int(match.group(1)), path)
         for path in dataset.iterdir()

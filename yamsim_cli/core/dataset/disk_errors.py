@@ -1,4 +1,4 @@
-"""Explains errors of the disk: their causes and remedies."""
+"""Messages that explain disk errors, with cause and remedy."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _REMEDIES = {
 
 
 def explain_disk_error(error: OSError, place: Path) -> str:
-    """The file, cause and remedy of an error of writing below `place`, as one clause."""
+    """Return the file, cause and remedy of a write error below `place`, as one clause."""
     file = Path(error.filename) if isinstance(error.filename, str) else place
     return f"{file}: {describe_disk_error(error, nearest_directory(file.parent))}"
 
 
 def describe_disk_error(error: OSError, place: Path) -> str:
-    """The cause and remedy of an error at `place`, as one clause."""
+    """Return the cause and remedy of an error at `place`, as one clause."""
     if error.errno == errno.ENOSPC:
-        return _what_is_full(place)
+        return _describe_full_disk(place)
     remedy = _REMEDIES.get(error.errno or 0)
     cause = describe_refusal(error, place)
     return f"{cause}: {remedy}" if remedy else cause
 
 
-def _what_is_full(place: Path) -> str:
-    """Whether bytes or inodes are used up: the kernel reports "no space left" for both."""
+def _describe_full_disk(place: Path) -> str:
+    """Say whether bytes or inodes are used up. The kernel reports "no space left" for both."""
     try:
         state = os.statvfs(place)
     except OSError:

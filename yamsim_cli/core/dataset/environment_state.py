@@ -1,7 +1,7 @@
-"""The poses of things as one row of numbers, for policies that use no pictures.
+"""Object poses as one row of numbers, for policies that use no images.
 
-A thing has its position, the first two axes of its frame, both in the robot's base, and the joints of its moving parts.
-Two axes represent a rotation continuously, unlike angles and quaternions.
+Each object contributes its position, the x and y axes of its frame, and its joint positions. Position and axes are in
+the robot base frame. Two axes represent a rotation continuously, unlike angles and quaternions.
 Source: Zhou et al., On the Continuity of Rotation Representations in Neural Networks, 2019.
 """
 
@@ -19,7 +19,7 @@ _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for a
 
 
 def object_pose_keys(config: RecordConfig) -> dict[str, str]:
-    """Thing -> key of its pose in an observation, of all things of a task, in their order in a row."""
+    """Return object -> key of its pose in an observation, for all objects of a task, in row order."""
     cast = config.task.typical_roles
     names = {
         thing: role if len(things) == 1 else thing for role, things in cast.objects_by_role.items() for thing in things
@@ -28,24 +28,24 @@ def object_pose_keys(config: RecordConfig) -> dict[str, str]:
 
 
 def joints_key(thing: str) -> str:
-    """Key of the joints of a thing with moving parts, in an observation and in a dataset's frame."""
+    """Return the key of an articulated object's joints, in an observation and in a dataset frame."""
     return f"{thing}_joints"
 
 
 def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """The name of each number in a row.
+    """Return the name of each element of a row.
 
     Args:
-        joints: thing -> names of its joints, for those that have any.
+        joints: articulated object -> names of its joints.
     """
     parts = {thing: [f"joint_{name}" for name in joints.get(thing, ())] for thing in things}
     return tuple(f"{thing}_{name}" for thing in things for name in (*_POSE_NAMES, *parts[thing]))
 
 
 def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
-    """The row of numbers, 9 for each thing and one for each of its joints.
+    """Return the state row: 9 numbers per object, plus one for each of its joints.
 
     Args:
-        things: of each thing, its pose (4, 4) in the robot's base, and its joints (n,), m or rad.
+        things: for each object, its pose (4, 4) in the robot base and its joint positions (n,), m or rad.
     """
     return np.concatenate([part for T, joints in things for part in (T[:3, 3], T[:3, 0], T[:3, 1], np.ravel(joints))])

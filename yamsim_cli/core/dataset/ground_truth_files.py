@@ -1,8 +1,7 @@
-"""Files of ground truth: their content, shapes and faults.
+"""Ground truth files: content, shapes and validation.
 
-One archive of arrays (`.npz`) per camera holds the numbers of all frames. Labels and names are JSON. Depth and
-segmentation are images, with one file per frame. Equal arrays give equal archives, byte for byte, and reading an
-archive of unknown origin is safe.
+One `.npz` archive per camera holds the arrays of all frames. Labels and names are JSON. Depth and segmentation are
+images, with one file per frame. Equal arrays give equal archive bytes. Archives of unknown origin are safe to read.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ from ..errors import DatasetError
 from .records import Record
 
 DEPTH_TOLERANCE = 0.002  # m, largest difference between the depth image and the depth of a visible point
-# m, by which an arm's own links may cover the centre of a visible joint, which lies inside the arm. Source: the motors'
-# housings are 66 mm wide and up to 100 mm long.
+# m, largest depth by which an arm's own links may cover the centre of a visible joint. The centre lies inside the arm:
+# the motor housings are 66 mm wide and up to 100 mm long.
 JOINT_COVER = 0.07
 
 BACKGROUND = 0
 
 
 class Visibility(IntEnum):
-    """A keypoint's visibility, in COCO's numbers."""
+    """Visibility of a keypoint, with the values of the COCO format."""
 
     OUTSIDE = 0
     HIDDEN = 1
@@ -38,7 +37,7 @@ class Visibility(IntEnum):
 
 
 class LabelRecord(Record):
-    """The meaning of one number in a segmentation image: a link or other body, and the instance it is part of."""
+    """Meaning of one segmentation value: a link or other body, and the instance that contains the body."""
 
     id: int
     name: str
@@ -49,9 +48,9 @@ class KeypointRecord(Record):
     """A keypoint.
 
     Attributes:
-        body: the link, board or cloth with the keypoint.
-        kind: "joint" is the centre of a joint, inside the arm; "axis" is where a joint's axis leaves the surface;
-            "corner" is a corner of a board's print, "cloth" a corner of a cloth.
+        body: the link, board or cloth that has the keypoint.
+        kind: "joint" is the centre of a joint, inside the arm. "axis" is the point where a joint axis leaves the
+            surface. "corner" is a corner of a board's print. "cloth" is a corner of a cloth.
     """
 
     name: str
@@ -60,15 +59,16 @@ class KeypointRecord(Record):
 
 
 class TruthLabels(Record):
-    """`truth/labels.json`: names for the axes of the arrays in `truth/<camera>.npz`, and for segmentation's numbers.
+    """`truth/labels.json`: names for the array axes of `truth/<camera>.npz`, and for segmentation values.
 
     Attributes:
-        instances: names of what has boxes.
-        links, objects: names of what has poses.
-        keypoints: the keypoints, in the arrays' order.
-        cloths: cloth -> how many points lie along its x axis and along its y axis; left out where there are none.
-        depth_tolerance_m: how much the depth image may differ from the depth of a visible point on a surface, m.
-        joint_cover_m: how much of its own links may cover the centre of a visible joint, m.
+        labels: the segmentation values with their meanings.
+        instances: names of the instances that have boxes.
+        links, objects: names of the links and objects that have poses.
+        keypoints: the keypoints, in array order.
+        cloths: cloth -> number of points along its x axis and its y axis; omitted if empty.
+        depth_tolerance_m: see `DEPTH_TOLERANCE`.
+        joint_cover_m: see `JOINT_COVER`.
     """
 
     labels: list[LabelRecord]
@@ -83,7 +83,7 @@ class TruthLabels(Record):
     joint_cover_m: float = JOINT_COVER
 
 
-# Key -> dtype and shape, in which a name stands for the number of frames or the length of a list in the labels.
+# Key -> dtype and shape. A name in a shape stands for the number of frames or the length of that list in the labels.
 _ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "intrinsics": (np.float64, (3, 3)),
     "T_cam_in_base": (np.float32, ("frames", 4, 4)),
@@ -96,17 +96,17 @@ _ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "pixels": (np.int32, ("frames", "instances")),
 }
 
-_MAX_ARRAYS = 2**28  # bytes of a camera's arrays that are read: enough for hours of recording
-_MAX_DEPTH = 2**27  # bytes of a depth image that are read
+_MAX_ARRAY_BYTES = 2**28  # largest total size of a camera's arrays that is read: enough for hours of recording
+_MAX_DEPTH_BYTES = 2**27  # largest size of a depth image that is read
 
 
 def visible_name(cloth: str) -> str:
-    """Key of the array of a cloth's visible points."""
+    """Return the array key of a cloth's point visibility."""
     return f"{cloth}_visible"
 
 
 def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
-    """Key -> dtype and shape of the arrays of one camera."""
+    """Return key -> dtype and shape of the arrays of one camera."""
     lists = ("links", "objects", "keypoints", "instances")
     lengths = {"frames": frames} | {name: len(getattr(labels, name)) for name in lists}
     forms = {
@@ -120,7 +120,7 @@ def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[An
 
 
 def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames: int) -> list[str]:
-    """The faults of one camera's arrays."""
+    """Return the faults of one camera's arrays, one text each."""
     faults = []
     for key, (dtype, shape) in array_specs(labels, frames).items():
         array = arrays.get(key)
@@ -134,13 +134,13 @@ def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames
 
 
 def dump_depth(depth_mm: NDArray[np.uint16]) -> bytes:
-    """A depth image (height, width) in mm as an `.npz`, as raiden's recordings have it."""
+    """Return a depth image (height, width) in mm as an `.npz`, in the format of raiden's recordings."""
     return dump_arrays({"depth": depth_mm})
 
 
 def load_depth(data: bytes) -> NDArray[np.uint16]:
-    """The depth image (height, width) in mm in an `.npz`; DatasetError if it is damaged, or not uint16."""
-    depth = load_arrays(data, _MAX_DEPTH).get("depth")
+    """Read a depth image (height, width) in mm from an `.npz`. Raise DatasetError if it is damaged, or not uint16."""
+    depth = load_arrays(data, _MAX_DEPTH_BYTES).get("depth")
     if depth is None:
         raise DatasetError("it has no array `depth`")
     if depth.dtype != np.uint16 or depth.ndim != 2:
@@ -149,22 +149,21 @@ def load_depth(data: bytes) -> NDArray[np.uint16]:
 
 
 def load_truth(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of one camera, by the keys of `array_specs`; raises as `load_arrays`."""
-    return load_arrays(data, _MAX_ARRAYS)
+    """Read the arrays of one camera, with the keys of `array_specs`; raises as `load_arrays`."""
+    return load_arrays(data, _MAX_ARRAY_BYTES)
 
 
-# The earliest date a zip file can hold.
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
-# zlib's level. Measured on depth images of 640 x 480: level 1 gives 25.0 kB in 1.1 ms, 4 gives 20.7 kB in 2.1 ms,
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # earliest date that a zip file can hold
+# zlib level. Measured on depth images of 640 x 480: level 1 gives 25.0 kB in 1.1 ms, 4 gives 20.7 kB in 2.1 ms,
 # 6 gives 19.4 kB in 3.1 ms, and 9 gives 18.2 kB in 4.2 ms.
 _ZIP_LEVEL = 4
-_MAX_NPY_HEADER = 4096  # bytes of the longest header of an array that is read
+_MAX_NPY_HEADER = 4096  # bytes, longest `.npy` header that is read
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 def dump_arrays(arrays: Arrays) -> bytes:
-    """An `.npz` that `numpy.load` reads; equal arrays in equal order give equal bytes."""
+    """Return an `.npz` that `numpy.load` can read. Equal arrays in equal order give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=_ZIP_LEVEL) as archive:
         for name, array in arrays.items():
@@ -177,20 +176,20 @@ def dump_arrays(arrays: Arrays) -> bytes:
 
 
 def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
-    """Name -> array of an `.npz` that holds only numbers; nothing in the file is trusted.
+    """Return name -> array of an `.npz` that holds only numbers. No content of the file is trusted.
 
     Args:
-        maximum: largest size of all arrays together, bytes; an archive that announces more is not read.
+        maximum: largest total size of the arrays, bytes. An archive that declares a larger size is not read.
 
     Raises:
-        DatasetError: the archive is damaged, too large, or holds anything but numbers.
+        DatasetError: the archive is damaged, too large, or holds data other than numbers.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = archive.infolist()
             if (size := sum(entry.file_size for entry in entries)) <= maximum:
                 return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
-    # A damaged archive makes the readers of zip and npy raise almost anything.
+    # The zip and npy readers can raise almost any exception on a damaged archive.
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         raise DatasetError(f"not a whole npz: {type(error).__name__}: {reason}") from error
@@ -198,7 +197,7 @@ def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    """The array in an `.npy`, which takes no more memory than its data."""
+    """Read the array in an `.npy` without allocating more memory than its data has."""
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):

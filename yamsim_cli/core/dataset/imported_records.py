@@ -1,4 +1,4 @@
-"""Imported episodes of real arms: their record and config."""
+"""Records and config of imported recordings of real arms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REAL = "real"
 
 
 class ImportedFrom(Record):
-    """The source of an imported recording: a format that `yamsim import` reads, and the file or folder."""
+    """Source of an imported recording: its format, as `yamsim import` names it, and its file or folder."""
 
     format: str
     name: str
@@ -29,9 +29,9 @@ class RealEpisodeRecord(Record):
     """`episode.json` of an imported recording.
 
     Attributes:
-        frame_period_s: usual time between frames, s; frames have their own `timestamp`.
-        drives: measured drives of each arm, without the gripper if it was not recorded.
-        problems: faults that the import found, as sentences.
+        frame_period_s: typical time between frames, s. Each frame also has its own `timestamp`.
+        drives: number of measured drives per arm, without the gripper if the gripper was not recorded.
+        problems: faults that the import found, one sentence each.
     """
 
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
@@ -53,7 +53,7 @@ class RealEpisodeRecord(Record):
 
 
 def is_real(dataset: Path) -> bool:
-    """Whether a dataset holds imported recordings, by its config."""
+    """Return whether the config of a dataset says that its episodes are imported recordings."""
     try:
         data = parse_yaml((dataset / CONFIG).read_text(encoding="utf-8"), str(dataset / CONFIG)).data
     except (OSError, UnicodeDecodeError, ConfigError):
@@ -62,12 +62,12 @@ def is_real(dataset: Path) -> bool:
 
 
 def is_yamsim_data(path: Path) -> bool:
-    """Whether a folder is an episode or a dataset in yamsim's format."""
+    """Return whether a folder is an episode or a dataset in yamsim's format."""
     return (path / EPISODE).is_file() or (path / CONFIG).is_file()
 
 
 def real_config(dataset: Path, locations: Locations) -> RealConfig:
-    """The config of a dataset of imported recordings; DatasetError if unreadable or invalid."""
+    """Return the config of a dataset of imported recordings. Raise DatasetError if it is unreadable or invalid."""
     file = dataset / CONFIG
     try:
         return parse_config(RealConfig, file.read_text(encoding="utf-8"), str(file), locations, as_recorded=True)

@@ -1,4 +1,4 @@
-"""The low-dimensional data of one frame: its content, and how it is written and safely read."""
+"""Low-dimensional data of one frame: its content, and how to write it and read it safely."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ..errors import DatasetError
 from ..geometry.se3 import Array
 from .safe_unpickle import read_pickle
 
-_PROTOCOL = 4  # of pickle; fixed, so that bytes do not change with Python's default
+_PICKLE_PROTOCOL = 4  # fixed, so that bytes do not change with Python's default
 
-BETWEEN_BASES = "T_right_base_in_left_base"  # key that only frames of two arms have
-STATE, ACTION = "state", "action"  # keys that frames have only where actions are joints
-GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # key and value that only frames with cloth have, see `sim.cloth`
+BETWEEN_BASES = "T_right_base_in_left_base"  # key of two-arm frames only
+STATE, ACTION = "state", "action"  # keys of frames whose actions are joints
+GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # key and value of frames with cloth, see `sim.cloth`
 
-# Key -> dtype and number of dimensions, of the keys that only simulated frames have. A frame has all of them or none.
+# Key -> dtype and number of dimensions of the keys of simulated frames. A frame has all of these keys or none.
 # Each entry of `sim_magnet` has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
@@ -31,15 +31,15 @@ SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_magnet": (np.bool_, 1),
 }
 
-_MAX_SIM_VALUE = 1e3  # m or rad, largest position or command: a simulation that starts with more breaks down
+_MAX_SIM_VALUE = 1e3  # m or rad, largest position or command: a simulation diverges from larger start values
 
 
 def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
-    """Key -> shape of the arrays that every frame has, without those of objects and cameras.
+    """Return key -> shape of the arrays that every frame has, without the arrays of objects and cameras.
 
     Args:
-        drives: of each arm: its joints, and its gripper if the gripper has fingers.
-        joint_actions: whether frames have `state` and `action`.
+        drives: number of drives per arm: its joints, and its gripper if the gripper has fingers.
+        joint_actions: whether frames have the keys `state` and `action`.
     """
     rows = ("joints", "ctrl", "action_joints", *((STATE, ACTION) if joint_actions else ()))
     common: dict[str, tuple[int, ...]] = dict.fromkeys(rows, (drives * arms,))
@@ -50,13 +50,13 @@ def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -
 
 @dataclass(frozen=True)
 class SimulationData:
-    """MuJoCo's numbers at a frame, in float64: a replay from float32 would drift.
+    """MuJoCo state and commands of a frame, in float64: a replay from float32 would drift.
 
     Attributes:
-        qpos: positions (nq,) at the frame, objects in `world`.
-        ctrl: commands of the drives on each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo's
-            order. With two arms MuJoCo's order may differ from that of `joints`.
-        magnet: whether each arm's weld is on, on each of those ticks (ticks, arms).
+        qpos: positions (nq,) at the frame; objects are in `world`.
+        ctrl: drive commands of each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo order. With
+            two arms, MuJoCo order may differ from the order of `joints`.
+        magnet: whether the weld of each arm is on during each of those ticks (ticks, arms).
     """
 
     qpos: ArrayLike
@@ -84,29 +84,29 @@ def frame_data(
     object_joints: Mapping[str, ArrayLike] | None = None,
     cloth_points: Mapping[str, ArrayLike] | None = None,
 ) -> dict[str, Any]:
-    """One frame's dictionary; keys are always in the same order.
+    """Return the dictionary of one frame. Its keys are always in the same order.
 
-    Arguments have an axis of arms, the left arm first. This function removes the axis of a lone arm, and puts the
-    numbers of two arms one after the other. Poses are in the base of the only arm, or of the left arm.
+    Arguments have an axis of arms, with the left arm first. The function removes this axis for a single arm, and
+    concatenates the values of two arms. Poses are in the base of the only arm, or of the left arm.
 
     Args:
-        joints: each arm's joints in rad and the opening of one finger in m, (arms, drives).
+        joints: joints in rad and opening of one finger in m of each arm (arms, drives).
         timestamp: simulated time, s.
-        intrinsics: camera -> K (3, 3), pixel centres at whole numbers.
-        extrinsics: camera -> `T_cam_in_rbase` (4, 4), OpenCV's camera frame in the robot's base.
-        object_poses: object -> pose (4, 4) in the robot's base, stored as `<object>_pose`.
-        ee_pose: poses (arms, 4, 4) of each arm's `grasp_site` in the robot's base.
+        intrinsics: camera -> K (3, 3), with pixel centres at integer coordinates.
+        extrinsics: camera -> `T_cam_in_rbase` (4, 4), the OpenCV camera frame in the robot base.
+        object_poses: object -> pose (4, 4) in the robot base, stored as `<object>_pose`.
+        ee_pose: pose of each arm's `grasp_site` in the robot base (arms, 4, 4).
         ctrl: commands of each arm's drives (arms, drives), rad and m.
-        action_joints: each arm's joints and finger opening (arms, drives) that the plan commands at the end of the
+        action_joints: joints and finger opening of each arm (arms, drives) that the plan commands for the end of the
             tick.
-        magnet: whether each arm's weld holds the object (arms,).
-        wrist_camera: name of the only wrist camera, whose K is stored as `K_wrist` too.
+        magnet: whether the weld of each arm holds the object (arms,).
+        wrist_camera: name of the only wrist camera. Its K is also stored as `K_wrist`.
         T_right_base_in_left_base: pose (4, 4); with two arms only.
-        full_openings: largest opening of one finger of each arm in use, m. With it, frames have `state` and `action`:
-            `joints` and `ctrl` with each opening as a share of the largest, 0 closed .. 1 open.
-        simulation: makes the frame repeatable in physics; None for a real recording.
-        object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
-        cloth_points: cloth -> its points (n, 3) in the robot's base, m, stored as `<object>_points`, with `grasp`.
+        full_openings: largest opening of one finger of each arm, m. If given, frames have the keys `state` and
+            `action`: `joints` and `ctrl` with each opening as a share of the largest, 0 closed to 1 open.
+        simulation: data for replaying the frame in physics; None for a real recording.
+        object_joints: articulated object -> joint positions (n,), m or rad, stored as `<object>_joints`.
+        cloth_points: cloth -> points (n, 3) in the robot base, m, stored as `<object>_points`; adds the key `grasp`.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints.ravel()),
@@ -144,14 +144,13 @@ def frame_data(
 
 
 def with_opening_shares(values: Array, full_openings: Sequence[float]) -> Array:
-    """Joints and finger openings (arms, drives) with the openings as shares of the largest: 0 closed .. 1 open."""
+    """Return joints and finger openings (arms, drives), with openings as shares of the largest: 0 closed to 1 open."""
     shares = values.copy()
     shares[:, -1] = np.clip(shares[:, -1] / np.asarray(full_openings), 0.0, 1.0)
     return shares
 
 
 def _squeeze_arms(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
-    """Values without the axis of arms, if the axis has only one arm."""
     return values if values.shape[axis] > 1 else values.squeeze(axis)
 
 
@@ -164,20 +163,20 @@ def _f64(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def dump_frame(data: Mapping[str, Any]) -> bytes:
-    """The pickle of a frame; equal frames give equal bytes.
+    """Return the pickle of a frame. Equal frames give equal bytes.
 
-    Pickle's memo replaces a repeated object by a reference. The bytes would then depend on whether two equal strings
-    are one object. Fast mode has no memo, and a frame has no cycles that would need a memo.
+    The pickle memo replaces a repeated object by a reference, so bytes would depend on whether two equal strings are
+    one object. Fast mode has no memo. A frame has no cycles, so it needs no memo.
     """
     stream = io.BytesIO()
-    pickler = pickle.Pickler(stream, protocol=_PROTOCOL)
+    pickler = pickle.Pickler(stream, protocol=_PICKLE_PROTOCOL)
     pickler.fast = True
     pickler.dump(dict(data))
     return stream.getvalue()
 
 
 def load_frame(data: bytes) -> dict[str, Any]:
-    """The frame in a pickle; raises as `read_pickle`, and DatasetError if the pickle is no dictionary."""
+    """Read a frame from a pickle; raises as `read_pickle`, and DatasetError if the pickle is not a dictionary."""
     frame = read_pickle(data)
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
@@ -185,7 +184,7 @@ def load_frame(data: bytes) -> dict[str, Any]:
 
 
 def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
-    """SHA-256 over the decoded values of an episode's frames, whatever the pickle format."""
+    """Return the SHA-256 of the decoded frame values of an episode. The hash is independent of the pickle format."""
     digest = hashlib.sha256()
     for frame in frames:
         _update_digest(digest, frame)
@@ -206,7 +205,7 @@ def _update_digest(digest: Any, value: Any) -> None:
 
 
 def flatten_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """A frame's entries by flat keys: entries of an inner dictionary have keys such as `intrinsics[camera]`."""
+    """Return the entries of a frame with flat keys, such as `intrinsics[camera]` for nested dictionaries."""
     entries: dict[str, Any] = {}
     for key, value in frame.items():
         if isinstance(value, Mapping):
@@ -217,12 +216,12 @@ def flatten_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def has_simulation(frame: Mapping[str, Any]) -> bool:
-    """Whether a frame holds all `SIMULATION` keys, from which physics can repeat the frame."""
+    """Return whether a frame has all `SIMULATION` keys, so that physics can replay the frame."""
     return all(key in frame for key in SIMULATION)
 
 
 def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
-    """Faults of a frame's `SIMULATION` keys; empty if the frame has none of these keys."""
+    """Return the faults of a frame's `SIMULATION` keys; empty if the frame has none of these keys."""
     faults: list[str] = []
     if not any(key in frame for key in SIMULATION):
         return faults
@@ -245,15 +244,15 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
 
 
 def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> tuple[Array, ActionSequence] | None:
-    """The exact start of an episode and its actions.
+    """Return the exact initial state of an episode and its actions.
 
     Args:
-        frames: the episode's frames, each without faults, see `checks.lowdim.frame_faults`.
-        nq, nu: how many positions and drives the scene has.
+        frames: frames of the episode that have passed `checks.lowdim.frame_faults`.
+        nq, nu: number of positions and drives of the scene.
 
     Returns:
-        MuJoCo's positions (nq,) at the first frame, and the actions. None if a frame lacks simulation data, as in a
-        recording of real arms.
+        MuJoCo `qpos` (nq,) at the first frame, and the actions. None if a frame lacks simulation data, as in a real
+        recording.
 
     Raises:
         DatasetError: the episode was recorded in another scene.
@@ -269,7 +268,7 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
             )
     counts = [len(frame["sim_ctrl"]) for frame in frames]
     magnet = np.concatenate([frame["sim_magnet"] for frame in frames])
-    # Frames of a lone arm have no axis of arms.
+    # Frames of a single arm have no axis of arms.
     magnet = magnet.reshape(len(magnet), -1)
     planned = np.array([planned_joints(frame, magnet.shape[1]) for frame in frames])
     actions = ActionSequence(
@@ -279,6 +278,6 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
 
 
 def planned_joints(frame: Mapping[str, Any], arms: int) -> Array:
-    """Each arm's planned joints in rad and opening of one finger in m, (arms, drives)."""
+    """Return the planned joints in rad and opening of one finger in m of each arm (arms, drives)."""
     joints: Array = np.asarray(frame["action_joints"], dtype=float).reshape(arms, -1)
     return joints

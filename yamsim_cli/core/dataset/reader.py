@@ -1,4 +1,4 @@
-"""Reads published episodes: finds and selects them, and opens their files, whose content is not trusted."""
+"""Find, select and read published episodes. The content of their files is not trusted."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from .imported_records import RealEpisodeRecord, is_real, real_config
 from .lowdim import load_frame
 from .records import EpisodeRecord, from_json
 
-_REAL_SOURCE = re.compile(rb'"source"\s*:\s*"real"')  # in the `episode.json` of an imported recording
+_REAL_SOURCE = re.compile(rb'"source"\s*:\s*"real"')  # matches the `episode.json` of an imported recording
 _EPISODE_RANGE = re.compile(r"^(?:ep_)?(\d+)(?:-(?:ep_)?(\d+))?$")
 
 
 @dataclass(frozen=True)
 class RecordedEpisode:
-    """An episode on the disk, simulated or real: its directory, and the content of its `episode.json`."""
+    """A simulated or real episode on disk: its directory and the content of its `episode.json`."""
 
     directory: Path
     record: EpisodeRecord | RealEpisodeRecord
@@ -41,18 +41,18 @@ class RecordedEpisode:
         return self.directory.absolute().parent
 
     def read(self, name: str) -> bytes:
-        """Content of one file by its path inside the episode, altered or not; DatasetError if unreadable."""
+        """Return the content of a file without a hash check. Raise DatasetError if the file is unreadable."""
         try:
             return (self.directory / name).read_bytes()
         except OSError as error:
             raise DatasetError(f"{self.directory / name} cannot be read: {error.strerror or error}") from error
 
     def altered_files(self, name: str, data: bytes) -> bool:
-        """Whether a file's content differs from what was recorded."""
+        """Return whether the SHA-256 of a file's content differs from the recorded hash."""
         return sha256_bytes(data) != self.record.files.get(name)
 
     def read_verified(self, name: str) -> bytes:
-        """Content of one file as recorded; DatasetError if the file cannot be read or was altered."""
+        """Return the content of a file. Raise DatasetError if it is unreadable or differs from its recorded hash."""
         data = self.read(name)
         if self.altered_files(name, data):
             raise DatasetError(
@@ -62,29 +62,29 @@ class RecordedEpisode:
         return data
 
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
-        """The low-dimensional data of one frame, from its file's content; DatasetError if damaged."""
+        """Decode the low-dimensional data of one frame from its file content. Raise DatasetError if it is damaged."""
         try:
             return load_frame(data)
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
 
     def frames(self) -> list[dict[str, Any]]:
-        """The low-dimensional data of all frames; DatasetError if a file is missing, damaged or altered."""
+        """Read the low-dimensional data of all frames. Raise DatasetError if a file is missing, damaged or altered."""
         return [self.frame(k, self.read_verified(lowdim_name(k))) for k in range(self.record.frames)]
 
     def image(self, camera: str, number: int) -> bytes:
-        """A frame's JPEG; DatasetError if the file is missing or altered."""
+        """Return the JPEG bytes of a frame. Raise DatasetError if the file is missing or altered."""
         return self.read_verified(image_name(camera, number))
 
 
 @dataclass(frozen=True)
 class StoredEpisode(RecordedEpisode):
-    """An episode that was simulated."""
+    """A simulated episode on disk."""
 
     record: EpisodeRecord
 
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
-        """As `RecordedEpisode.frame`; DatasetError too if keys, shapes or types are not those of the record."""
+        """See `RecordedEpisode.frame`. Also raise DatasetError if keys, shapes or types do not match the record."""
         frame = super().frame(number, data)
         faults = frame_faults(frame, recorded_specs(self.record))
         if faults:
@@ -93,7 +93,7 @@ class StoredEpisode(RecordedEpisode):
 
 
 def open_episode(directory: Path) -> StoredEpisode:
-    """The simulated episode in a directory; raises as `open_recorded`, and DatasetError if the episode is real."""
+    """Open a simulated episode. Raises as `open_recorded`, and DatasetError if the episode is a real recording."""
     episode = open_recorded(directory)
     if not isinstance(episode, StoredEpisode):
         raise DatasetError(f"{directory} is an imported recording of real arms; give a simulated episode")
@@ -101,7 +101,7 @@ def open_episode(directory: Path) -> StoredEpisode:
 
 
 def open_recorded(directory: Path) -> RecordedEpisode:
-    """The episode in a directory, simulated or real; DatasetError if there is none, or its record is damaged."""
+    """Open a simulated or real episode. Raise DatasetError if the directory has no episode or a damaged record."""
     file = directory / EPISODE
     try:
         text = file.read_bytes()
@@ -116,10 +116,10 @@ def open_recorded(directory: Path) -> RecordedEpisode:
 
 
 def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
-    """All episodes of a dataset that yamsim recorded or imported.
+    """Open all episodes of a dataset that yamsim recorded or imported.
 
     Raises:
-        DatasetError: there is no such dataset, or one of its records is damaged.
+        DatasetError: `dataset` is not such a dataset, or one of its records is damaged.
     """
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
@@ -128,7 +128,7 @@ def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
 
 
 class StoredEpisodes(Sequence[StoredEpisode]):
-    """Episodes of a dataset, in order. An episode is read anew at each access; `path` is the dataset's directory."""
+    """Sequence of a dataset's episodes. Each access reads the episode from disk. `path` is the dataset directory."""
 
     def __init__(self, path: Path, directories: Sequence[Path]) -> None:
         self.path = path
@@ -144,11 +144,11 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """One episode by its place, counted from the end if negative, or several by a slice.
+        """Return the episode at an index, which may be negative, or the episodes of a slice.
 
         Raises:
-            IndexError: there are fewer episodes.
-            DatasetError: the episode's record is missing or damaged.
+            IndexError: the index is out of range.
+            DatasetError: the episode record is missing or damaged.
         """
         if isinstance(key, slice):
             return StoredEpisodes(self.path, self._directories[key])
@@ -163,7 +163,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
 
 
 def open_episodes(dataset: Path) -> StoredEpisodes:
-    """The episodes of a dataset; DatasetError if there is no dataset, or yamsim did not record it."""
+    """Return the episodes of a dataset. Raise DatasetError if yamsim did not record a dataset there."""
     found, recorded = find_episodes(dataset)
     if not recorded:
         raise _not_recorded_error(dataset)
@@ -178,11 +178,11 @@ def _not_recorded_error(dataset: Path) -> DatasetError:
 
 
 def find_episode(path: Path, number: int | None) -> RecordedEpisode:
-    """The episode at a path: the episode's own directory, or its dataset's directory with a number.
+    """Open the episode at a path: an episode directory, or a dataset directory with an episode number.
 
     Raises:
-        UsageError: the path is a dataset, and `number` is None or not one of its episodes.
-        DatasetError: there is no episode, or its record is damaged.
+        UsageError: the path is a dataset, and `number` is None or names no episode of it.
+        DatasetError: the path holds no episode, or the record is damaged.
     """
     there = episode_directories(path) if path.is_dir() else []
     if number is None and not there:
@@ -196,7 +196,7 @@ def find_episode(path: Path, number: int | None) -> RecordedEpisode:
 
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
-    """The configuration that a dataset was recorded with; DatasetError if missing or invalid."""
+    """Return the configuration that a dataset was recorded with. Raise DatasetError if it is missing or invalid."""
     file = dataset / CONFIG
     try:
         text = file.read_text(encoding="utf-8")
@@ -218,19 +218,19 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
 
 
 def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
-    """The rig of a dataset, simulated or real; raises as `dataset_config`."""
+    """Return the rig of a simulated or real dataset. Raise DatasetError if the config is missing or invalid."""
     return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig
 
 
 def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> list[tuple[int, Path]]:
-    """Number and directory of selected episodes, in order.
+    """Return the number and directory of the selected episodes, in order.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
-        sample: how many episodes to select, spread evenly over the dataset; None for all.
+        sample: number of episodes to select, evenly spread; None for all. Ignored if `episodes` is given.
 
     Raises:
-        DatasetError: there is no dataset.
+        DatasetError: `dataset` is not a directory with episodes.
         UsageError: an episode does not exist, or `episodes` is not a list of numbers and ranges.
     """
     if not dataset.is_dir():
@@ -256,7 +256,7 @@ def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
             raise UsageError(
                 f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {join_ranges(there)}"
             )
-        # The range is compared with existing numbers: a list of the whole range may not fit into memory.
+        # Filter the existing numbers by the range: a list of the whole range may not fit into memory.
         named = [number for number in there if first <= number <= last]
         if len(named) != last - first + 1:
             missing = next(number for number in range(first, last + 1) if number not in set(named))
@@ -266,15 +266,15 @@ def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
 
 
 class RecordedImages:
-    """An episode's images; `cameras` are the names of the cameras that have images."""
+    """The images of an episode. `cameras` holds the names of the cameras that have images."""
 
     def __init__(self, episode: RecordedEpisode) -> None:
         self._episode = episode
         self.cameras = tuple(episode.record.cameras)
 
     def read(self, camera: str, frame: int) -> Image:
-        """An RGB image (height, width, 3); DatasetError if the file is missing, altered or damaged."""
-        # Imported here: OpenCV takes 0.1 s to load, and most readers need no images.
+        """Return an RGB image (height, width, 3). Raise DatasetError if the file is missing, altered or damaged."""
+        # Imported here because OpenCV takes 0.1 s to load and most readers need no images.
         from ..images.jpeg import decode_jpeg
 
         image = decode_jpeg(self._episode.image(camera, frame))
@@ -285,7 +285,7 @@ class RecordedImages:
 
 
 def recorded_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
-    """Each frame's images, all cameras side by side; raises as `RecordedImages.read`."""
+    """Yield the images of each frame, with all cameras side by side; raises as `RecordedImages.read`."""
     images = RecordedImages(episode)
     for k in range(episode.record.frames):
         yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)

@@ -1,4 +1,4 @@
-"""The JSON records of a dataset: of an episode, of an attempt in the ledger, and the manifest."""
+"""JSON records of a dataset: `episode.json`, lines of the attempt ledger, and the manifest."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from ..files.writing import sha256_bytes
 from ..geometry.se3 import Array, UprightPose
 from .dataset_paths import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION, PROGRAM_FORMAT_VERSION
 
-# Path of a file inside its episode. No part begins with a dot, so that no path leads out of the episode.
+# Path of a file relative to its episode. No path component begins with a dot, so paths cannot leave the episode.
 FilePath = Annotated[
     str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$", max_length=300)
 ]
-# Camera -> width and height of its images, px. A camera's name is a folder in episodes and exports.
+# Camera -> (width, height) of its images, px. The camera name is also a folder name in episodes and exports.
 CameraSizes = dict[Name, tuple[int, int]]
 
-DEFAULT_DRIVES = 7  # drives of an arm where a record states none: six joints and a gripper, as in format version 1
+DEFAULT_DRIVES = 7  # drives per arm if a record states none: six joints and a gripper, as in format version 1
 
 
 def _without_arms(variation: Variation, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-    """A variation without the key `arm_dynamics`, if arms do not vary, as in earlier records."""
+    """Serialize a variation. Omit `arm_dynamics` if arms do not vary, as in earlier records."""
     data: dict[str, Any] = write(variation)
     return data if variation.arm_dynamics else {key: value for key, value in data.items() if key != "arm_dynamics"}
 
 
-# Left out of records if nothing varies.
+# Omitted from records if nothing varies.
 VariationField = Annotated[
     Variation, Field(exclude_if=lambda variation: variation == Variation()), WrapSerializer(_without_arms)
 ]
@@ -47,13 +47,13 @@ _UNLESS_EMPTY = Field(exclude_if=lambda value: not value)
 
 
 class Record(BaseModel):
-    """Base of all records in a dataset. Numbers are finite; unknown keys, as of later versions, are ignored."""
+    """Base class of all dataset records. Numbers must be finite. Unknown keys of later versions are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class MarginsRecord(Record):
-    """The motion's margins to the arm's limits, see `types.MotionMargins`."""
+    """Margins between a motion and the limits of the arm; see `attempt_data.MotionMargins`."""
 
     velocity_share: float
     torque_share: float
@@ -63,7 +63,7 @@ class MarginsRecord(Record):
 
     @classmethod
     def from_margins(cls, margins: MotionMargins) -> MarginsRecord:
-        """The record of `margins`."""
+        """Return the record of `margins`."""
         return cls(
             velocity_share=margins.velocity,
             torque_share=margins.torque,
@@ -74,7 +74,7 @@ class MarginsRecord(Record):
 
 
 class MeasureRecord(Record):
-    """The margin by which a part of a goal holds, see `goals.measure.GoalMeasure`."""
+    """Margin by which one predicate of a goal holds; see `goals.measure.GoalMeasure`."""
 
     what: str
     margin: float
@@ -83,12 +83,12 @@ class MeasureRecord(Record):
 
     @property
     def is_distance(self) -> bool:
-        """Whether the margin is a distance from the centre of a surface, see `goals.predicates.On`."""
+        """Whether the margin is a distance from the centre of a surface; see `goals.predicates.On`."""
         return self.unit == "m" and self.what.startswith("on(")
 
 
 class RecoveryRecord(Record):
-    """A skill that failed and was tried again, see `types.Recovery`."""
+    """A skill that failed and was tried again; see `attempt_data.Recovery`."""
 
     step: int
     skill: str
@@ -97,7 +97,7 @@ class RecoveryRecord(Record):
 
 
 class OutcomeRecord(Record):
-    """An outcome in continuous numbers, so that any threshold can be applied later: m, m/s and rad."""
+    """Outcome of an attempt as continuous values in m, m/s and rad, so that any threshold can be applied later."""
 
     success: bool
     cause: str | None
@@ -108,13 +108,13 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
-    # Left out for tasks without goals and programs, as in format version 1.
+    # Omitted for tasks without goals and programs, as in format version 1.
     measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
     recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 
     @classmethod
     def from_outcome(cls, outcome: Outcome) -> OutcomeRecord:
-        """The record of `outcome`."""
+        """Return the record of `outcome`."""
         return cls(
             success=outcome.success,
             cause=outcome.cause,
@@ -130,13 +130,13 @@ class OutcomeRecord(Record):
         )
 
     def is_within(self, threshold: float, max_height: float = math.inf) -> bool:
-        """Whether the object ended on its target, within `threshold` metres of the target's centre.
+        """Return whether the object ended on its target, within `threshold` metres of the target's centre.
 
         Args:
-            max_height: largest height of the object's origin over the target's in format version 1, m. Later versions
-                measure contact instead.
+            max_height: largest height of the object's origin above the target's origin, m. Applies to format version 1
+                only; later versions measure contact instead.
         """
-        # For other causes distance does not count: the object may have been thrown there.
+        # After any other failure cause, the distance is meaningless: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, FailureCause.OFF_TARGET):
             return False
         on_it = self.measures or 0.0 <= self.dz_m <= max_height
@@ -144,12 +144,12 @@ class OutcomeRecord(Record):
         return bool(on_it) and others and self.dxy_m <= threshold
 
 
-# A start: `[x, y, z, yaw]` in format version 1, `[x, y, z, qw, qx, qy, qz]` in version 2, m and rad.
+# Initial pose: `[x, y, z, yaw]` in format version 1, `[x, y, z, qw, qx, qy, qz]` in version 2; m and rad.
 StartPlace = UprightPose | FullPose
 
 
 class RoleAssignmentRecord(Record):
-    """A task's cast: role -> things, thing -> its object, thing -> scale of that object."""
+    """Role assignment: role -> objects, object -> name of its object config, object -> scale factor."""
 
     things: dict[str, tuple[str, ...]]
     kinds: dict[str, str]
@@ -157,7 +157,7 @@ class RoleAssignmentRecord(Record):
 
 
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`; `layout` is object -> start in `world`, see `StartPlace`."""
+    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`; see `StartPlace`."""
 
     attempt: int
     seed: int
@@ -170,7 +170,7 @@ class AttemptRecord(Record):
 
 
 class EpisodeRecord(Record):
-    """`episode.json`: all numbers that make the episode again, and the hashes of its files."""
+    """`episode.json`: all values that are needed to reproduce the episode, and the hashes of its files."""
 
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
     format_version: int = FORMAT_VERSION
@@ -186,35 +186,35 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: CameraSizes
     truth: bool = False
-    # Left out for one arm, so that earlier records keep their bytes.
+    # Omitted for one arm, so that earlier records keep their bytes.
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
-    # Drives of each arm.
+    # Number of drives per arm.
     drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DEFAULT_DRIVES)] = DEFAULT_DRIVES
-    # Whether frames have `state` and `action`.
+    # Whether frames have the keys `state` and `action`.
     joint_actions: Annotated[bool, _UNLESS_EMPTY] = False
     objects: list[Name]
     outcome: OutcomeRecord
-    # None for tasks that a goal judges.
+    # None for tasks whose success is decided by a goal.
     max_height_m: float | None
     layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
-    # From format version 2 on.
+    # Since format version 2.
     cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
-    # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
+    # Articulated object -> names of its joints, in the order of `<object>_joints`.
     joints: Annotated[dict[Name, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
-    # Cloth -> points of `<thing>_points` along its x axis and its y axis.
+    # Cloth -> number of points of `<object>_points` along its x axis and its y axis.
     cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> shown meshes, see `core.config.describe_meshes`; None in earlier records.
+    # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None in earlier records.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
 
 
 class ManifestEntry(Record):
-    """One episode in the manifest; `sha256` is the hash of `episode.json`, which holds the hashes of all files."""
+    """One episode in the manifest. `sha256` is the hash of `episode.json`, which holds the hashes of all files."""
 
     episode: int
     path: FilePath
@@ -225,7 +225,7 @@ class ManifestEntry(Record):
 
 
 class Manifest(Record):
-    """`manifest.json`: the index of a dataset, made from its episodes."""
+    """`manifest.json`: the index of a dataset, computed from its episodes."""
 
     format: Annotated[str, Field(pattern=f"^{DATASET_FORMAT}$")] = DATASET_FORMAT
     format_version: int = FORMAT_VERSION
@@ -241,12 +241,12 @@ R = TypeVar("R", bound=Record)
 
 
 def to_json(record: Record, *, indent: int | None = None) -> bytes:
-    """JSON text of a record; equal records give equal bytes."""
+    """Return a record as JSON text. Equal records give equal bytes."""
     return (json.dumps(record_data(record), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """The record in JSON text; DatasetError with the first fault if the text is no such record."""
+    """Parse a record from JSON text. Raise DatasetError with the first fault if the text is not a valid `model`."""
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
@@ -256,7 +256,7 @@ def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
 
 
 def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecord:
-    """The ledger's line for a finished attempt; `episode` is the number of the published episode, or None."""
+    """Return the ledger record of a finished attempt. `episode` is the number of the published episode, or None."""
     cast, recorded = payload.attempt.roles, None
     if cast is not None:
         recorded = RoleAssignmentRecord(
@@ -275,25 +275,25 @@ def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecor
 
 
 def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
-    """The attempt that a recorded episode was made of; `start` is MuJoCo's positions (nq,) of the first frame."""
+    """Return the attempt of a recorded episode. `start` is the MuJoCo `qpos` (nq,) of the first frame."""
     cast = None if record.cast is None else RoleAssignment(record.cast.things, record.cast.kinds, record.cast.sizes)
     job, layout = AttemptJob(record.seed, record.attempt), Layout.from_places(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)
 
 
 def file_hashes(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Path -> SHA-256, in the order of paths."""
+    """Return path -> SHA-256, sorted by path."""
     return {name: sha256_bytes(files[name]) for name in sorted(files)}
 
 
 def record_data(record: Record) -> dict[str, Any]:
-    """A record as JSON-ready data."""
+    """Return a record as JSON-ready data."""
     data: dict[str, Any] = record.model_dump(mode="json")
     return data
 
 
 def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) -> EpisodeRecord:
-    """The `episode.json` of a successful attempt that is published as number `episode`."""
+    """Return the `episode.json` record of a successful attempt that is published as number `episode`."""
     cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
     attempt = attempt_record(payload, episode)
     task = config.task
@@ -332,14 +332,12 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
 
 
 def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
-    """Cloth -> how many points lie along its x axis and along its y axis."""
     cloths = {item.name: item.cloth for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
 
 
 def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
-    """Articulated thing -> names of its joints."""
     items = {item.name: item for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

@@ -1,4 +1,4 @@
-"""Joints and commands as rows of numbers with names, as recordings and exports have them."""
+"""Joint values and commands as flat rows of named numbers, as in recordings and exports."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Row = NDArray[np.float32]
 
 
 def arm_prefixes(rig: RigConfig) -> tuple[str, ...]:
-    """The prefix of the names of each arm's parts, in the order of recordings; empty for a lone arm."""
+    """Return the name prefix of each arm, in recording order. A single arm has the prefix ""."""
     return tuple(f"{rig.arms[k].side}_" for k in rig.recording_order) if len(rig.arms) > 1 else ("",)
 
 
 def drive_names(rig: RigConfig) -> tuple[str, ...]:
-    """Names of all drives, which are those of the numbers in `joints`, in the order of recordings."""
+    """Return the names of all drives, in recording order. They name the elements of `joints`."""
     return tuple(
         prefix + name
         for prefix, k in zip(arm_prefixes(rig), rig.recording_order, strict=True)
@@ -31,19 +31,19 @@ def drive_names(rig: RigConfig) -> tuple[str, ...]:
 
 
 def weld_names(config: RecordConfig) -> tuple[str, ...]:
-    """Names of an action's numbers for each arm's weld; empty where actions are joints."""
+    """Return the names of the weld elements of an action, one per arm; empty if actions are joints."""
     return () if config.action == "joints" else tuple(f"{prefix}magnet" for prefix in arm_prefixes(config.rig))
 
 
 @dataclass(frozen=True)
 class RowFormat:
-    """States as rows of joints and grippers; actions as rows of the drives' commands, followed by the welds.
+    """Format of states and actions as rows. A state has joints and grippers; an action has drive commands, then welds.
 
     Attributes:
-        drives: names of a state's numbers, and of an action's commands.
-        welds: names of an action's welds.
-        full: largest opening of one finger of each arm in use (arms,), m. With it, grippers are shares of this
-            opening, 0 closed .. 1 open; with None, grippers are openings of one finger, m.
+        drives: names of the elements of a state, and of the commands in an action.
+        welds: names of the weld elements of an action.
+        full: largest opening of one finger of each arm (arms,), m. If given, gripper values are shares of this
+            opening, 0 closed to 1 open. If None, gripper values are openings of one finger, m.
     """
 
     drives: tuple[str, ...]
@@ -53,7 +53,7 @@ class RowFormat:
 
     @classmethod
     def from_config(cls, config: RecordConfig) -> RowFormat:
-        """The rows that a config records."""
+        """Return the row format of the recordings of a config."""
         rig = config.rig
         fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
         full = tuple(each.full_opening for each in fingers if each is not None)
@@ -62,20 +62,20 @@ class RowFormat:
 
     @property
     def actions(self) -> tuple[str, ...]:
-        """Names of an action's numbers."""
+        """Names of the elements of an action."""
         return self.drives + self.welds
 
     def state(self, joints: Array) -> Row:
-        """The row of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
+        """Return the state row of joints in rad and finger openings in m, given as (arms, drives)."""
         return self._with_shares(joints).ravel().astype(np.float32)
 
     def action(self, ctrl: Array, holds: WeldStates) -> Row:
-        """The row of each arm's commands (arms, drives), rad and m, and whether its weld is on (arms,)."""
+        """Return the action row of the commands (arms, drives), rad and m, and the weld states (arms,)."""
         row = self._with_shares(ctrl).ravel()
         return (np.append(row, holds) if self.welds else row).astype(np.float32)
 
     def command(self, row: NDArray[np.floating]) -> tuple[Array, WeldStates]:
-        """An action's commands of each arm (arms, drives), rad and m, and whether its weld is on (arms,)."""
+        """Return the commands (arms, drives), rad and m, and the weld states (arms,) of an action row."""
         count = len(self.drives)
         ctrl = np.array(row[:count], dtype=np.float64).reshape(self.arms, -1)
         if self.full is not None:

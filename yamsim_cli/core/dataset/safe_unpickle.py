@@ -1,14 +1,14 @@
-"""Reads pickles from unknown sources: numpy arrays and plain containers of limited size, and nothing else.
+"""Read pickles from untrusted sources: only numpy arrays and plain containers of limited size.
 
 A pickle is a program. Four restrictions make it harmless:
 
-- The names that a pickle may call stand for small classes in this module, and not for numpy's functions, which trust
-  shapes and buffers. No module is ever imported for a pickle.
-- Only the instructions that data needs are known, and the standard library's unpickler in Python runs them. The
-  unpickler in C would make a table as large as the largest memo index: gigabytes for a file of ten bytes.
-- A dictionary's keys are text or numbers. Hashing a tuple of tuples that share their parts could take forever.
-- The result is copied within a budget. Lists that are shared many times would otherwise multiply when printed
-  or hashed.
+- Names that a pickle may call resolve to small classes in this module. They do not resolve to numpy functions, which
+  trust shapes and buffers. No module is ever imported for a pickle.
+- Only opcodes that data needs are allowed, and the pure Python unpickler runs them. The C unpickler allocates a table
+  as large as the largest memo index: gigabytes for a file of ten bytes.
+- Dictionary keys are text or numbers. Hashing nested tuples with shared elements could take exponential time.
+- The result is copied within a budget. Otherwise, lists that are shared many times would multiply when printed or
+  hashed.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ import numpy as np
 
 from ..errors import DatasetError
 
-# A recorded frame has 2 kB and 150 values. An instruction takes at least one byte and makes at most 64 bytes, so that
-# these numbers limit the memory too.
+# A recorded frame has 2 kB and 150 values. An opcode takes at least one byte and allocates at most 64 bytes, so these
+# limits bound the memory too.
 MAX_BYTES: Final = 2**20
 _MAX_VALUES: Final = 20_000
 _MAX_DEPTH: Final = 16
 _MAX_INT_BITS: Final = 1024
 
-# Booleans, numbers and text of a fixed width. Objects ("O") may be anything; only text is accepted there.
+# Booleans, numbers, text of fixed width, and objects ("O8"). Object arrays are accepted only if all elements are text.
 _DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8")
 
-# Instructions that build numbers, text, lists, tuples, dictionaries and arrays, in every protocol; and INST, so that
-# the message can name the requested class.
-_INSTRUCTIONS: Final = """
+# Opcodes of all protocols that build numbers, text, lists, tuples, dictionaries and arrays. INST is included so that
+# the error message can name the requested class.
+_OPCODES: Final = """
     PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
     NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
     UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8 SHORT_BINBYTES BINBYTES BINBYTES8 BYTEARRAY8
     EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_DICT DICT SETITEM SETITEMS
     GLOBAL STACK_GLOBAL INST REDUCE BUILD
 """
-_NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
+_OPCODE_NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
 
 
 class ForbiddenPickleError(DatasetError):
-    """A pickle that names a function or class, or is larger than any frame."""
+    """The pickle names a function or class, or is larger than any frame."""
 
 
 class _DType:
-    """Stands for `numpy.dtype(text, align, copy)`, and for the byte order that is set on it."""
+    """Safe replacement for `numpy.dtype(text, align, copy)`, including the byte order that the pickle sets."""
 
     __slots__ = ("dtype",)
 
@@ -72,7 +72,7 @@ class _DType:
 
 
 class _Array:
-    """A pickle's description of an array or of a numpy scalar; `make` checks it against its bytes."""
+    """Description of an array or numpy scalar in a pickle. `make` checks the description against the bytes."""
 
     __slots__ = ("_description", "_scalar")
 
@@ -90,7 +90,7 @@ class _Array:
         return sum(map(len, self._texts())) if kind.dtype.hasobject else len(raw)
 
     def _texts(self) -> list[str]:
-        """The content of an array of objects; all have to be text."""
+        """Return the elements of an object array. Raise ForbiddenPickleError if any element is not text."""
         raw = self._description[0]
         if not isinstance(raw, list) or not all(isinstance(text, str) for text in raw):
             raise ForbiddenPickleError("the pickle has an array of objects; only numbers and text are read")
@@ -105,13 +105,13 @@ class _Array:
             return np.array(texts, dtype=np.str_).reshape(shape)
         if math.prod(shape) * kind.dtype.itemsize != len(raw) or min(shape, default=0) < 0:
             raise ValueError(f"an array of shape {_short(shape)} and {kind.dtype} in {len(raw)} bytes")
-        # Copied, so that the array is writable and aligned.
+        # The copy is writable and aligned.
         array = np.frombuffer(raw, kind.dtype).reshape(shape, order=order).copy(order=order)
         return array[()] if self._scalar else array
 
 
-class _Name:
-    """What a pickle gets for an allowed name: a callable that cannot be changed."""
+class _AllowedName:
+    """Immutable callable that stands for an allowed name."""
 
     __slots__ = ("_call",)
 
@@ -127,12 +127,10 @@ class _Name:
         raise ForbiddenPickleError("the pickle changes a function; it was not run")
 
 
-# A pickle may only pass this to `_reconstruct`.
-_NDARRAY = _Name(None)
+_NDARRAY = _AllowedName(None)  # a pickle can only pass this on to `_reconstruct`
 
 
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
-    """The description of an empty array; the pickle sets its content later."""
     if kind is not _NDARRAY or shape != (0,):
         raise ForbiddenPickleError(f"the pickle makes an array of shape {_short(shape)} without content")
     return _Array(b"", _DType("u1"), (0,), "C")
@@ -147,20 +145,20 @@ def _scalar(dtype: Any, raw: Any) -> _Array:
 
 
 # Allowed (module, name) -> callable, with the module names of numpy 2 and of numpy 1.
-_ALLOWED: Final[dict[tuple[str, str], _Name]] = {
-    (f"{core}.{module}", name): _Name(call)
+_ALLOWED_NAMES: Final[dict[tuple[str, str], _AllowedName]] = {
+    (f"{core}.{module}", name): _AllowedName(call)
     for core in ("numpy._core", "numpy.core")
     for module, name, call in (
         ("multiarray", "_reconstruct", _reconstruct),
         ("multiarray", "scalar", _scalar),
         ("numeric", "_frombuffer", _from_buffer),
     )
-} | {("numpy", "ndarray"): _NDARRAY, ("numpy", "dtype"): _Name(_DType)}
+} | {("numpy", "ndarray"): _NDARRAY, ("numpy", "dtype"): _AllowedName(_DType)}
 
 
 class _Dispatch(dict[int, Callable[[Any], None]]):
     def __missing__(self, code: int) -> Callable[[Any], None]:
-        name = _NAMES.get(code, f"{code:#04x}")
+        name = _OPCODE_NAMES.get(code, f"{code:#04x}")
         raise ForbiddenPickleError(f"the pickle has the instruction {name}, which no frame needs")
 
 
@@ -170,15 +168,15 @@ class _Unpickler(pickle._Unpickler):
     read: Callable[[int], bytes]
 
     dispatch = _Dispatch(
-        {code: run for code, run in pickle._Unpickler.dispatch.items() if _NAMES[code] in _INSTRUCTIONS.split()}
+        {code: run for code, run in pickle._Unpickler.dispatch.items() if _OPCODE_NAMES[code] in _OPCODES.split()}
     )
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _ALLOWED:
+        if (module, name) not in _ALLOWED_NAMES:
             raise ForbiddenPickleError(
                 f"the pickle names {_short(module)}.{_short(name)}, which no frame may; it was not run"
             )
-        return _ALLOWED[module, name]
+        return _ALLOWED_NAMES[module, name]
 
     def _set(self, items: list[Any]) -> None:
         for key, value in zip(items[::2], items[1::2], strict=True):
@@ -212,25 +210,25 @@ class _Unpickler(pickle._Unpickler):
 
 
 def read_pickle(data: bytes) -> Any:
-    """The content of a pickle: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
+    """Return the content of a pickle: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
 
     Raises:
-        ForbiddenPickleError: the pickle names anything else, or takes more memory than a frame may.
-        DatasetError: the pickle is truncated, or no pickle.
+        ForbiddenPickleError: the pickle names any other type, or exceeds the memory limit of a frame.
+        DatasetError: the data is truncated, or not a pickle.
     """
     if len(data) > MAX_BYTES:
         raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
     try:
-        return _Walk().value(_Unpickler(io.BytesIO(data)).load(), 0)
+        return _BudgetedCopy().value(_Unpickler(io.BytesIO(data)).load(), 0)
     except DatasetError:
         raise
-    # A broken pickle makes the unpickler raise almost anything.
+    # The unpickler can raise almost any exception on a broken pickle.
     except Exception as error:
         raise DatasetError(f"not a whole pickle: {type(error).__name__}: {_short(str(error))}") from error
 
 
-class _Walk:
-    """Copies a pickle's content within a budget, with arrays in place of their descriptions."""
+class _BudgetedCopy:
+    """Copies the content of a pickle within a budget, and replaces array descriptions by arrays."""
 
     def __init__(self) -> None:
         self._values = _MAX_VALUES
@@ -262,7 +260,7 @@ class _Walk:
 
 
 def _short(value: Any) -> str:
-    """A value as one short line of printable text; of containers only a shape or the type."""
+    """Return a value as one short line of printable text. For a container, return only its shape or type."""
     if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
         text = f"({', '.join(map(_short, value))})"
     elif isinstance(value, str | int | float):

@@ -1,4 +1,4 @@
-"""Checks a dataset as a whole: ledger and manifest, missing, duplicate and dissimilar episodes, half-written files."""
+"""Check a dataset as a whole: ledger, manifest, missing, duplicate and dissimilar episodes, incomplete files."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_SAME_PLACE_DIGITS = 6  # digits of a metre; equal starts to these digits do not happen by chance
-_MAX_MANIFEST = 2**30  # bytes of a manifest that is read
+_LAYOUT_DIGITS = 6  # decimals to which layouts are compared; layouts that close are no coincidence
+_MAX_MANIFEST_BYTES = 2**30  # largest manifest that is read
 _PART = re.compile(r"\..+\.part")
 
 
@@ -29,7 +29,7 @@ def check_dataset(
     attempts: Sequence[AttemptRecord],
     problems: ProblemCollector,
 ) -> list[DatasetProblem]:
-    """Faults of episodes in comparison with others; faults of the dataset are added to `problems`."""
+    """Return faults that follow from comparing episodes. Faults of the dataset are added to `problems`."""
     found: list[DatasetProblem] = []
     if not episodes:
         problems.add("dataset.empty")
@@ -50,7 +50,7 @@ def check_dataset(
 
 
 def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
-    """A fault for each run of missing episodes: numbers start at 0 without gaps, and listed episodes existed."""
+    """Return a fault for each run of missing episodes: numbers start at 0 without gaps, and listed episodes existed."""
     known = sorted(present | listed)
     runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
     runs += [(number, number) for number in listed - present]
@@ -69,7 +69,7 @@ def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
 
 
 def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
-    """Note missing numbers, if all names are the same word with a number."""
+    """Report missing numbers if all names consist of the same word and a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
     if len(parts) < len(names) or len({word for word, _ in parts}) != 1:
@@ -82,14 +82,14 @@ def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> N
 
 
 def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
-    """Faults of episodes that equal an earlier episode in all values, or in their start."""
+    """Return faults of episodes that equal an earlier episode in all values or in the layout."""
     contents: dict[str, str] = {}
     layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
     found = []
     for episode in episodes:
         own = ProblemCollector(episode.name)
         places = tuple(
-            sorted((name, tuple(round(v, _SAME_PLACE_DIGITS) for v in place)) for name, place in episode.layout.items())
+            sorted((name, tuple(round(v, _LAYOUT_DIGITS) for v in place)) for name, place in episode.layout.items())
         )
         if episode.content and episode.content in contents:
             own.add("episode.duplicate", "", f"every value is that of {contents[episode.content]}")
@@ -102,7 +102,6 @@ def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
 
 
 def _note_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCollector) -> None:
-    """Note settings that differ between episodes."""
     cameras = (", ".join(f"{name} {w}x{h}" for name, (w, h) in sorted(e.cameras.items())) for e in episodes)
     _differ("cameras", (text for text in cameras if text), problems)
     records = [episode.record for episode in episodes if episode.record]
@@ -133,7 +132,7 @@ def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) 
 
 
 def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord]:
-    """All readable attempts, in order; damaged lines and missing attempts are noted."""
+    """Return all readable attempts, in order. Damaged lines and missing attempts are added to `problems`."""
     file = dataset / ATTEMPTS
     attempts: list[AttemptRecord] = []
     if not file.is_file():
@@ -163,7 +162,7 @@ def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord
 def compare_ledger(
     dataset: Path, attempts: Sequence[AttemptRecord], episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> list[DatasetProblem]:
-    """Faults of episodes that differ from the ledger; faults of the ledger itself are added to `problems`."""
+    """Return faults of episodes that differ from the ledger. Faults of the ledger itself are added to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
     if not (dataset / ATTEMPTS).is_file():
         if recorded:
@@ -171,7 +170,7 @@ def compare_ledger(
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
-    # Damaged and missing lines are noted already.
+    # Damaged and missing lines are already reported.
     if unlogged and not problems.has_code_prefix("ledger."):
         problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
     found = []
@@ -184,7 +183,7 @@ def compare_ledger(
 
 
 def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
-    """The first value that differs: in the episode, and in the ledger; None if all agree."""
+    """Return the first differing value, in the episode and in the ledger; None if all agree."""
     record = episode.record
     assert record is not None
     for key in ("attempt", "seed", "outcome", "layout"):
@@ -195,7 +194,7 @@ def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str]
 
 
 def _shown(value: object, other: object) -> str:
-    """Text of a value; of a record, only the entries that differ from the other record's."""
+    """Return a value as text. For a record, return only the entries that differ from the other record."""
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))
@@ -205,13 +204,13 @@ def _shown(value: object, other: object) -> str:
 def check_manifest(
     dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: ProblemCollector
 ) -> tuple[set[int], list[DatasetProblem]]:
-    """Numbers of the episodes that the manifest lists, and faults of those that differ from it."""
+    """Return the numbers of the episodes in the manifest, and faults of episodes that differ from the manifest."""
     file = dataset / MANIFEST
     if not file.is_file():
         problems.add("manifest.missing", MANIFEST)
         return set(), []
     try:
-        if file.stat().st_size > _MAX_MANIFEST:
+        if file.stat().st_size > _MAX_MANIFEST_BYTES:
             raise DatasetError(f"{file.stat().st_size} bytes")
         manifest = from_json(Manifest, file.read_bytes(), MANIFEST)
     except (DatasetError, OSError) as error:

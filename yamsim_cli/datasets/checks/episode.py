@@ -1,4 +1,4 @@
-"""Checks one episode: opens every file, notes the faults, and collects the facts for statistics."""
+"""Check one episode: open every file, collect faults, and collect facts for statistics."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from .episode_facts import (
 from .episode_files import check_missing_files, list_files, read_file
 from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 
-# m, largest difference between the recorded outcome and the last frame: the outcome is taken shortly after that frame,
-# and a resting object moves by less than 0.1 mm until then.
+# m, largest difference between the recorded outcome and the last frame. The outcome is measured shortly after that
+# frame, and a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
-_SHOWN_HASH = 12  # digits of a hash in messages
+_SHOWN_HASH_DIGITS = 12  # digits of a hash in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
-    """Check an episode. Every file is opened, and a fault in one file does not end the checks of others."""
+    """Check an episode. Every file is opened. A fault in one file does not stop the checks of others."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
@@ -138,7 +138,6 @@ class _EpisodeCheck:
             self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
 
     def _check_imported(self, record: RealEpisodeRecord, frames: int) -> None:
-        """Check that all files of an imported recording are there."""
         for name in record.files:
             if name not in self._files.sizes:
                 self._problems.add("file.missing", name)
@@ -146,7 +145,7 @@ class _EpisodeCheck:
             self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
-        """Whether a file's content is as recorded; True if the record does not list the file."""
+        """Return whether the hash of a file matches the record; True if the record does not list the file."""
         record = self._record or self._imported
         wanted = record.files.get(name) if record else None
         if wanted is None:
@@ -155,8 +154,8 @@ class _EpisodeCheck:
             return True
         found = sha256_bytes(data)
         if found != wanted:
-            value = f"{len(data)} bytes with sha256 {found[:_SHOWN_HASH]}..."
-            self._problems.add("file.hash", name, value, f"{wanted[:_SHOWN_HASH]}...")
+            value = f"{len(data)} bytes with sha256 {found[:_SHOWN_HASH_DIGITS]}..."
+            self._problems.add("file.hash", name, value, f"{wanted[:_SHOWN_HASH_DIGITS]}...")
         return found == wanted
 
     def _check_lowdim(self) -> LowdimChecks:
@@ -170,7 +169,7 @@ class _EpisodeCheck:
         if checks.frames and len(checks.frames) == len(self._files.lowdim):
             found = self._content = content_hash(checks.frames[k] for k in sorted(checks.frames))
             if record and unchanged and len(checks.frames) == record.frames and found != record.content_sha256:
-                value, valid = found[:_SHOWN_HASH], record.content_sha256[:_SHOWN_HASH]
+                value, valid = found[:_SHOWN_HASH_DIGITS], record.content_sha256[:_SHOWN_HASH_DIGITS]
                 self._problems.add("lowdim.content", EPISODE, f"content_sha256 {value}...", f"{valid}...")
         return checks
 
@@ -199,7 +198,6 @@ class _EpisodeCheck:
                 checks.check_segmentation(camera, name)
 
     def _check_others(self) -> None:
-        """Check the hashes of other files that the record lists."""
         for name in self._files.others:
             record = self._record or self._imported
             if record and name in record.files and (data := self._read(name)) is not None:
@@ -216,7 +214,7 @@ class _EpisodeCheck:
         return check_times(times, period, self._frame_name, self._problems)
 
     def _capture_times(self) -> dict[int, float]:
-        """Frame -> time in s, from the first camera that has a file of capture times."""
+        """Return frame number -> time in s, from the first camera that has a file of capture times."""
         for camera, names in sorted(self._files.images.items()):
             name = f"rgb/{camera}/{TIMESTAMPS}"
             data = self._read(name) if name in self._files.others else None
@@ -260,7 +258,6 @@ class _EpisodeCheck:
 
 
 def _require_sane(record: EpisodeRecord) -> EpisodeRecord:
-    """The record itself; DatasetError if its numbers are impossible."""
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")
     for camera, (width, height) in record.cameras.items():

@@ -1,4 +1,4 @@
-"""Facts of an episode, for statistics; what `episode.json` does not state is read from the frames."""
+"""Facts about an episode for statistics, from `episode.json` or else from the frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yamsim_cli.core.dataset.lowdim import BETWEEN_BASES
 from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord
 from yamsim_cli.core.geometry.se3 import Array, yaw
 
-# Frame -> flat key -> value, of values that passed `lowdim.LowdimChecks`.
+# Frame number -> flat key -> value, for values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
 POSE = "_pose"
@@ -23,24 +23,24 @@ _HAND = "ee_pose"
 
 @dataclass(frozen=True)
 class EpisodeFacts:
-    """What checks found in an episode.
+    """Facts about an episode and the problems that checks found.
 
     Attributes:
-        name: the directory's name.
-        number: the number in that name; None if yamsim did not name the directory.
+        name: directory name.
+        number: episode number in that name; None if yamsim did not name the directory.
         record: content of episode.json; None if missing or unreadable.
         record_sha256: hash of episode.json.
-        frames: how many frames the episode should have.
-        bytes: size of all files.
+        frames: expected number of frames.
+        bytes: total size of all files.
         seconds: time from the first frame to the last; None if unknown.
-        cameras: camera -> width and height of its images.
-        images: camera -> paths of decodable images, inside the episode, in order.
-        starts, ends: object -> x and y in `world` in the first and in the last frame, m.
-        layout: object -> x, y, z, yaw at the start, as recorded, or else in the robot's base; m and rad.
-        outcome: as recorded, or else read from the last frame; None without either.
+        cameras: camera -> width and height of its images, px.
+        images: camera -> paths of decodable images, relative to the episode, in order.
+        starts, ends: object -> (x, y) in `world` in the first and in the last frame, m.
+        layout: object -> initial pose as recorded, or else (x, y, z, yaw) in the robot base; m and rad.
+        outcome: recorded outcome, or else derived from the last frame; None without either.
         content: hash of the lowdim values; "" if a frame is unreadable.
         problems: the episode's faults.
-        noted: faults of an imported recording that the import found.
+        noted: faults that the import of a real recording found.
     """
 
     name: str
@@ -62,14 +62,14 @@ class EpisodeFacts:
 
 
 def values_by_frame(values: Values, key: str) -> dict[int, Array]:
-    """Frame -> value under `key`, of frames that have the key."""
+    """Return frame number -> value of `key`, for frames that have the key."""
     return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
 
 
 def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
-    """Flat key -> frame -> pose (4, 4): objects, `ee_pose`, `extrinsics[camera]`, and between bases.
+    """Return flat key -> frame number -> pose (4, 4) of objects, `ee_pose`, `extrinsics[camera]` and `BETWEEN_BASES`.
 
-    The hands of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
+    The hand poses of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
     """
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
     named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
@@ -86,7 +86,7 @@ def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
 
 
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
-    """Object -> pose (4, 4) in the robot's base, in one frame."""
+    """Return object -> pose (4, 4) in the robot base, in one frame."""
     return {
         key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
         for key, by_frame in rigid_poses(values).items()
@@ -95,7 +95,7 @@ def object_poses(values: Values, frame: int) -> dict[str, Array]:
 
 
 def object_positions(values: Values, context: CheckContext, *, last: bool) -> dict[str, tuple[float, float]]:
-    """Object -> x and y in `world` in the first or the last readable frame."""
+    """Return object -> (x, y) in `world`, m, in the first or the last readable frame."""
     if not values:
         return {}
     poses = object_poses(values, max(values) if last else min(values))
@@ -104,7 +104,7 @@ def object_positions(values: Values, context: CheckContext, *, last: bool) -> di
 
 
 def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[float, ...]]:
-    """Object -> x, y, z and yaw at the start: as recorded, or else from the first frame, in the robot's base."""
+    """Return object -> initial pose, as recorded, or else (x, y, z, yaw) in the robot base from the first frame."""
     if record:
         return dict(record.layout)
     if not values:
@@ -113,7 +113,7 @@ def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tu
 
 
 def outcome_from_frames(values: Values, context: CheckContext) -> OutcomeRecord | None:
-    """The outcome that the last frame shows; None without stored poses of object and target."""
+    """Return the outcome derived from the last frame; None without stored poses of object and target."""
     if not values:
         return None
     poses = object_poses(values, max(values))

@@ -1,4 +1,4 @@
-"""Lists an episode's files, checks that none is missing, and reads them without trusting their size or kind."""
+"""List the files of an episode, check that none is missing, and read them without trusting their size or kind."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_name, lowdim_name, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
-_MAX_DEPTH = 4  # of folders that are searched: the format has no deeper folders, and a link may lead back up
-# Ending -> bytes of the largest file that is read.
+_MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may lead back up
+# File extension -> largest file that is read, bytes.
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
-_MAX_OTHER_BYTES = 2**28
+_MAX_OTHER_BYTES = 2**28  # largest file with any other extension that is read
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
@@ -26,13 +26,13 @@ _TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
 
 @dataclass
 class EpisodeFiles:
-    """An episode's files by their kind.
+    """Files of an episode by kind. All paths are relative to the episode.
 
     Attributes:
-        sizes: path -> bytes, of every regular file.
-        lowdim: frame -> path inside the episode.
-        images: camera -> frame -> path.
-        truth: "depth" or "segmentation" -> camera -> frame -> path; only in yamsim's recordings.
+        sizes: path -> bytes, for every regular file.
+        lowdim: frame number -> path.
+        images: camera -> frame number -> path.
+        truth: "depth" or "segmentation" -> camera -> frame number -> path; only in yamsim's recordings.
         others: paths of all other files except episode.json.
     """
 
@@ -44,7 +44,7 @@ class EpisodeFiles:
 
 
 def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> EpisodeFiles:
-    """All files below an episode's directory; anything but regular files and folders is noted.
+    """Return all files below an episode directory. Other kinds of entries than files and folders are reported.
 
     Args:
         recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
@@ -85,7 +85,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
                 continue
             status = entry.stat()
         except OSError as error:
-            # The file is listed, so that it does not count as missing too.
+            # List the file, so that it does not count as missing too.
             found.append(name)
             problems.add("file.unreadable", name, error.strerror)
             continue
@@ -98,7 +98,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
 
 
 def read_file(directory: Path, name: str, files: EpisodeFiles, problems: ProblemCollector) -> bytes | None:
-    """A file's content; None, with the fault noted, for files that are unreadable or too large."""
+    """Return the content of a file. Report a file that is unreadable or too large, and return None."""
     if name not in files.sizes:
         return None
     limit = _MAX_BYTES.get(Path(name).suffix, _MAX_OTHER_BYTES)
@@ -113,7 +113,7 @@ def read_file(directory: Path, name: str, files: EpisodeFiles, problems: Problem
 
 
 def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, problems: ProblemCollector) -> int:
-    """Note missing frames and unexpected files; returns how many frames the episode should have."""
+    """Report missing frames and unexpected files, and return the expected number of frames."""
     if record:
         _drop_unrecorded_truth(files, record)
         for name in files.others:
@@ -139,7 +139,7 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
         if count != expected:
             source = EPISODE if record else "lowdim" if counts["lowdim"] else "another camera"
             problems.add("frames.count", name, f"{count} in {name}", f"{expected}, as in {source}")
-        # Plain recordings may begin at 1.
+        # Frame numbers of plain recordings may begin at 1.
         present = sorted(streams[name])
         before = -1 if record or (present and present[0] != 1) else 0
         for low, high in itertools.pairwise([before, *present]):
@@ -150,12 +150,12 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
 
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
-    """Whether a file belongs to a stream of frames, whose gaps are noted separately."""
+    """Return whether a file belongs to a sequence of frames, whose gaps are reported separately."""
     return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
 
 
 def _drop_unrecorded_truth(files: EpisodeFiles, record: EpisodeRecord) -> None:
-    """Move depth and segmentation to `files.others`, if the record has no such camera or no truth."""
+    """Move depth and segmentation to `files.others` if the record has no such camera or no truth."""
     for cameras in files.truth.values():
         for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
             files.others += cameras.pop(camera).values()

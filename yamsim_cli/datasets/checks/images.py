@@ -1,4 +1,4 @@
-"""Checks of images and of ground truth: they decode, have the right sizes, and images change when the arm moves."""
+"""Check that images and ground truth decode and have the expected sizes, and that images change when the arm moves."""
 
 from __future__ import annotations
 
@@ -16,44 +16,42 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
-_MAX_PIXELS = 2**26  # of an image that is decoded: a header can announce gigabytes
+_MAX_PIXELS = 2**26  # largest image that is decoded: a header can declare gigabytes
 
-# Measured on a smaller copy of the picture, so that neither noise nor a few bad pixels count.
-_UNIFORM_CONTRAST = 2.0  # 0 .. 255, contrast below which an image is uniform
-_BLACK_BRIGHTNESS = 16.0  # 0 .. 255, brightness below which a uniform image is black
+# Contrast and brightness are measured on a smaller copy of the image, so that noise and a few bad pixels do not count.
+_UNIFORM_CONTRAST = 2.0  # 0 to 255, contrast below which an image is uniform
+_BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is black
 
-# A camera is frozen if `_FROZEN_RUN` images in a row are equal while a joint moves by `_FROZEN_MOTION` rad. 0.02 rad
-# move the hand, half a metre away, by 10 mm or 5 pixels in the task's camera. Images of a slower arm may be equal.
-_FROZEN_RUN = 3
-_FROZEN_MOTION = 0.02
+# A camera is frozen if at least `_MIN_FROZEN_RUN` consecutive images are equal while a joint moves more than
+# `_MIN_FROZEN_MOTION`. 0.02 rad move the hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
+_MIN_FROZEN_RUN = 3  # images
+_MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 
-# Gets a file's path and content, and notes a wrong hash.
-HashCheck = Callable[[str, bytes], object]
-# Gets a file's path, and returns its content or None.
-Read = Callable[[str], bytes | None]
+HashCheck = Callable[[str, bytes], object]  # gets the path and content of a file, and reports a wrong hash
+Read = Callable[[str], bytes | None]  # gets the path of a file, and returns its content or None
 
 
 class ImageReader(Protocol):
-    """Decodes images. Callers pass it in, since this package does not know OpenCV."""
+    """Image decoder. Callers inject the decoder, because this package does not import OpenCV."""
 
     def header(self, data: bytes) -> ImageHeader | None:
-        """Size and channels; None if `data` is no whole image."""
+        """Return size and channels; None if `data` is not a complete image."""
         ...
 
     def measure(self, data: bytes) -> ImageStats | None:
-        """Measures of the decoded image; None if `data` cannot be decoded."""
+        """Return statistics of the decoded image; None if `data` cannot be decoded."""
         ...
 
     def labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """A decoded segmentation image (height, width); None if `data` is no whole one."""
+        """Return a decoded segmentation image (height, width); None if `data` is not a complete one."""
         ...
 
 
 class CameraChecks:
-    """Checks one camera's images, one after the other.
+    """Checks the images of one camera, one by one.
 
     Args:
-        size: width and height that images should have; None takes those of the first image.
+        size: expected width and height of images; None expects the size of the first image.
     """
 
     def __init__(
@@ -67,7 +65,7 @@ class CameraChecks:
         self.fingerprints: dict[int, int] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Note an image's faults; returns whether the image could be decoded."""
+        """Check one image, and return False if it cannot be decoded."""
         header = self._reader.header(data)
         if header is None:
             self._problems.add("image.decode", name, f"{len(data)} bytes")
@@ -104,18 +102,19 @@ class CameraChecks:
 def check_frozen_images(
     fingerprints: Mapping[int, int], names: Mapping[int, str], joints: Mapping[int, Array], problems: ProblemCollector
 ) -> None:
-    """Note runs of equal images during which the arm moves.
+    """Report runs of equal images during which the arm moves.
 
     Args:
-        fingerprints: frame -> its image's fingerprint.
-        joints: frame -> joint angles, rad.
+        fingerprints: frame number -> fingerprint of the image.
+        names: frame number -> path of the image.
+        joints: frame number -> joint angles, rad.
     """
     for run in _equal_runs(fingerprints):
         known = [joints[k] for k in run if k in joints]
-        if len(run) < _FROZEN_RUN or len(known) < 2:
+        if len(run) < _MIN_FROZEN_RUN or len(known) < 2:
             continue
         motion = float(np.max(np.ptp(np.array(known), axis=0)))
-        if motion > _FROZEN_MOTION:
+        if motion > _MIN_FROZEN_MOTION:
             value = f"frames {run[0]} to {run[-1]} are the same image while a joint moves {motion:.2f} rad"
             problems.add("image.frozen", names[run[0]], value)
 
@@ -136,10 +135,10 @@ def _format_size(size: tuple[int, int]) -> str:
 
 
 class TruthChecks:
-    """Checks the ground truth of one episode, of which `record` states it.
+    """Checks the ground truth of one episode against its `record`.
 
     Args:
-        hash_fits: called for each image that is whole.
+        hash_fits: called for each image that decodes.
     """
 
     def __init__(
@@ -166,13 +165,13 @@ class TruthChecks:
         return labels
 
     def check_missing(self, present: Mapping[str, int]) -> None:
-        """Note files that are neither present nor recorded; recorded files that are missing are noted elsewhere."""
+        """Report files that are neither present nor recorded. Missing recorded files are reported elsewhere."""
         for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
             if name not in present and name not in self._record.files:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Check one camera's arrays of poses, keypoints and boxes."""
+        """Check the arrays of one camera: poses, keypoints and boxes."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:

@@ -1,4 +1,4 @@
-"""Finds a dataset's episodes, and reads from its config what checks of episodes need."""
+"""Find the episodes of a dataset, and read the context for episode checks from its config."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ..imported_records import is_real, real_config
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
-_PLAIN_CONFIG = "default"  # config of `record` whose arm plain recordings are assumed to have
-# Objects, and limits for success (m), by which a plain recording is judged. Source: the lab's pick-and-place.
+_PLAIN_CONFIG = "default"  # `record` config whose arm is assumed for plain recordings
+# Objects and success limits (m) for judging a plain recording. Source: the lab's pick-and-place.
 _OBJECT, _TARGET = "banana", "plate"
 _THRESHOLD = 0.05
 _MAX_HEIGHT = 0.10
@@ -29,7 +29,7 @@ _MAX_HEIGHT = 0.10
 
 @dataclass(frozen=True)
 class EpisodeDirectory:
-    """An episode's directory and number; None if yamsim did not name the directory."""
+    """Directory and number of an episode. The number is None if yamsim did not name the directory."""
 
     path: Path
     number: int | None
@@ -37,7 +37,7 @@ class EpisodeDirectory:
 
 @dataclass(frozen=True)
 class StartRegion:
-    """The box in `world`, seen from above, from which starts of object and target are sampled, m."""
+    """Rectangle in `world` from which initial positions of object and target are sampled, m."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -45,18 +45,18 @@ class StartRegion:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """What holds for all episodes of a dataset.
+    """Properties that all episodes of a dataset share.
 
     Attributes:
-        recorded: whether yamsim recorded the dataset; a plain recording has only rgb/ and lowdim/.
-        real: whether yamsim imported the dataset: its episodes have records, but no attempts and no outcomes.
-        arms: limits of each arm, in the order of the data; of a plain recording one assumed arm.
+        recorded: whether yamsim recorded the dataset. A plain recording has only rgb/ and lowdim/.
+        real: whether yamsim imported the dataset. Its episodes have records, but no attempts and no outcomes.
+        arms: limits of each arm, in data order; one assumed arm for a plain recording.
         T_base_in_world: pose (4, 4) of the base of the only arm, or of the left arm.
         object, target: names of the carried object and its target.
-        sampling: None if unknown.
-        threshold, max_height: the task's limits for success, m.
-        wrist_cameras: wrist camera -> number of its arm in `arms`, as far as known.
-        judged_by_goal: whether a goal decides success, and no distance.
+        sampling: region of initial positions; None if unknown.
+        threshold, max_height: success limits of the task, m.
+        wrist_cameras: wrist camera -> index of its arm in `arms`, if known.
+        judged_by_goal: whether a goal decides success instead of a distance.
     """
 
     recorded: bool
@@ -73,10 +73,10 @@ class CheckContext:
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
-    """Every episode of a dataset, in order, and whether yamsim recorded (and did not import) the dataset.
+    """Return the episodes of a dataset, in order, and whether yamsim recorded (and did not import) the dataset.
 
     Raises:
-        DatasetError: there is no dataset, or `dataset` is a single episode or unreadable.
+        DatasetError: `dataset` is not a dataset, is a single episode, or is unreadable.
     """
     hint = "give the directory that `yamsim record` wrote"
     try:
@@ -102,7 +102,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
-    """Numbered episodes, without other spellings such as ep_0000001: two directories could share a number."""
+    """Return numbered episodes. Spellings such as ep_0000001 are excluded, so that no two share a number."""
     return [
         EpisodeDirectory(path, number)
         for number, path in episode_directories(dataset)
@@ -111,7 +111,7 @@ def _numbered(dataset: Path) -> list[EpisodeDirectory]:
 
 
 def looks_like_episode(path: Path) -> bool:
-    """Whether a directory is an episode by its name or its content."""
+    """Return whether a directory is an episode by its name or its content."""
     return path.is_dir() and not path.name.startswith(".") and (path.name.startswith("ep") or _is_episode(path))
 
 
@@ -120,12 +120,11 @@ def _is_episode(path: Path) -> bool:
 
 
 def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
-    """A sorting key that puts ep2 before ep10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]{1,18})", path.name)]
 
 
 def read_context(dataset: Path, recorded: bool, locations: Locations, problems: ProblemCollector) -> CheckContext:
-    """The context from the dataset's config; without a config, what holds for every arm."""
+    """Return the context from the dataset's config. Without a config, use limits that hold for every arm."""
     parsed: RecordConfig | None = None
     if recorded and not (dataset / CONFIG).is_file():
         problems.add("config.missing")
@@ -166,7 +165,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
 
 
 def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
-    """The smallest box around the regions on the table where things of `roles` start; None without any."""
+    """Return the bounding rectangle of the start regions of `roles` on the table; None without such regions."""
     starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
     if not starts:
         return None

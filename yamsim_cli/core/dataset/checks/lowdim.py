@@ -1,4 +1,4 @@
-"""Checks that each lowdim frame can be read, and has the right keys, shapes and types."""
+"""Check that each lowdim frame is readable and has the expected keys, shapes and types."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..records import EpisodeRecord
 from ..safe_unpickle import ForbiddenPickleError
 from .problem import ProblemCollector
 
-# Optional key -> an example of its value.
+# Optional key -> example value with the expected spec.
 _OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
 class ValueSpec:
-    """The form of a value: an array's dtype and shape, or a plain type and ()."""
+    """Spec of a value: dtype and shape of an array, or the name of a plain type and ()."""
 
     kind: str
     shape: tuple[int, ...] = ()
 
     @classmethod
     def from_value(cls, value: Any) -> ValueSpec:
-        """The form of `value`."""
+        """Return the spec of `value`."""
         if isinstance(value, np.ndarray):
             return cls(str(value.dtype), value.shape)
         return cls(type(value).__name__)
@@ -46,11 +46,11 @@ def expected_specs(
     joint_actions: bool = False,
     cloths: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, ValueSpec]:
-    """Flat key -> form, of a frame that yamsim records.
+    """Return flat key -> spec of a frame that yamsim records.
 
     Args:
         joints: articulated object -> names of its joints.
-        arms, drives, joint_actions: see `shapes`.
+        arms, drives, joint_actions: see `lowdim.frame_array_shapes`.
         cloths: cloth -> number of points along its x axis and its y axis.
     """
     float32 = str(np.dtype(np.float32))
@@ -72,7 +72,7 @@ def expected_specs(
 
 
 def recorded_specs(record: EpisodeRecord) -> dict[str, ValueSpec]:
-    """Flat key -> form, of the frames of a recorded episode."""
+    """Return flat key -> spec of the frames of a recorded episode."""
     return expected_specs(
         record.objects,
         record.cameras,
@@ -85,21 +85,21 @@ def recorded_specs(record: EpisodeRecord) -> dict[str, ValueSpec]:
 
 
 def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueSpec]) -> list[str]:
-    """The faults of a decoded frame that should have these forms, one text each."""
+    """Return the faults of a decoded frame that must have the specs `forms`, one text each."""
     problems = ProblemCollector()
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
 
 class LowdimChecks:
-    """Checks an episode's lowdim frames, one after the other.
+    """Checks the lowdim frames of an episode one by one.
 
     Args:
-        forms: flat key -> the form that frames must have; None takes those of the first frame.
+        forms: flat key -> required spec; None requires the specs of the first frame.
 
     Attributes:
-        frames: number -> frame, of readable frames.
-        values: number -> flat key -> value, of values that have the right form and are finite.
+        frames: frame number -> frame, for readable frames.
+        values: frame number -> flat key -> value, for values that match their spec and are finite.
     """
 
     def __init__(self, forms: Mapping[str, ValueSpec] | None, problems: ProblemCollector) -> None:
@@ -110,7 +110,7 @@ class LowdimChecks:
         self.values: dict[int, dict[str, Any]] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Note a frame's faults; returns whether the frame could be read."""
+        """Check the content `data` of a frame file `name`, and return whether the frame is readable."""
         try:
             frame = load_frame(data)
         except ForbiddenPickleError as error:
@@ -124,7 +124,7 @@ class LowdimChecks:
 
     def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
         """Check a decoded frame."""
-        # `SIMULATION` keys are checked apart: their shapes differ in the last frame, and a frame may have none.
+        # `SIMULATION` keys are checked separately: their shapes differ in the last frame, and a frame may lack them.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
         entries = {key: value for key, value in flatten_frame(frame).items() if key not in SIMULATION}
@@ -133,12 +133,12 @@ class LowdimChecks:
             forms = self._forms = {key: ValueSpec.from_value(value) for key, value in entries.items()}
         self.frames[number] = dict(frame)
         self.values[number] = {
-            key: value for key, value in entries.items() if self._is_right(name, key, value, forms.get(key))
+            key: value for key, value in entries.items() if self._is_valid(name, key, value, forms.get(key))
         }
         for key in forms.keys() - entries.keys():
             self._problems.add("lowdim.missing", name, key, ", ".join(forms), about=key)
 
-    def _is_right(self, name: str, key: str, value: Any, wanted: ValueSpec | None) -> bool:
+    def _is_valid(self, name: str, key: str, value: Any, wanted: ValueSpec | None) -> bool:
         def add(code: str, found: object, valid: object) -> bool:
             self._problems.add(code, name, f"{key} is {found}", f"{valid}{self._source}" if valid else "", about=key)
             return False

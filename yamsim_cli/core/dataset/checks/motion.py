@@ -1,4 +1,4 @@
-"""Checks of values over frames: even times, joints within their motors' limits, rigid poses, plausible cameras."""
+"""Check values over frames: even times, joints within motor limits, rigid poses, plausible cameras."""
 
 from __future__ import annotations
 
@@ -14,42 +14,41 @@ from ...geometry.se3 import Array, inverse
 from ...robots.models import JointLimits
 from .problem import ProblemCollector
 
-TIMESTAMPS = "timestamps.npy"  # capture times, which converted real recordings have in `rgb/<camera>/`
-# Version 1.0 of npy, as numpy writes a plain list of 64-bit integers. Source: numpy.lib.format.
+TIMESTAMPS = "timestamps.npy"  # file of capture times in `rgb/<camera>/` of converted real recordings
+# npy version 1.0, as numpy writes a one-dimensional array of 64-bit integers. Source: numpy.lib.format.
 _NPY_MAGIC = b"\x93NUMPY\x01\x00"
 _NPY_HEADER = re.compile(rb"\{'descr': '([<>])i8', 'fortran_order': (?:True|False), 'shape': \((\d{1,9}),\), \} *\n")
 
-# Largest deviation of the time between frames, as a share of the period: simulations keep the period exactly, and real
-# cameras jitter by milliseconds.
-_JITTER_RECORDED = 0.01
-_JITTER_PLAIN = 0.5
+# Largest deviation of the time between frames, as a share of the period.
+_MAX_JITTER_RECORDED = 0.01  # simulations keep the period exactly
+_MAX_JITTER_PLAIN = 0.5  # real cameras jitter by milliseconds
 
-# How far a joint may be beyond its stop: contacts in the simulation are soft, and encoders have an offset.
+# Tolerance beyond a joint limit: contacts in the simulation are soft, and encoders have an offset.
 _LIMIT_SLACK_RAD = 0.05
 _LIMIT_SLACK_M = 0.002
 
-# Largest entry of R R^T - 1, and largest det R - 1, of a rotation: float32 leaves 1e-6, rounding to three digits 1e-3.
-_MAX_SKEW = 2e-3
-_MAX_COORDINATE = 20.0  # m, of a pose: larger than any room; millimetres taken for metres are far beyond
-# Largest distance of a principal point from the image's centre, as a share of width or height: lenses are off by a few
-# per cent, and a matrix of another image size by more than this.
+# Largest entry of R R^T - 1, and largest det R - 1, of a rotation. float32 leaves 1e-6; rounding to three digits, 1e-3.
+_MAX_ROTATION_ERROR = 2e-3
+_MAX_COORDINATE = 20.0  # m, largest position of a pose: larger than any room; millimetres read as metres exceed it
+# Largest distance of a principal point from the image centre, as a share of width or height. Lenses are off by a few
+# per cent, and a matrix for another image size by more than this limit.
 _MAX_OFF_CENTRE = 0.1
-_FOCAL_LENGTHS = (0.13, 10.0)  # smallest and largest, as a share of the image's width: fields of view of 150 to 6 deg
+_FOCAL_LENGTHS = (0.13, 10.0)  # valid range, as a share of the image width: fields of view of 150 to 6 deg
 
-Named = Callable[[int], str]  # frame -> path of the frame's file
+Named = Callable[[int], str]  # frame number -> path of the frame's file
 
 
 def check_times(
     times: Mapping[int, float], period: float | None, name: Named, problems: ProblemCollector
 ) -> float | None:
-    """Note times that do not increase or are uneven; returns the time between frames, s.
+    """Report times that do not increase or are uneven, and return the time between frames, s.
 
     Args:
-        times: frame -> time, s.
+        times: frame number -> time, s.
         period: recorded time between frames, s; None if unknown.
 
     Returns:
-        `period`, or else the median time between frames; None if neither is known.
+        `period` if given, else the median time between frames; None if neither is known.
     """
     steps = {k: (times[k] - times[k - 1]) for k in sorted(times) if k - 1 in times}
     if late := [k for k, step in steps.items() if step <= 0]:
@@ -58,7 +57,7 @@ def check_times(
         for _ in late:
             problems.add("time.order", name(first), value, about="time")
         return period
-    jitter = _JITTER_PLAIN if period is None else _JITTER_RECORDED
+    jitter = _MAX_JITTER_PLAIN if period is None else _MAX_JITTER_RECORDED
     if period is None:
         period = float(np.median(list(steps.values()))) if steps else None
     if period is None:
@@ -75,9 +74,10 @@ class ArmLimits:
     """Limits of an arm.
 
     Attributes:
-        joints: from the base to the flange.
-        drives: length of the arm's part of `joints`: its joints, and its fingers' opening if the arm has fingers.
-        fingers: stops of one finger, m; None if unknown.
+        joints: limits of the joints, from the base to the flange.
+        drives: number of elements of this arm in a frame's `joints`: its joints, and its finger opening if it has
+            fingers.
+        fingers: limits of one finger, m; None if unknown.
     """
 
     joints: tuple[JointLimits, ...]
@@ -87,7 +87,7 @@ class ArmLimits:
 
 @dataclass(frozen=True)
 class ArmData:
-    """One arm's part of an episode's `joints`: frame -> angles (n,) in rad, and frame -> opening of one finger in m."""
+    """Motion of one arm: frame number -> joint angles (n,) in rad, and frame number -> opening of one finger in m."""
 
     limits: ArmLimits
     joints: Mapping[int, Array]
@@ -95,12 +95,12 @@ class ArmData:
 
 
 def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
-    """Every arm's part of the frames' `joints`; empty if their length fits no known order.
+    """Split the frames' `joints` by arm; empty if the length does not match the arms.
 
     Args:
-        joints: frame -> all arms' joints and openings, one arm after the other.
-        repeated: whether the number of arms is unknown. The first of `arms` is then repeated as often as it fits, or
-            stands alone without its opening.
+        joints: frame number -> joints and openings of all arms, one arm after the other.
+        repeated: whether the number of arms is unknown. The first of `arms` is then repeated as often as it fits. A
+            row of only its joints counts as one arm without its opening.
     """
     length = next((len(values) for values in joints.values() if values.ndim == 1), 0)
     first = arms[0]
@@ -120,12 +120,12 @@ def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated
 
 
 def angles_by_camera(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]) -> dict[int, Array]:
-    """Frame -> angles (n,) of the arms whose motion a camera's pictures have to show, rad; empty without arms.
+    """Return frame number -> angles (n,), rad, of the arms whose motion the camera must show; empty without arms.
 
-    A wrist camera shows the motion of its own arm alone.
+    A wrist camera is only required to show the motion of its own arm.
 
     Args:
-        wrists: wrist camera -> number of its arm.
+        wrists: wrist camera -> index of its arm.
     """
     if not arms:
         return {}
@@ -136,7 +136,7 @@ def angles_by_camera(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, 
 def check_limits(
     joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: ProblemCollector
 ) -> None:
-    """Note joints beyond their stops; `joints` is frame -> angles (n,), rad."""
+    """Report joints beyond their limits. `joints` is frame number -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
         for value, joint in zip(values, limits, strict=True):
             low, high = joint.range
@@ -148,7 +148,7 @@ def check_limits(
 def check_fingers(
     openings: Mapping[int, float], stops: tuple[float, float], name: Named, problems: ProblemCollector
 ) -> None:
-    """Note finger openings (m) beyond their stops."""
+    """Report finger openings (m) beyond their limits `stops`."""
     low, high = stops
     for k, value in sorted(openings.items()):
         if not low - _LIMIT_SLACK_M <= value <= high + _LIMIT_SLACK_M:
@@ -163,11 +163,11 @@ def check_speeds(
     name: Named,
     problems: ProblemCollector,
 ) -> None:
-    """Note joints that move faster than their drive can report, or than their motor can turn.
+    """Report joints that move faster than the drive can report, or than the motor can turn.
 
     Args:
-        joints: frame -> angles (n,), rad.
-        period: time between consecutive frames, s; None checks nothing.
+        joints: frame number -> angles (n,), rad.
+        period: time between consecutive frames, s; None skips the check.
     """
     if not period or len(joints) < 2:
         return
@@ -187,9 +187,9 @@ def check_speeds(
 
 
 def read_timestamps(data: bytes) -> list[float] | None:
-    """Times in s since the first one, from a list of int64 ns in an `.npy`; None if `data` is anything else.
+    """Return times in s since the first, from int64 nanoseconds in an `.npy`; None if `data` has another format.
 
-    `numpy.load` is not used: numpy allocates what the header announces before it reads the bytes.
+    `numpy.load` is not used because it allocates the size that the header declares before it reads the bytes.
     """
     start = len(_NPY_MAGIC) + 2
     end = start + int.from_bytes(data[len(_NPY_MAGIC) : start], "little")
@@ -197,12 +197,12 @@ def read_timestamps(data: bytes) -> list[float] | None:
     if not data.startswith(_NPY_MAGIC) or not header or int(header[2]) * 8 != len(data) - end or end == len(data):
         return None
     times = np.frombuffer(data[end:], f"{header[1].decode()}i8")
-    # Subtracted as integers: a float holds nanoseconds since 1970 only to the nearest 0.2 microseconds.
+    # Subtract as integers: a float holds nanoseconds since 1970 only to the nearest 0.2 microseconds.
     return [(int(time) - int(times[0])) * 1e-9 for time in times]
 
 
 def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: ProblemCollector) -> None:
-    """Note poses (4, 4) under `key`, by frame, that are not rigid transforms in metres."""
+    """Report poses (4, 4) of `key`, by frame number, that are not rigid transforms in metres."""
     numbers = sorted(poses)
     T = np.array([poses[k] for k in numbers], dtype=np.float64)
     if not len(T):
@@ -212,7 +212,7 @@ def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Prob
         skewed = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         determinant = np.linalg.det(R)
     for k, off, det, rows in zip(numbers, skewed, determinant, T, strict=True):
-        if not off <= _MAX_SKEW or not abs(det - 1) <= _MAX_SKEW:
+        if not off <= _MAX_ROTATION_ERROR or not abs(det - 1) <= _MAX_ROTATION_ERROR:
             value = f"{key}: R R^T is off by {off:.2g}, det R is {det:.3g}"
             problems.add("pose.rotation", name(k), value, "orthonormal, det R = 1", about=key)
         if not np.array_equal(rows[3], (0, 0, 0, 1)):
@@ -225,7 +225,7 @@ def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Prob
 def check_intrinsics(
     key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: ProblemCollector
 ) -> None:
-    """Note matrices (3, 3) under `key`, by frame, that are no camera matrices, or do not fit images of this size."""
+    """Report matrices (3, 3) of `key`, by frame number, that are not camera matrices or do not fit the image size."""
     for k, K in sorted(matrices.items()):
         (fx, skew, cx), (zero, fy, cy), last = np.asarray(K, dtype=np.float64)
         if skew or zero or not np.array_equal(last, (0, 0, 1)) or min(fx, fy) <= 0:
@@ -252,9 +252,9 @@ def check_view(
     size: tuple[int, int] | None,
     problems: ProblemCollector,
 ) -> None:
-    """Note a camera whose images show none of the poses `points`, key -> frame -> pose (4, 4).
+    """Report a camera that sees none of the poses `points`, key -> frame number -> pose (4, 4), in any frame.
 
-    Such extrinsics are inverted, or in another frame. All poses must have passed the other checks.
+    Such extrinsics are inverted or relative to another frame. All poses must have passed the other checks.
     """
     if size is None or not points:
         return

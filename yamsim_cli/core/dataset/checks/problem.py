@@ -1,4 +1,4 @@
-"""Faults of a dataset: every kind of fault that checks can find, and the collection of those found."""
+"""Kinds of faults that checks can find in a dataset, and a collector for the faults found."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-_MAX_TEXT = 200  # characters of a value that are shown
+_MAX_TEXT = 200  # characters, longest value that a message shows
 
 
 class Severity(StrEnum):
-    """An error makes the data wrong or unreadable; a warning asks a person to look at the data."""
+    """An error means that data is wrong or unreadable. A warning means that a person should inspect the data."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -22,8 +22,8 @@ class ProblemCode:
     """One kind of fault.
 
     Attributes:
-        title: what is wrong, as a clause that values can follow.
-        advice: what to do about the fault.
+        title: description of the fault, as a clause that values can follow.
+        advice: remedy for the fault.
     """
 
     severity: Severity
@@ -122,7 +122,7 @@ _WARNINGS = {
     "camera.view": ("a camera sees neither the arm's hand nor an object", "check extrinsics: they are T_cam_in_base"),
 }
 
-# `<subject>.<fault>` -> kind of fault; keys are stable across versions.
+# `<subject>.<fault>` -> kind of fault. Keys are stable across versions.
 CODES: Mapping[str, ProblemCode] = {
     name: ProblemCode(severity, *texts)
     for severity, codes in ((Severity.ERROR, _ERRORS), (Severity.WARNING, _WARNINGS))
@@ -132,15 +132,15 @@ CODES: Mapping[str, ProblemCode] = {
 
 @dataclass(frozen=True)
 class DatasetProblem:
-    """A fault that was found.
+    """A fault found by a check.
 
     Attributes:
         code: key of `CODES`.
-        episode: the episode's directory name; "" for the dataset.
-        file: the first file with the fault, relative to the episode or the dataset; "" for all files.
-        value: what was found.
-        valid: what would be valid; "" where the title says so.
-        count: how many files or frames of this episode have the fault.
+        episode: directory name of the episode; "" for the dataset.
+        file: first file with the fault, relative to the episode or the dataset; "" for all files.
+        value: the value found.
+        valid: the valid value or range; "" if the title states it.
+        count: number of files or frames of this episode with the fault.
     """
 
     code: str
@@ -157,7 +157,7 @@ class DatasetProblem:
 
     @property
     def text(self) -> str:
-        """The fault in one line, without its place."""
+        """The fault in one line, without the episode and file."""
         valid = f"; valid: {self.valid}" if self.valid else ""
         more = f" (in {self.count} frames)" if self.count > 1 else ""
         return f"{self.kind.title}: {self.value}{valid}{more}" if self.value else f"{self.kind.title}{more}"
@@ -168,7 +168,7 @@ class DatasetProblem:
         return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
 
     def to_json_data(self) -> dict[str, Any]:
-        """The fault as data that is ready for JSON."""
+        """Return the fault as JSON-ready data."""
         return {
             "code": self.code,
             "severity": str(self.kind.severity),
@@ -184,14 +184,14 @@ class DatasetProblem:
 
 
 class ProblemCollector:
-    """Collects the faults of one episode or of the dataset; the same fault in many frames is one `DatasetProblem`."""
+    """Collects the faults of one episode or of the dataset. The same fault in many frames is one `DatasetProblem`."""
 
     def __init__(self, episode: str = "") -> None:
         self._episode = episode
         self._found: dict[Hashable, DatasetProblem] = {}
 
     def add(self, code: str, file: str = "", value: object = "", valid: object = "", *, about: Hashable = None) -> None:
-        """Note a fault. Faults of one code with the same `about`, unless None, become one `DatasetProblem`."""
+        """Add a fault. Faults with the same `code` and the same `about`, unless None, become one `DatasetProblem`."""
         assert code in CODES, code
         key = (code, len(self._found)) if about is None else (code, "about", about)
         if earlier := self._found.get(key):
@@ -202,11 +202,11 @@ class ProblemCollector:
             )
 
     def has_code_prefix(self, prefix: str) -> bool:
-        """Whether a fault's code begins with `prefix`."""
+        """Return whether the code of any fault begins with `prefix`."""
         return any(problem.code.startswith(prefix) for problem in self._found.values())
 
     def list(self) -> list[DatasetProblem]:
-        """The faults, in the order of `add`."""
+        """Return the faults in the order in which they were added."""
         return list(self._found.values())
 
     def __len__(self) -> int:
@@ -214,7 +214,7 @@ class ProblemCollector:
 
 
 def printable(value: object) -> str:
-    """A value as one short line of printable characters, so that a dataset's content cannot control a terminal."""
+    """Return a value as one short line of printable characters, so that dataset content cannot control a terminal."""
     text = str(value)
     if len(text) > _MAX_TEXT:
         text = text[: _MAX_TEXT - 3] + "..."
@@ -222,5 +222,5 @@ def printable(value: object) -> str:
 
 
 def count_errors(problems: list[DatasetProblem]) -> int:
-    """How many of the problems are errors."""
+    """Return the number of problems that are errors."""
     return sum(problem.kind.severity is Severity.ERROR for problem in problems)

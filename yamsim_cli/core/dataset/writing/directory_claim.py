@@ -1,8 +1,8 @@
-"""Opens a dataset's directory for a recorder: locks, refuses, resumes or moves aside what is there.
+"""Claim a dataset directory for a recorder: lock it, and refuse, resume or back up existing content.
 
-The lock is an advisory lock of the kernel (flock) on a file in the directory. Such a lock ends with its process, so
-that the file of a killed process blocks nobody. On Linux the lock works between machines over NFS. On filesystems
-without locks, or with locks within one machine only, the process that the file names counts as the holder.
+The lock is an advisory kernel lock (flock) on a file in the directory. The lock ends with its process, so the file of a
+killed process blocks no other recorder. On Linux the lock works between machines over NFS. Some filesystems have no
+locks, or only locks within one machine. There, the process that the file names counts as the holder.
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ from ...files.documents.yaml_document import load_yaml
 from ...files.writing import move_to_backup, why_not_directory
 from ..dataset_paths import CONFIG, LOCK, STAGING, is_leftover
 
-_NO_FLOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)  # flock's errors on filesystems without locks
-MESHES = (
-    "meshes"  # key of a configuration that states the shown meshes, see `core.config.describe_meshes`; nobody sets it
-)
-_SHOWN_CHANGES = 5  # changes that a message names, so that its line stays readable
+# Errors that flock raises on filesystems without locks.
+_NO_FLOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
+MESHES = "meshes"  # config key with the rendered meshes; set by `core.scene.build.state_meshes`, not by users
+_MAX_SHOWN_CHANGES = 5  # changes that a message lists, so that its line stays readable
 
 
 class OpenMode(Enum):
-    """What to do if the dataset's directory is not empty."""
+    """What to do if the dataset directory is not empty."""
 
     NEW = "new"
     RESUME = "resume"
@@ -43,12 +42,12 @@ class OpenMode(Enum):
 
 @dataclass(frozen=True)
 class ClaimedDirectory:
-    """A directory that this process may write.
+    """A directory that this process has locked for writing.
 
     Attributes:
         lock: keeps other recorders out until it is released.
-        occupied: whether the directory holds a dataset to be resumed.
-        moved_aside: the new place of an earlier directory; None if there was none.
+        occupied: whether the directory holds a dataset to resume.
+        moved_aside: path of the backup of an earlier directory; None if no directory was moved.
     """
 
     lock: DirectoryLock
@@ -57,18 +56,18 @@ class ClaimedDirectory:
 
 
 def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> ClaimedDirectory:
-    """Lock a directory, which is made if missing.
+    """Lock a directory for writing. The directory is created if missing.
 
     Raises:
-        UsageError: `path` is not empty, or no directory, and `mode` does not allow that.
+        UsageError: `path` is not empty, or not a directory, and `mode` does not allow that.
         ResourceError: another recorder holds the directory.
-        OSError: the directory cannot be made or written.
+        OSError: the directory cannot be created or written.
     """
     moved = None
     if mode is OpenMode.OVERWRITE and _is_occupied(path):
         moved = _move_to_backup(path, locks_reach_others)
     if mode is OpenMode.NEW and _is_occupied(path):
-        # An error that names another recorder helps more than "is not empty".
+        # An error that names the other recorder is more useful than "is not empty".
         if (path / LOCK).exists():
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
@@ -77,11 +76,11 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:
-        # Checked again, now that nobody else can write.
+        # Check again, now that no other recorder can write.
         occupied = _is_occupied(path)
         if occupied and mode is not OpenMode.RESUME:
             raise _occupied_error(path)
-        _remove_litter(path)
+        _remove_leftovers(path)
         return ClaimedDirectory(lock, occupied, moved)
     except BaseException:
         lock.release()
@@ -89,7 +88,7 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
 
 
 def _is_occupied(path: Path) -> bool:
-    """Whether `path` is anything but an empty directory; `is_leftover` files do not count."""
+    """Return whether `path` exists and is not an empty directory. `is_leftover` files do not count."""
     if not path.is_dir():
         return path.exists() or path.is_symlink()
     return any(not is_leftover(entry.name) for entry in path.iterdir())
@@ -106,9 +105,9 @@ def _occupied_error(path: Path) -> UsageError:
 
 
 def _move_to_backup(path: Path, locks_reach_others: bool) -> Path:
-    """Move `path` aside unless somebody records into it; returns the new place."""
+    """Rename `path` to a backup and return the new path. Raise ResourceError if a recorder writes into it."""
     if not path.is_dir() or not os.access(path, os.W_OK):
-        # Nobody can record into this.
+        # No recorder can write here, so no lock is needed.
         return move_to_backup(path)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:
@@ -119,7 +118,7 @@ def _move_to_backup(path: Path, locks_reach_others: bool) -> Path:
         lock.release()
 
 
-def _remove_litter(path: Path) -> None:
+def _remove_leftovers(path: Path) -> None:
     for entry in path.iterdir():
         if entry.name == STAGING:
             shutil.rmtree(entry, ignore_errors=True)
@@ -141,7 +140,6 @@ class _LockHolder:
 
     @property
     def may_be_alive(self) -> bool:
-        """Whether the process may still run; a process on another machine always may."""
         if self.is_local:
             try:
                 os.kill(self.pid, 0)
@@ -153,7 +151,7 @@ class _LockHolder:
 
 
 class DirectoryLock:
-    """A lock on a directory, from `acquire` until `release` or the end of the process."""
+    """A lock on a directory, held from `acquire` until `release` or the end of the process."""
 
     def __init__(self, directory: Path, descriptor: int) -> None:
         self._directory = directory
@@ -164,7 +162,7 @@ class DirectoryLock:
         """Lock an existing directory for this process.
 
         Args:
-            reaches_others: whether the filesystem's locks hold between machines. If not, a lock file of a process on
+            reaches_others: whether the filesystem's locks work between machines. If not, the lock file of a process on
                 another machine counts as a lock.
 
         Raises:
@@ -186,14 +184,14 @@ class DirectoryLock:
                         f"{directory} is marked as being recorded into by {holder}, and this filesystem's locks do not "
                         f"show whether it still is; if it has ended, delete {path}"
                     )
-                if _is_at(descriptor, path):
+                if _is_same_file(descriptor, path):
                     os.ftruncate(descriptor, 0)
                     os.pwrite(descriptor, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
                     return cls(directory, descriptor)
             except BaseException:
                 os.close(descriptor)
                 raise
-            # The holder removed the file after this process opened it: the file is no longer the directory's lock.
+            # The holder removed the file after this process opened it, so the open file is no longer the lock.
             os.close(descriptor)
 
     def note_rename(self, directory: Path) -> None:
@@ -201,27 +199,27 @@ class DirectoryLock:
         self._directory = directory
 
     def release(self) -> None:
-        """Release the lock, and remove its file."""
+        """Release the lock and remove its file."""
         with contextlib.suppress(OSError):
             (self._directory / LOCK).unlink(missing_ok=True)
         os.close(self._descriptor)
 
 
 def _flock(descriptor: int) -> bool | None:
-    """Whether this process has taken the lock; None on a filesystem without locks."""
+    """Try to take the lock. Return whether that succeeded, or None on a filesystem without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError as error:
-        if error.errno in _NO_FLOCK:
+        if error.errno in _NO_FLOCK_ERRORS:
             return None
         raise
     return True
 
 
 def _read(descriptor: int) -> _LockHolder | None:
-    """The process that a lock file names; None if the file is empty or incomplete."""
+    """Return the process that a lock file names; None if the file is empty or incomplete."""
     try:
         data = json.loads(os.pread(descriptor, 4096, 0))
         return _LockHolder(int(data["pid"]), str(data["host"]))
@@ -229,7 +227,7 @@ def _read(descriptor: int) -> _LockHolder | None:
         return None
 
 
-def _is_at(descriptor: int, path: Path) -> bool:
+def _is_same_file(descriptor: int, path: Path) -> bool:
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except FileNotFoundError:
@@ -237,26 +235,26 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 
 def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Raise ConfigError if a dataset's configuration, or its meshes, differ from those of a resumed recording."""
+    """Raise ConfigError if the recorded configuration or meshes differ from those of the resumed recording."""
     changed = _changes(recorded, wanted)
     there, now = _stated_meshes(recorded), _stated_meshes(wanted)
     meshes = mesh_differences(there, now)
     if changed:
         changed += [f"{MESHES}.{text}" for text in meshes]
-        more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
+        more = f"; and {len(changed) - _MAX_SHOWN_CHANGES} more" if len(changed) > _MAX_SHOWN_CHANGES else ""
         raise ConfigError(
-            f"{dataset} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
+            f"{dataset} was recorded with another configuration: {'; '.join(changed[:_MAX_SHOWN_CHANGES])}{more}; "
             f"run with the same values (--config {dataset / CONFIG} has them), or record into another --out"
         )
     if meshes:
         raise ConfigError(
-            f"{dataset} was recorded with other meshes: {'; '.join(meshes)}; {describe_remedy(there, now)}, or record into "
-            "another --out"
+            f"{dataset} was recorded with other meshes: {'; '.join(meshes)}; {describe_remedy(there, now)}, "
+            "or record into another --out"
         )
 
 
 def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
-    """A notice that a dataset does not state which meshes it shows, and how to find out."""
+    """Return a notice that a dataset does not state which meshes it shows, and how to find out."""
     texts = ", ".join(f"{name}: {describe(text)}" for name, text in _stated_meshes(wanted).items())
     return (
         f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
@@ -265,7 +263,7 @@ def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
 
 
 def recorded_meshes(dataset: Path) -> ShownMeshes:
-    """The meshes that a dataset's config states; empty without a readable config."""
+    """Return the meshes that the config of a dataset states; empty without a readable config."""
     try:
         return _stated_meshes(load_yaml(dataset / CONFIG).data)
     except ConfigError:
@@ -278,7 +276,7 @@ def _stated_meshes(config: Mapping[str, Any]) -> ShownMeshes:
 
 
 def _changes(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """`key: recorded value, wanted value` for every value that differs, without meshes."""
+    """Return `key: recorded value, wanted value` for every value that differs, except meshes."""
     old, new = (_flatten({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted))
     return [
         f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"

@@ -1,4 +1,4 @@
-"""Checks by hashes that episodes on the disk are what was written, and moves damaged ones away."""
+"""Verify episodes on disk by their hashes, and quarantine damaged episodes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ...files.writing import sha256_bytes
 from ..dataset_paths import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
 
-_READERS = 32  # threads: each waits for the disk or the network, and hashing releases the GIL
+_READER_THREADS = 32  # each waits for the disk or the network, and hashing releases the GIL
 
 
 @dataclass(frozen=True)
 class InspectedEpisode:
-    """An episode's directory, with all its files read and hashed.
+    """Result of reading and hashing all files of an episode directory.
 
     Attributes:
         record: content of `episode.json`; None if unreadable.
         text: bytes of `episode.json`.
-        size: bytes of all files that the record names.
-        fault: what is wrong; None if the episode is whole.
+        size: total bytes of the files that the record lists, up to the first fault.
+        fault: the first fault; None if the episode is intact.
     """
 
     number: int
@@ -37,19 +37,19 @@ def inspect_episodes(dataset: Path) -> list[InspectedEpisode]:
     """Inspect every episode of a dataset, in order.
 
     Raises:
-        OSError: the disk failed. A missing or altered file is a fault of its episode instead.
+        OSError: the disk failed. A missing or altered file is reported as a fault of its episode instead.
     """
-    with ThreadPoolExecutor(_READERS) as readers:
+    with ThreadPoolExecutor(_READER_THREADS) as readers:
         return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
 
 def quarantine_episode(episode: Path) -> Path:
-    """Move a damaged episode into its dataset's directory of damaged parts; returns the new place."""
+    """Move a damaged episode into the quarantine directory of its dataset, and return the new path."""
     return episode.rename(quarantine_path(episode))
 
 
 def quarantine_path(path: Path) -> Path:
-    """A free path for a damaged part of a dataset; the directory of damaged parts is made if missing."""
+    """Return an unused path in the quarantine directory, which is created if missing."""
     folder = path.parent / DAMAGED
     folder.mkdir(exist_ok=True)
     number = 1
@@ -59,7 +59,7 @@ def quarantine_path(path: Path) -> Path:
 
 
 def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
-    """Read and hash all files of one episode; raises as `inspect_episodes`."""
+    """Read and hash all files of one episode. Raise OSError if the disk failed."""
 
     def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)

@@ -1,6 +1,6 @@
-"""The ledger of attempts, `attempts.jsonl`, read line by line; damaged lines are restored from the episodes.
+"""Read the attempt ledger, `attempts.jsonl`, and restore damaged lines from the episodes.
 
-Lines keep their bytes, so that a restored ledger differs only where it was damaged.
+Intact lines keep their bytes, so a restored ledger differs only where it was damaged.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..dataset_paths import ATTEMPTS, episode_name
 from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 from .integrity import quarantine_path
 
-# Outcome of an attempt whose line is lost and that is not made again.
+# Outcome of an attempt whose ledger line is lost and that has not been simulated again.
 LINE_LOST = OutcomeRecord(
     success=False,
     cause="line_lost",
@@ -31,12 +31,12 @@ class Ledger:
     """The content of a dataset's `attempts.jsonl`.
 
     Attributes:
-        known: attempt -> its record, from whole lines; in order.
-        fault: the file's first fault, or None. A cut-off last line is no fault.
+        known: attempt -> its record, from intact lines, in order.
+        fault: the first fault of the file, or None. A truncated last line is not a fault.
     """
 
     def __init__(self, dataset: Path) -> None:
-        """Read the file. A missing file holds no attempts, and a cut-off last line is left out."""
+        """Read the file. A missing file holds no attempts. A truncated last line is ignored."""
         self._file = dataset / ATTEMPTS
         self.known: dict[int, AttemptRecord] = {}
         self.fault: str | None = None
@@ -45,10 +45,10 @@ class Ledger:
         lines = self._read.split(b"\n")
         for number, line in enumerate(lines, start=1):
             if line:
-                self._take(number, line, last=number == len(lines))
+                self._read_line(number, line, last=number == len(lines))
         self.known = dict(sorted(self.known.items()))
 
-    def _take(self, number: int, line: bytes, *, last: bool) -> None:
+    def _read_line(self, number: int, line: bytes, *, last: bool) -> None:
         try:
             attempt = from_json(AttemptRecord, line, f"line {number}")
             if attempt.attempt < 0:
@@ -60,7 +60,7 @@ class Ledger:
         if attempt.attempt in self.known:
             self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
             if attempt.attempt != number - 1:
-                # The earlier line stands in its right place.
+                # The earlier line of this attempt is at the correct position.
                 return
         self._put(attempt, line + b"\n")
 
@@ -70,14 +70,14 @@ class Ledger:
 
     @property
     def missing(self) -> set[int]:
-        """Attempts before the last known one whose lines are lost."""
+        """Attempts before the last known attempt whose lines are lost."""
         return set(range(max(self.known, default=-1))) - self.known.keys()
 
     def restore_lost_lines(self, episodes: Sequence[EpisodeRecord]) -> None:
-        """Restore lost lines from the dataset's whole episodes, and leave out lines that contradict them.
+        """Restore lost lines from the intact episodes of the dataset, and drop lines that contradict the episodes.
 
         Raises:
-            DatasetError: an episode and the ledger contradict each other, and neither is known to be right.
+            DatasetError: an episode and the ledger contradict each other, and neither is known to be correct.
         """
         made = {record.episode: record for record in episodes}
         for attempt in list(self.known.values()):
@@ -98,7 +98,7 @@ class Ledger:
                 )
                 self._put(adopted, to_json(adopted))
         self._check_order()
-        self._drop_end()
+        self._drop_after_gap()
         self.known = dict(sorted(self.known.items()))
 
     def _check_order(self) -> None:
@@ -109,8 +109,8 @@ class Ledger:
                 f"{self._file.parent} has episodes that are not in the order of their attempts; it cannot be resumed"
             )
 
-    def _drop_end(self) -> None:
-        """Leave out failures after a gap, if no episode follows them: they are made again if needed."""
+    def _drop_after_gap(self) -> None:
+        """Drop failed attempts after a gap if no episode follows them. They are simulated again if needed."""
         last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
         while last + 1 in self.known:
             last += 1
@@ -119,21 +119,21 @@ class Ledger:
             del self.known[number], self._lines[number]
 
     def insert(self, attempt: AttemptRecord) -> None:
-        """Put an attempt whose line was lost into its place; after an OSError the file is unchanged."""
+        """Insert the line of an attempt whose line was lost. After an OSError the file is unchanged."""
         self._put(attempt, to_json(attempt))
         self._write()
 
     def repair(self) -> Path | None:
-        """Write the file anew if it differs from `known`; after an OSError the file is unchanged.
+        """Rewrite the file if it differs from `known`. After an OSError the file is unchanged.
 
         Returns:
-            Path of a copy of the damaged file; None if there was no damage.
+            Path of a copy of the damaged file; None if the file was not damaged.
         """
         if self._read == self._text():
             return None
         kept = None
         if self.fault is not None:
-            # A copy, so that a ledger exists at every moment.
+            # Copy instead of move, so that a ledger exists at all times.
             kept = quarantine_path(self._file)
             write_file(kept, self._read)
         self._write()
@@ -147,10 +147,10 @@ class Ledger:
 
 
 def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
-    """The number of the episode that an attempt gave if it succeeded: episodes are numbered in order of attempts.
+    """Return the episode number that an attempt must have if it succeeded.
 
-    Returns:
-        None if the episodes before and after leave no number free, so that the attempt failed.
+    Episodes are numbered in order of attempts. None means that the attempt failed: the episodes before and after it
+    leave no number free.
     """
     before = [record.episode for record in attempts[:attempt] if record.episode is not None]
     after = [record.episode for record in attempts[attempt:] if record.episode is not None]
@@ -159,5 +159,5 @@ def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | No
 
 
 def placeholder_record(attempt: int, seed: int) -> AttemptRecord:
-    """The record of an attempt whose line is lost."""
+    """Return the record of an attempt whose line is lost."""
     return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})

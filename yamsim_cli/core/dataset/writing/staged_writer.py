@@ -1,12 +1,12 @@
-"""Records onto a local disk, and moves finished episodes to a slow or remote dataset in the background.
+"""Record to a local staging directory, and move finished episodes to a slow or remote dataset in the background.
 
-One thread alone writes the dataset, by a `DatasetWriter`, episode by episode in the order of recording. The dataset is
-therefore whole at every moment and can be resumed, and the stage holds only episodes on their way. Episodes of a lost
-stage are made again, and no byte of the result changes.
+A single thread writes the dataset with a `DatasetWriter`, episode by episode in recording order. The dataset is
+therefore consistent at all times and can be resumed. The staging directory holds only episodes that wait to be moved.
+Episodes of a lost staging directory are recorded again, with identical bytes.
 
 <stage>/<name>-<hash of the dataset's path>/config.yaml
 attempts.jsonl         attempts since the dataset was last opened
-ep_000007/             episodes on their way
+ep_000007/             episodes that wait to be moved
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from .directory_claim import DirectoryLock
 from .integrity import inspect_episode
 from .writer import AttemptLog, DatasetWriter
 
-MAX_WAITING = 100  # attempts on their way; limits the space on the local disk if the target is slow
-_HALT_SECONDS = 10.0  # s, that moving one episode may take after the recording has ended
+MAX_WAITING = 100  # attempts that wait to be moved; limits the local disk space if the target is slow
+_HALT_SECONDS = 10.0  # s, longest wait for the episode in transfer when the writer stops
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,28 @@ class _StagedItem:
 
 
 class StagedWriter(AttemptLog):
-    """Takes a recording as a `DatasetWriter` does, and passes it on to a `DatasetWriter`.
+    """Writer with the interface of `DatasetWriter` that passes episodes and attempts on to a `DatasetWriter`.
 
     Attributes:
-        folder: this dataset's directory in the stage.
+        folder: subdirectory of the stage for this dataset.
     """
 
     def __init__(self, target: DatasetWriter, stage: Path, config: Mapping[str, Any]) -> None:
-        """Continue with what an earlier recording left on its way.
+        """Open the stage and continue to move the episodes that an earlier recording left there.
 
         Args:
-            target: the dataset, open for writing; from now on only this object uses `target`.
-            stage: a directory on a local disk, made if missing. Several datasets can share a stage.
+            target: the dataset, open for writing. Only this object may use `target` from now on.
+            stage: a directory on a local disk, created if missing. Several datasets can share a stage.
+            config: configuration of the recording, as in the dataset's config.yaml.
 
         Raises:
-            ResourceError: the stage cannot be made or written, or another recorder uses it.
+            ResourceError: the stage cannot be created or written, or another recorder uses it.
         """
         super().__init__(target.path)
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
-        # A copy, since the target's own set changes in another thread.
+        # Copied because another thread changes the set of the target.
         self.lost_lines = set(target.lost_lines)
         self._target = target
         self._error: BaseException | None = None
@@ -74,7 +75,7 @@ class StagedWriter(AttemptLog):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = DirectoryLock.acquire(self.folder)
             try:
-                waiting = self._take_up(dump_yaml(config).encode())
+                waiting = self._recover_waiting(dump_yaml(config).encode())
             except BaseException:
                 self._lock.release()
                 raise
@@ -90,24 +91,24 @@ class StagedWriter(AttemptLog):
 
     @property
     def pending_episodes(self) -> int:
-        """How many episodes are in the stage, and not yet in the dataset."""
+        """Number of episodes that are in the stage and not yet in the dataset."""
         return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
-        """Put one episode into the stage; see `DatasetWriter.publish`."""
+        """Write one episode to the stage; see `DatasetWriter.publish`."""
         self._raise_error()
         publish_directory(
             self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
         )
         if record.attempt < len(self.attempts):
-            # The attempt is in the ledger already, and is not logged again.
+            # `self.attempts` already has the attempt, so `log` does not queue its episode.
             self._put(_StagedItem(record.episode, None))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
+        """Log one attempt; see `DatasetWriter.log`. Blocks while `MAX_WAITING` attempts wait to be moved."""
         self._raise_error()
         if attempt.attempt in self.lost_lines:
-            # The attempt's episode, if any, is on its way already. If the stage is lost, the episode is made again.
+            # `publish` has already queued the episode, if any. If the stage is lost, the episode is recorded again.
             self._restore(attempt)
             self._put(_StagedItem(None, attempt))
             return
@@ -116,10 +117,10 @@ class StagedWriter(AttemptLog):
         self._put(_StagedItem(attempt.episode, attempt))
 
     def drain(self, seconds: float) -> bool:
-        """Wait at most `seconds` until everything has arrived in the dataset; returns whether it has.
+        """Wait at most `seconds` for all items to be moved, and return whether all are in the dataset.
 
         Raises:
-            OSError, DatasetError: something cannot be moved.
+            OSError, DatasetError: an item cannot be moved.
         """
         end = time.monotonic() + seconds
         with self._queue.all_tasks_done:
@@ -130,31 +131,31 @@ class StagedWriter(AttemptLog):
         return done
 
     def finish(self) -> None:
-        """Stop the mover, and write the dataset's manifest. An empty stage is removed."""
+        """Stop the move thread and write the dataset manifest. Remove the stage if all items were moved."""
         arrived = not self._queue.unfinished_tasks
-        if not self._end_moving():
-            # The target does not answer, and would block this thread, too.
+        if not self._stop_move_thread():
+            # The move thread still waits for the target, which would block this thread too.
             return
         self._target.finish()
         if arrived and self._error is None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def close(self) -> None:
-        """Stop the mover, and release the stage."""
-        self._end_moving()
+        """Stop the move thread and release the lock of the stage."""
+        self._stop_move_thread()
         self._lock.release()
 
-    def _end_moving(self) -> bool:
-        """Let the mover finish its current episode; False if that takes longer than `_HALT_SECONDS`."""
+    def _stop_move_thread(self) -> bool:
+        """Let the move thread finish its current item. Return False if that exceeds `_HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
-            # This item only wakes the mover. From a full queue the mover gets another item.
+            # This item only wakes the move thread. If the queue is full, the thread wakes without it.
             self._queue.put_nowait(_StagedItem(None, None))
         self._move_thread.join(_HALT_SECONDS)
         return not self._move_thread.is_alive()
 
     def _put(self, item: _StagedItem) -> None:
-        # Waits in small steps while the queue is full, to notice an error of the mover.
+        # While the queue is full, wait in short steps to notice an error of the move thread.
         while True:
             self._raise_error()
             with contextlib.suppress(queue.Full):
@@ -172,7 +173,7 @@ class StagedWriter(AttemptLog):
                 return
             try:
                 self._move(item)
-            # The recording's thread raises any error at its next call. What was not moved stays in the stage.
+            # The recording thread raises the error at its next call. Items that were not moved stay in the stage.
             except BaseException as error:  # noqa: BLE001
                 with self._queue.all_tasks_done:
                     self._error = error
@@ -192,22 +193,22 @@ class StagedWriter(AttemptLog):
         if item.episode is not None:
             shutil.rmtree(directory)
 
-    def _take_up(self, config: bytes) -> list[AttemptRecord]:
-        """The attempts that an earlier recording left; everything else in the stage is removed or moved aside."""
+    def _recover_waiting(self, config: bytes) -> list[AttemptRecord]:
+        """Return the attempts that an earlier recording left. Remove or back up all other content of the stage."""
         file = self.folder / CONFIG
         if not file.is_file() or file.read_bytes() != config:
-            # The content belongs to another dataset or config, and must not be deleted.
+            # The content belongs to another dataset or config and must not be deleted.
             self._start_empty(config)
         waiting = []
-        for attempt in self._logged():
-            if attempt.attempt == len(self.attempts) and self._is_here(attempt):
+        for attempt in self._read_log():
+            if attempt.attempt == len(self.attempts) and self._is_staged(attempt):
                 self._count(attempt)
                 waiting.append(attempt)
         kept = {attempt.episode for attempt in waiting}
         write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
         for number, directory in episode_directories(self.folder):
             if number not in kept:
-                # The episode has arrived already; or it is not in the stage's own ledger yet, and is made again.
+                # The episode is already in the dataset, or is missing in the stage's ledger and will be recorded again.
                 shutil.rmtree(directory)
         shutil.rmtree(self.folder / STAGING, ignore_errors=True)
         return waiting
@@ -222,8 +223,8 @@ class StagedWriter(AttemptLog):
             self._lock = DirectoryLock.acquire(self.folder)
         write_file(self.folder / CONFIG, config)
 
-    def _logged(self) -> list[AttemptRecord]:
-        """The stage's ledger, up to the first line that a crash left incomplete."""
+    def _read_log(self) -> list[AttemptRecord]:
+        """Read the stage's ledger up to the first line that a crash left incomplete."""
         file = self.folder / ATTEMPTS
         attempts: list[AttemptRecord] = []
         for line in file.read_bytes().splitlines() if file.is_file() else []:
@@ -233,12 +234,12 @@ class StagedWriter(AttemptLog):
                 break
         return attempts
 
-    def _is_here(self, attempt: AttemptRecord) -> bool:
+    def _is_staged(self, attempt: AttemptRecord) -> bool:
         if attempt.episode is None:
             return True
         found = inspect_episode(attempt.episode, self.folder / episode_name(attempt.episode))
         return found.record is not None and found.fault is None and found.record.attempt == attempt.attempt
 
 
-# What records episodes: straight into the dataset, or by way of a stage.
+# Writer of a recording: directly into the dataset, or through a stage.
 Sink = DatasetWriter | StagedWriter

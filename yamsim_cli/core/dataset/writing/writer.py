@@ -1,4 +1,4 @@
-"""Writes a dataset, in one process, episode by episode. Every step leaves a whole dataset behind."""
+"""Write a dataset from one process, episode by episode. The dataset is consistent after every step."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .ledger import Ledger, placeholder_record
 
 
 class AttemptLog:
-    """What a writer has recorded.
+    """Attempts and episodes that a writer has recorded.
 
     Attributes:
-        path: the dataset's directory.
+        path: the dataset directory.
         attempts: all attempts so far, in order.
-        episodes: how many attempts are episodes.
-        lost_lines: attempts whose lines are lost; they count as failures until they are logged again.
-        repairs: a sentence on each damaged or missing part of what was found, and its repair.
+        episodes: number of attempts that are episodes.
+        lost_lines: attempts whose ledger lines are lost. They count as failures until they are logged again.
+        repairs: one sentence for each damaged or missing part that was found, with its repair.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,28 +49,28 @@ class AttemptLog:
 
 
 class DatasetWriter(AttemptLog, Closable):
-    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+    """Publishes episodes and maintains the attempt ledger and the manifest. A context manager.
 
     Attributes:
-        config: everything that decides the data, as in the dataset's config.yaml.
-        moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
-        entries: episode's number -> its entry in the manifest.
+        config: all settings that determine the data, as in the dataset's config.yaml.
+        moved_aside: path of the backup of an earlier dataset, with `OpenMode.OVERWRITE`.
+        entries: episode number -> entry in the manifest.
     """
 
     def __init__(
         self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
     ) -> None:
-        """Open a dataset for writing; no other recorder can open it until `close`.
+        """Open a dataset for writing. No other recorder can open the dataset until `close`.
 
         Args:
-            config: everything that decides the data, JSON-ready.
-            locks_reach_others: see `DirectoryLock.take`.
+            config: all settings that determine the data, JSON-ready.
+            locks_reach_others: see `DirectoryLock.acquire`.
 
         Raises:
-            UsageError: `path` is not empty, or no directory, and `mode` does not allow that.
-            ConfigError: resuming with a configuration that gives other data; the message names the keys.
-            DatasetError: resuming what is no dataset, or a dataset whose episodes and ledger contradict each other.
-            ResourceError: the directory cannot be made or written, or another recorder holds it.
+            UsageError: `path` is not empty, or not a directory, and `mode` does not allow that.
+            ConfigError: the resumed dataset has a different configuration; the message names the keys.
+            DatasetError: the resumed directory is not a dataset, or its episodes and ledger contradict each other.
+            ResourceError: the directory cannot be created or written, or another recorder holds it.
         """
         super().__init__(path)
         self.config = config
@@ -96,20 +96,20 @@ class DatasetWriter(AttemptLog, Closable):
 
     @property
     def missing(self) -> list[AttemptRecord]:
-        """Attempts whose episodes are in the ledger but not on the disk."""
+        """Attempts whose episodes are in the ledger but not on disk."""
         return [
             attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
         ]
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
-        """Make one episode visible in one step; after an OSError nothing of the episode is visible."""
+        """Publish one episode atomically. After an OSError no part of the episode is visible."""
         name = episode_name(record.episode)
         text = to_json(record)
         publish_directory(self.path / name, {**files, EPISODE: text}, self.path / STAGING)
         self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Add one attempt to the ledger, after its episode; the next attempt in order, or one of `lost_lines`."""
+        """Add an attempt to the ledger: the next one in order, or one of `lost_lines`. Publish its episode first."""
         if attempt.attempt not in self.lost_lines:
             append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
             self._count(attempt)
@@ -138,12 +138,12 @@ class DatasetWriter(AttemptLog, Closable):
         self._lock.release()
 
     def _resume(self, config: Mapping[str, Any]) -> None:
-        self._compare(config)
+        self._check_config(config)
         ledger = Ledger(self.path)
         ledger.restore_lost_lines(
-            [record for found in inspect_episodes(self.path) if (record := self._take_up(found)) is not None]
+            [record for found in inspect_episodes(self.path) if (record := self._accept_episode(found)) is not None]
         )
-        self._take_over(ledger)
+        self._load_attempts(ledger)
         for attempt in self.missing:
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
@@ -151,8 +151,7 @@ class DatasetWriter(AttemptLog, Closable):
                     f"{place.name} is no directory; moved to {quarantine_episode(place)}, and made again"
                 )
 
-    def _take_over(self, ledger: Ledger) -> None:
-        """Count the attempts that the ledger holds, including those whose lines are lost."""
+    def _load_attempts(self, ledger: Ledger) -> None:
         kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
             self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
@@ -163,7 +162,7 @@ class DatasetWriter(AttemptLog, Closable):
         for number in range(max(ledger.known, default=-1) + 1):
             self._count(ledger.known.get(number) or placeholder_record(number, self._seed))
 
-    def _compare(self, config: Mapping[str, Any]) -> None:
+    def _check_config(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
         if not file.is_file():
             raise DatasetError(
@@ -171,13 +170,13 @@ class DatasetWriter(AttemptLog, Closable):
             )
         recorded = parse_yaml(file.read_bytes(), str(file)).data
         if MESHES in config and MESHES not in recorded:
-            # The dataset is resumed without this key, which would be of no use in only some of the episodes.
+            # Resume the dataset without this key: it would be useless in only some of the episodes.
             self.config = {key: value for key, value in config.items() if key != MESHES}
             self.repairs.append(describe_unstated_meshes(self.path, config))
         require_same_config(self.path, recorded, self.config)
 
-    def _take_up(self, found: InspectedEpisode) -> EpisodeRecord | None:
-        """The record of a whole episode; None for a damaged episode, which is moved away to be made again."""
+    def _accept_episode(self, found: InspectedEpisode) -> EpisodeRecord | None:
+        """Return the record of an intact episode. Quarantine a damaged episode and return None."""
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
@@ -189,7 +188,7 @@ class DatasetWriter(AttemptLog, Closable):
 
 
 def config_for_new_episodes(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
-    """The config for new episodes: without meshes, if the dataset was recorded without a statement of its meshes."""
+    """Return the config for new episodes. If the dataset does not state its meshes, the config has no meshes either."""
     return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
 
 
