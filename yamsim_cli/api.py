@@ -46,9 +46,7 @@ def record(
     config: str = "default",
     resume: bool = False,
 ) -> RecordReport:
-    """Record successful episodes into a new dataset, byte for byte as `yamsim record` does.
-
-    Arguments without a description below are the flags of `yamsim record`.
+    """Record successful episodes into a new dataset, byte for byte as `yamsim record` does with the same flags.
 
     Args:
         out: directory of the dataset.
@@ -113,10 +111,9 @@ def evaluate(
     arm: str | None = None,
     config: str = "default",
 ) -> dict[str, Any]:
-    """Evaluate a policy as `yamsim eval --json` does, and return the report.
+    """Evaluate a policy as `yamsim eval --json` does with the same flags, and return the report.
 
-    The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`. Arguments
-    without a description below are the flags of `yamsim eval`.
+    The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`.
 
     Args:
         policy: address of the policy, such as `my_policy.py:MyPolicy`, see docs/policies.md.

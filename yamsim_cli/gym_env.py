@@ -114,24 +114,24 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     def _poses(self) -> dict[str, str]:
         """Observation key -> name of the object with this pose."""
-        return {f"{role}_pose_world": thing for role, thing in self._roles().items()}
+        return {f"{role}_pose_world": name for role, name in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
         """Observation key -> name of the object with these joints, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
-        of_role = {thing: role for role in most for thing in roles.objects_of(role)}
+        of_role = {name: role for role in most for name in roles.objects_of(role)}
         return {
-            f"{name}_joints": (thing, most[of_role[thing]])
-            for name, thing in self._roles().items()
-            if most[of_role[thing]]
+            f"{label}_joints": (name, most[of_role[name]])
+            for label, name in self._roles().items()
+            if most[of_role[name]]
         }
 
     def _roles(self) -> dict[str, str]:
         """Name in observations -> object name. The former is the role, unless several objects share the role."""
-        things = self._config.task.typical_roles.objects_by_role
-        return {role if len(names) == 1 else name: name for role, names in things.items() for name in names}
+        objects = self._config.task.typical_roles.objects_by_role
+        return {role if len(names) == 1 else name: name for role, names in objects.items() for name in names}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

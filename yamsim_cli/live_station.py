@@ -20,9 +20,7 @@ _MAX_CATCH_UP = 0.1  # s, largest delay that the simulation makes up for; a larg
 
 
 class LiveStation(Closable):
-    """A station that is simulated in a thread of its own while it is open.
-
-    Call all methods from the same thread, since that thread also renders.
+    """A station that is simulated in its own thread while open. Call all methods from one thread, which renders.
 
     Attributes:
         form: names and shapes of rows and pictures.

@@ -98,9 +98,7 @@ _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
-    """Run the command line, and exit.
-
-    A `YamsimError` gives a message of one line and its exit code. Any other exception gives a traceback and 1.
+    """Run the command line, and exit. A `YamsimError` gives one line and its exit code, other errors a traceback and 1.
 
     Args:
         interrupted: returns whether a signal arrived before this call.

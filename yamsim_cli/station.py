@@ -93,7 +93,7 @@ class Station(Closable):
         """Reset the scene to the start of a trial, as in `yamsim trials --seed SEED`.
 
         Returns:
-            The number of the trial. A trial without a valid start is skipped, and the next one begins.
+            The number of the trial. Trials without a valid start are skipped.
 
         Raises:
             SimulationError: no trial within a limit has a valid start.

@@ -93,10 +93,7 @@ class YamsimCamera(Camera):
         return self._new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
-        """Return the newest picture (height, width, 3), read or not.
-
-        Raises the errors of `read`, and a TimeoutError for a picture that is older than `max_age_ms`.
-        """
+        """Return the newest picture (height, width, 3), read or not. Raises as `read`, also for a picture too old."""
         picture = self._picture_after(-1, _READ_S)
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:

@@ -99,7 +99,6 @@ class RigPage(ScenePage):
         return slider
 
     def _add_switches(self, *, boards: bool) -> None:
-        """Add check boxes for the visibility of groups of nodes."""
         gui, bodies = self._server.gui, self._bodies
         model = self._live.model
         mocap = [frame for body, frame in bodies.frames.items() if model.body_mocapid[body] >= 0]
