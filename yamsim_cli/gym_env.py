@@ -114,18 +114,16 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     def _poses(self) -> dict[str, str]:
         """Observation key -> name of the object with this pose."""
-        return {f"{role}_pose_world": name for role, name in self._roles().items()}
+        return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
         """Observation key -> name of the object with these joints, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
-        of_role = {name: role for role in most for name in roles.objects_of(role)}
+        of_role = {item: role for role in most for item in roles.objects_of(role)}
         return {
-            f"{label}_joints": (name, most[of_role[name]])
-            for label, name in self._roles().items()
-            if most[of_role[name]]
+            f"{name}_joints": (item, most[of_role[item]]) for name, item in self._roles().items() if most[of_role[item]]
         }
 
     def _roles(self) -> dict[str, str]:
