@@ -93,7 +93,7 @@ def open_dataset(path: str | Path) -> StoredEpisodes:
     files of an episode on access.
 
     Raises:
-        DatasetError: there is no dataset at `path`.
+        DatasetError: `path` has no dataset.
     """
     from .core.dataset.reader import open_episodes
 

@@ -21,9 +21,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     """A task, by default to pick an object and place it on a target. A step is a control tick of 32 ms.
 
     The action is that of `yamsim eval` and of the LeRobot export. For one YAM, the action (8,) has seven drive commands
-    (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the drives of the left arm,
-    the drives of the right arm, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world`
-    (2, 4, 4) of two arms also have the left arm first.
+    (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left drives, the right
+    drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world` (2, 4, 4) of two arms
+    also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
     has held for its hold time, as in `yamsim eval`. With `end="actor"`, the episode continues until its truncation, and
     `info["success"]` belongs to the present tick.
