@@ -178,10 +178,7 @@ class _CameraConnection:
             ) from error
 
     def request(self, message: dict[str, Any], deadline: float) -> tuple[dict[str, Any], bytes]:
-        """Send a message, and return the answer and the bytes that follow the answer.
-
-        Args:
-            deadline: latest time of the answer by `time.monotonic`, s.
+        """Send a message, and return the answer and the bytes after it. `deadline` is a time of `time.monotonic`, s.
 
         Raises:
             TimeoutError: the answer did not arrive in time.

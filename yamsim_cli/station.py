@@ -105,9 +105,7 @@ class Station(Closable):
         return self.trial
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Reset the scene to the start of an episode, as in `yamsim record --seed SEED`.
-
-        A trial in which the expert fails is skipped. Afterwards, the property `trial` has the number of the trial.
+        """Reset the scene to the start of an episode, as in `yamsim record --seed SEED`. Skip trials that fail.
 
         Returns:
             The commands of the task's expert (frames, numbers of a command).

@@ -82,10 +82,6 @@ class AttemptWriter(Closable):
     Writing an episode can take longer than a control tick. Use the writer as a context manager; its exit drops
     attempts that are not written yet. Until then, no other code may use the sink or the executor.
 
-    Attributes:
-        trials: records of the attempts that `next_written` has returned.
-        episodes: number of episodes in the dataset.
-
     Args:
         written: called with the number of an attempt once the attempt is in the sink.
     """

@@ -97,15 +97,13 @@ class TeleopScene(TeleopInterface):
     Attributes:
         sides: sides of the arms, in the order of recordings.
         driven: index of the teleoperated arm in that order.
-        episodes, failures, waiting, discarded: numbers of episodes in the dataset, and of failed, unwritten and
-            discarded attempts.
+        episodes, failures, waiting, discarded: counts of attempts, see `TeleopStatus`.
         message: the result of the last command.
 
     Args:
         receiver: receives the attempts.
         time_limit: time limit of a recording, s.
-        end: the rule that ends a recording: the user alone, or the first tick at which the goal has held for its hold
-            time.
+        end: the rule that ends a recording.
 
     Raises:
         SimulationError: no layout has room for the objects of the task.
@@ -244,10 +242,7 @@ class TeleopScene(TeleopInterface):
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording, and release objects that welds hold.
-
-        The attempt is submitted after the time in which the objects settle and the goal must hold.
-        """
+        """End the recording, and release objects that welds hold. Submit the attempt after settling and hold time."""
         with self.lock:
             if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
@@ -283,7 +278,7 @@ class TeleopScene(TeleopInterface):
                 self.message = "paused, since nobody was watching: Play goes on"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
-        """Submit the recording of a killed session, after the ticks that it lacks after a stop."""
+        """Submit the recording of a killed session, after a simulation of the missing ticks after its stop."""
         with self.lock:
             self._put(self._stage.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
