@@ -8,7 +8,7 @@ from typing import Any
 
 __version__ = "0.2.0"
 
-# Public name -> its module, which is loaded when the name is first used, so that the command line starts quickly.
+# Public name -> module. A module is loaded at the first use of one of its names, so that the command line starts fast.
 _PUBLIC = {
     **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
     **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),
@@ -40,5 +40,5 @@ def __getattr__(name: str) -> Any:
 
 
 if "gymnasium" in sys.modules:
-    # A program that has imported gymnasium finds the environment registered.
+    # Register the environment for programs that have already imported gymnasium.
     importlib.import_module(f"{__name__}.gym_env")

@@ -1,4 +1,4 @@
-"""Start of the executable. A signal that comes while its modules load is acted on once they are loaded."""
+"""Entry point of the executable. A signal that arrives during the imports takes effect after them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from .terminal.signals import defer_signals
 
 
 def main() -> None:
-    """Run the command line; never returns."""
+    """Run the command line. The function does not return."""
     with defer_signals() as interrupted:
         from .main import main as run
 

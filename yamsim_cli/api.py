@@ -1,6 +1,7 @@
 """yamsim's commands as Python functions.
 
-Errors are `yamsim_cli.core.errors.YamsimError`, with the messages of the command line, and keywords in place of flags.
+Errors are subclasses of `yamsim_cli.core.errors.YamsimError`. Their messages are those of the command line, but name
+keywords instead of flags.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# Opens sessions for Python programs: messages name keywords, and warnings go to the log.
+# The session opener for Python programs. Messages name keywords, and warnings go to the logger `yamsim`.
 PROGRAM = SessionOpener(os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task)
 
 
@@ -45,16 +46,14 @@ def record(
     config: str = "default",
     resume: bool = False,
 ) -> RecordReport:
-    """Record successful episodes into a new dataset, as `yamsim record` does; the bytes are the same.
+    """Record successful episodes into a new dataset, byte for byte as `yamsim record` does with the same flags.
 
     Args:
-        workers: processes to start; None records in this process. A script that starts processes has to guard its main
-            part by `if __name__ == "__main__"`.
-        size: width and height of images, px.
+        out: directory of the dataset.
+        workers: number of processes to start; None records in this process. A script that starts processes must guard
+            its main part by `if __name__ == "__main__"`.
+        size: width and height of the images, px.
         resume: continue the dataset at `out`.
-
-    Returns:
-        path, episodes, attempts, seconds.
     """
     session = PROGRAM.open(
         config,
@@ -88,13 +87,13 @@ def record(
 
 
 def open_dataset(path: str | Path) -> StoredEpisodes:
-    """The episodes of a dataset as a sequence: `len(it)`, `it[0]`, `it[-1]`, `it[10:20]`, and `for episode in it`.
+    """Return the episodes of a dataset as a sequence, with `len`, indices, slices and iteration.
 
-    Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read at once, and their
-    files on access.
+    Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read immediately, and the
+    files of an episode on access.
 
     Raises:
-        DatasetError: there is no dataset at `path`.
+        DatasetError: `path` has no dataset.
     """
     from .core.dataset.reader import open_episodes
 
@@ -112,10 +111,12 @@ def evaluate(
     arm: str | None = None,
     config: str = "default",
 ) -> dict[str, Any]:
-    """The report of `yamsim eval --json` on a policy. It starts processes, so guard a script's main part.
+    """Evaluate a policy as `yamsim eval --json` does with the same flags, and return the report.
+
+    The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`.
 
     Args:
-        policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
+        policy: address of the policy, such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.

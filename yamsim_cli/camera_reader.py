@@ -1,4 +1,4 @@
-"""A reader of the pictures that `yamsim serve-robot --cameras` serves, for any program. Needs numpy alone.
+"""A client for the pictures that `yamsim serve-robot --cameras` serves. Its only third-party dependency is numpy.
 
     from yamsim_cli.camera_reader import CameraReader
 
@@ -6,7 +6,7 @@
         picture = camera.read()
         picture.image  # RGB (height, width, 3)
 
-`yamsim_cli.lerobot_camera` and `yamsim_cli.raiden_camera` are cameras of LeRobot and raiden that use this reader.
+`yamsim_cli.lerobot_camera` and `yamsim_cli.raiden_camera` wrap this reader as cameras of LeRobot and raiden.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
-_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # of an answer that is read
+_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes; longer answers are refused
 
 
 @dataclass(frozen=True)
 class CameraForm:
-    """The form of a camera's pictures: width and height in px, the largest rate, and intrinsics (3, 3)."""
+    """The format of a camera's pictures: size in px, maximum rate in Hz, and intrinsics `K` (3, 3) in px."""
 
     width: int
     height: int
@@ -47,10 +47,10 @@ class Picture:
 
     Attributes:
         image: RGB (height, width, 3).
-        number: of the picture; later pictures have larger numbers.
-        time_ns: by the machine's clock, ns since 1970.
-        sim_time: in the simulation, s.
-        T_cam_in_base: the camera's pose (4, 4) in the left arm's base, in OpenCV's convention.
+        number: sequence number, which increases with time.
+        time_ns: time on the system clock, ns since 1970.
+        sim_time: simulated time, s.
+        T_cam_in_base: pose (4, 4) of the camera in the base frame of the left arm, in OpenCV's convention.
     """
 
     image: NDArray[np.uint8]
@@ -61,20 +61,20 @@ class Picture:
 
 
 class CameraReader(Closable):
-    """Reads one camera; close it, or use it in a `with`. Only one thread may use it at a time.
+    """Reads the pictures of one camera. Close the reader, or use it as a context manager. It is not thread-safe.
 
     Attributes:
-        camera: its name.
-        form: of its pictures.
+        camera: name of the camera.
+        form: format of its pictures.
 
     Args:
         camera: a name that `serve-robot` prints, such as "top".
-        folder: the value of `serve-robot --folder`; by default its default.
-        timeout: for an answer, s.
+        folder: the value of `serve-robot --folder`, with the same default.
+        timeout: longest wait for an answer, s.
 
     Raises:
-        ResourceError: nothing is served there, or the server is no `serve-robot`.
-        UsageError: there is no such camera.
+        ResourceError: no server runs there, or the server is not `serve-robot`.
+        UsageError: the server has no such camera.
     """
 
     def __init__(self, camera: str, folder: str | Path | None = None, timeout: float = 5.0) -> None:
@@ -86,14 +86,14 @@ class CameraReader(Closable):
         self.camera, self.form = camera, forms[camera]
 
     def read(self, after: int = -1, timeout: float | None = None) -> Picture:
-        """The newest picture whose number is larger than `after`; waits for it.
+        """Wait for a picture whose number is larger than `after`, and return the newest.
 
         Args:
-            timeout: s; by default the reader's.
+            timeout: longest wait, s; by default the timeout of the reader.
 
         Raises:
-            TimeoutError: there was no such picture in time.
-            ResourceError: `serve-robot` has ended, or the server is no `serve-robot`.
+            TimeoutError: no such picture arrived in time.
+            ResourceError: `serve-robot` has ended, or the server is not `serve-robot`.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
         if self._connection is None:
@@ -102,7 +102,7 @@ class CameraReader(Closable):
             request = {"ask": "picture", "camera": self.camera, "after": after}
             header, data = self._connection.request(request, deadline)
         except BaseException:
-            # The answer may still arrive, and must not be taken for the next one.
+            # A late answer must not be mistaken for the answer to the next request.
             self.close()
             raise
         height, width = self.form.height, self.form.width
@@ -122,20 +122,20 @@ class CameraReader(Closable):
             raise _invalid_answer(self._folder) from error
 
     def close(self) -> None:
-        """Close the connection; a later `read` connects again."""
+        """Close the connection. A later `read` connects again."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
 
 def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> dict[str, CameraForm]:
-    """The cameras of a `serve-robot`, by name.
+    """Return the cameras of a `serve-robot` by name.
 
     Args:
         folder, timeout: see `CameraReader`.
 
     Raises:
-        ResourceError: nothing is served there, or the server is no `serve-robot`.
+        ResourceError: no server runs there, or the server is not `serve-robot`.
     """
     connection = _CameraConnection(folder)
     try:
@@ -163,7 +163,7 @@ def _invalid_answer(folder: str | Path | None) -> ResourceError:
 
 
 class _CameraConnection:
-    """A connection to the server; see `real.serve.cameras` for the protocol."""
+    """A connection to the server. `real.serve.cameras` describes the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
         self.path = _path(folder)
@@ -178,7 +178,7 @@ class _CameraConnection:
             ) from error
 
     def request(self, message: dict[str, Any], deadline: float) -> tuple[dict[str, Any], bytes]:
-        """The answer to a message, and the bytes that follow it.
+        """Send a message, and return the answer and the bytes after it. `deadline` is a time of `time.monotonic`, s.
 
         Raises:
             TimeoutError: the answer did not arrive in time.
@@ -205,7 +205,6 @@ class _CameraConnection:
         return answer, data
 
     def close(self) -> None:
-        """Close the connection."""
         self._socket.close()
 
     def _receive(self, count: int, deadline: float) -> bytes:

@@ -1,4 +1,4 @@
-"""Checks of this machine for `yamsim doctor`, each with a fix where something is wrong."""
+"""Checks of this machine for `yamsim doctor`. A check that finds a problem names the fix."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
 # Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# Extra -> its package, and its purpose.
+# Extra -> the package that it installs, and the purpose of the package.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -41,25 +41,25 @@ EXTRAS = {
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
-# Resident memory. Source: measured at 640x480, rounded up.
+# Resident memory, bytes. Source: measured at 640x480, rounded up.
 _WORKER_BYTES = 300_000_000  # of a worker that renders
-_RECORDER_BYTES = 150_000_000
+_RECORDER_BYTES = 150_000_000  # of the recording process
 
-# An episode with one camera at 640x480, roughly.
+# Approximate size of an episode with one camera at 640x480.
 _FRAMES = 57
 _IMAGE_BYTES = 22_000  # of a frame
 _LOWDIM_BYTES = 2_000  # of a frame
-_BLOCK_BYTES = 4096  # of a file system, which rounds files up
+_BLOCK_BYTES = 4096  # of a file system, which rounds file sizes up
 
-_EPISODES_WRITTEN = 3  # to measure the disk
-_SLOW_S = 1.0  # s to write an episode, above which the disk keeps up with one worker at most
-_FEW_EPISODES = 500  # room for fewer episodes gives a warning
+_EPISODES_WRITTEN = 3  # episodes that are written to measure the speed of the disk
+_SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
+_FEW_EPISODES = 500  # episodes; less free space gives a warning
 
 _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")
 
 
 class Health(StrEnum):
-    """The result of a check. Only a fault keeps something from working."""
+    """The result of a check. Only a fault means that a part of yamsim does not work."""
 
     OK = "ok"
     WARNING = "warning"
@@ -72,7 +72,7 @@ class HealthCheck:
 
     Attributes:
         detail: the result in words.
-        fix: what to do; empty where nothing has to be done.
+        fix: the recommended action; empty if none is needed.
         figures: measured values by name, in SI units and bytes.
     """
 
@@ -89,12 +89,12 @@ def run_health_checks(
     out: Path,
     on_check: Callable[[HealthCheck], None] = lambda check: None,
 ) -> list[HealthCheck]:
-    """The results of all checks. Nothing is changed, and every wait has a time limit.
+    """Run all checks, and return their results. The machine is left unchanged, and every wait has a time limit.
 
     Args:
-        environ: the process's environment.
+        environ: environment variables of the process.
         out: directory of future datasets, which need not exist.
-        on_check: called with each check as it ends.
+        on_check: called with the result of each check when the check ends.
     """
     checks: list[HealthCheck] = []
     for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
@@ -207,7 +207,7 @@ def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> Hea
 def _disk(out: Path) -> Iterator[HealthCheck]:
     mount = network_mount(out, read_mounts())
     if mount is not None:
-        # The mount is not touched: a server that does not answer would block this process for ever.
+        # Do not access the mount: a file server that does not respond would block this process forever.
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
         yield HealthCheck("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
@@ -241,7 +241,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
 
 
 def _write_episodes(place: Path) -> float:
-    """Seconds to write the slowest of a few made-up episodes as `record` does; the episodes are removed again.
+    """Write a few dummy episodes as `record` does, and return the duration of the slowest, s. Delete the episodes.
 
     Raises:
         OSError: the disk refused a file.
@@ -274,5 +274,5 @@ def _workers() -> Iterator[HealthCheck]:
 
 
 def failed_checks(checks: Sequence[HealthCheck]) -> list[HealthCheck]:
-    """The checks that ended in a fault."""
+    """Return the checks that found a fault."""
     return [check for check in checks if check.health is Health.FAULT]

@@ -1,7 +1,6 @@
-"""Finds the OpenGL backend for MuJoCo, which reads `MUJOCO_GL` when it is imported.
+"""Finds an OpenGL backend for MuJoCo. MuJoCo reads the environment variable `MUJOCO_GL` at its import.
 
-Each backend is tried in a separate process with a time limit, so that a driver that hangs or crashes costs a message
-and nothing else.
+Each backend is tried in a separate process with a time limit. A driver that hangs or crashes only causes a message.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from dataclasses import dataclass
 from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
-_PROBE_SECONDS = 60.0
-# OpenGL implementations that need no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+_PROBE_SECONDS = 60.0  # s, time limit for a trial of a backend
+# OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# Renders and reads the picture back: some backends open a context and then render nothing.
+# The probe reads the rendered image back, since some backends open a context and then render nothing.
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
@@ -46,7 +45,7 @@ class GlBackend:
 
     Attributes:
         name: the value for `MUJOCO_GL`; None where MuJoCo's own choice works.
-        renderer: OpenGL's name for its renderer; empty where nothing was tried.
+        renderer: the name that OpenGL gives for its renderer; empty if the backend was not tried.
     """
 
     name: str | None
@@ -59,13 +58,13 @@ class GlBackend:
 
 
 def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
-    """The first backend that works for headless rendering.
+    """Return the first backend that works for headless rendering.
 
     Args:
-        environ: the process's environment. Its `MUJOCO_GL` is the user's choice, and no other backend is tried.
+        environ: environment variables of the process. If the user has set `MUJOCO_GL`, no other backend is tried.
 
     Raises:
-        ResourceError: no backend works; the message says why for each, and what to install.
+        ResourceError: no backend works. The message has the reason for each backend, and the packages to install.
     """
     wanted = environ.get("MUJOCO_GL")
     if platform != "linux" and not wanted:
@@ -84,15 +83,15 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
 
 
 def bind_backend(name: str) -> None:
-    """Make MuJoCo use a backend that is chosen after MuJoCo was imported, as in a notebook."""
+    """Switch MuJoCo to a backend, if MuJoCo was imported before the choice, as in a notebook."""
     if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
         mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 
 
 def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
-    """The backend, tried in a separate process; or why the backend does not work."""
+    """Try a backend in a separate process. Return the backend, or the reason why the backend does not work."""
     environment = {**environ, "MUJOCO_GL": name}
-    # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
+    # The import fails unless PyOpenGL and MuJoCo choose the same platform.
     environment.pop("PYOPENGL_PLATFORM", None)
     try:
         probe = subprocess.run(

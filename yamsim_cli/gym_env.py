@@ -1,4 +1,4 @@
-"""The task as a gymnasium environment: `gymnasium.make("yamsim/PickPlace-v0")`, registered by importing this module."""
+"""Tasks as a gymnasium environment. The import registers `gymnasium.make("yamsim/PickPlace-v0")`."""
 
 from __future__ import annotations
 
@@ -14,41 +14,42 @@ from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-_FAR = 10.0  # rad and m, bound of all numbers in observations, beyond all joints and positions
+_BOUND = 10.0  # rad and m, bound of all observed values; larger than any joint value or position
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
-    """A task, by default picking an object and placing it on a target; a step is a control tick of 32 ms.
+    """A task, by default to pick an object and place it on a target. A step is a control tick of 32 ms.
 
-    The action is that of `yamsim eval` and of the LeRobot export: of a YAM (8,), seven drives (rad, m), and the weld,
-    which holds above 0.5. On a rig with two arms it is (16,): the left arm's drives, the right one's, the left weld and
-    the right one. `joints` (14,) and `ee_pose_world` (2, 4, 4) also have the left arm first.
+    The action is that of `yamsim eval` and of the LeRobot export. For one YAM, the action (8,) has seven drive commands
+    (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left drives, the right
+    drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world` (2, 4, 4) of two arms
+    also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
-    has held for its hold time, as in `yamsim eval`. With `end="actor"` the episode continues until it is truncated, and
-    `info` has `success` for the present tick.
+    has held for its hold time, as in `yamsim eval`. With `end="actor"`, the episode continues until its truncation, and
+    `info["success"]` belongs to the present tick.
 
-    Each thing has a pose, `<role>_pose_world` (4, 4), and `<role>_joints` for its moving parts. Things are named by
-    their roles, so the keys do not depend on the objects that a trial draws; joints that an object lacks are 0. Where
-    no weld holds things, an action's welds have no effect. `info` has `prompt` and `goal`: predicate -> its present
-    margin, which is zero or more where the predicate holds.
+    Each object has a pose `<role>_pose_world` (4, 4); an object with moving parts also has `<role>_joints`. Keys name
+    roles, so they do not depend on the objects that a trial samples. Joints that an object lacks are 0. Without welds
+    in a task, the weld commands have no effect. `info["prompt"]` is the instruction. `info["goal"]` maps each predicate
+    to its present margin; a predicate holds if its margin is zero or more.
 
-    `reset(seed=S)` starts trial 0 of seed S, `reset(seed=S, options={"trial": k})` trial k, with the layout of
-    `yamsim trials --seed S`, and each further `reset()` the next trial.
+    `reset(seed=S)` starts trial 0 of seed S, and `reset(seed=S, options={"trial": k})` starts trial k. Each further
+    `reset()` starts the next trial. The layouts are those of `yamsim trials --seed S`.
 
-    Environments that render in processes of their own (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`.
-    Linux's default up to Python 3.13 is to fork, and a process forked from one that has rendered cannot: rendering
-    there is a `ResourceError`.
+    Environments that render in separate processes (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`. Up to
+    Python 3.13, Linux forks by default. A process that is forked from a process that has rendered cannot render, and
+    raises `ResourceError`.
 
     Args:
-        observation: "state" has the objects' poses, and renders nothing; "images" has pictures instead.
+        observation: "state" gives the poses of the objects and renders nothing; "images" gives images instead.
         size: width and height of images, px.
-        render_mode: None or "rgb_array", the scene camera's image.
-        max_ticks: ticks after which the episode is truncated; by default as many as the task may take.
-        end: "success" or "actor", who ends an episode that is not truncated.
+        render_mode: None, or "rgb_array" for the image of the scene camera.
+        max_ticks: control ticks after which the episode is truncated; by default the time limit of the task.
+        end: "success" ends the episode on success; with "actor" only truncation ends the episode.
         rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
-    # gymnasium declares an attribute of instances, and reads that of the class.
+    # gymnasium declares an instance attribute, but reads the class attribute.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "render_modes": ["rgb_array"],
         "render_fps": 31,
@@ -78,7 +79,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if self._images or render_mode is not None:
             session = PROGRAM.open(config, parallel=False, **given)
         else:
-            # OpenGL is not set up, since another environment of this process may render.
+            # Neither set up nor disable OpenGL: another environment of this process may render.
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
@@ -99,7 +100,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     def _observation_space(self, size: tuple[int, int]) -> spaces.Dict:
         def numbers(*shape: int) -> spaces.Box:
-            return spaces.Box(-_FAR, _FAR, shape, np.float32)
+            return spaces.Box(-_BOUND, _BOUND, shape, np.float32)
 
         arms, drives = self._task.simulator.scene.drives.shape
         hands = (4, 4) if arms == 1 else (arms, 4, 4)
@@ -112,30 +113,28 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Key of an observation -> thing whose pose it is."""
-        return {f"{role}_pose_world": thing for role, thing in self._roles().items()}
+        """Observation key -> name of the object with this pose."""
+        return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Key of an observation -> thing whose joints it has, and their largest number."""
+        """Observation key -> name of the object with these joints, and the maximum number of joints."""
         task = self._config.task
-        cast = task.typical_roles
+        roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
-        of_role = {thing: role for role in most for thing in cast.objects_of(role)}
+        of_role = {item: role for role in most for item in roles.objects_of(role)}
         return {
-            f"{name}_joints": (thing, most[of_role[thing]])
-            for name, thing in self._roles().items()
-            if most[of_role[thing]]
+            f"{name}_joints": (item, most[of_role[item]]) for name, item in self._roles().items() if most[of_role[item]]
         }
 
     def _roles(self) -> dict[str, str]:
-        """Name of a thing in observations -> thing: its role, if no other thing has the same role."""
-        things = self._config.task.typical_roles.objects_by_role
-        return {role if len(names) == 1 else name: name for role, names in things.items() for name in names}
+        """Name in observations -> object name. The former is the role, unless several objects share the role."""
+        objects = self._config.task.typical_roles.objects_by_role
+        return {role if len(names) == 1 else name: name for role, names in objects.items() for name in names}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Start the next trial, or one of a seed."""
+        """Start the next trial, or a given trial of a seed."""
         from .core.attempt_data import AttemptJob
 
         super().reset(seed=seed)
@@ -151,7 +150,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
-        """Let an action act for one control tick."""
+        """Apply an action for one control tick."""
         values = np.asarray(action, dtype=np.float64)
         drives = self._task.simulator.scene.drives
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
@@ -163,7 +162,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return self._observe(), float(success), terminated, self._task.out_of_time, self._info(success)
 
     def render(self) -> Any:
-        """The scene camera's image (height, width, 3) in the mode "rgb_array"."""
+        """Return the image (height, width, 3) of the scene camera in the mode "rgb_array", else None."""
         if self.render_mode is None:
             return None
         camera = self._cameras["scene_rgb"]
@@ -187,7 +186,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             for key, (name, count) in self._parts().items():
                 joints = replica.object_joints(items[name])
                 seen[key] = np.pad(joints, (0, count - len(joints)))
-        numbers = {key: np.clip(value, -_FAR, _FAR).astype(np.float32) for key, value in seen.items()}
+        numbers = {key: np.clip(value, -_BOUND, _BOUND).astype(np.float32) for key, value in seen.items()}
         if not self._images:
             return numbers
         images = self._task.render(tuple(self._cameras.values()))
@@ -209,7 +208,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
 
 def register() -> None:
-    """Register the environment, so that `gymnasium.make("yamsim/PickPlace-v0")` works; a second call does nothing."""
+    """Register the environment for `gymnasium.make("yamsim/PickPlace-v0")`. A second call has no effect."""
     if ENV_ID not in gymnasium.registry:
         gymnasium.register(ENV_ID, entry_point=f"{__name__}:{PickPlaceEnv.__name__}")
 

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of any rig's arm.
+"""Forward and inverse kinematics of an arm of any rig.
 
     from yamsim_cli.kinematics import Kinematics
 
@@ -6,7 +6,7 @@
     T_pinch_in_base = arm.fk(joints)
     joints = arm.ik(T_pinch_in_base, start=joints)
 
-Needs no OpenGL, no meshes and no scene.
+The module needs no OpenGL, no meshes and no scene.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# Searches from random joints, of an arm without a closed solution: of 1,000 poses of joints sampled evenly from their
-# ranges, 29 starts were the most that one pose needed.
+# Searches from random joints for an arm without analytic inverse kinematics. Source: 1,000 poses of joints that were
+# sampled uniformly from their ranges needed at most 29 starts.
 _RESTARTS = 50
-# Searches of an arm with a closed solution: of 25 poses out of reach, 50 starts brought no more within tolerance.
-_RESTARTS_EXACT = 10
-# Cost of an error of 1 rad about each axis; 1 m costs 10, so 1 rad counts as 0.1 m, about the hand's length. Where the
-# arm cannot reach the whole pose, the position decides.
+# The same for an arm with analytic inverse kinematics. Source: 50 starts solved no more of 25 poses out of reach.
+_RESTARTS_ANALYTIC = 10
+# Cost of a rotation error of 1 rad about each axis. 1 m costs 10, so 1 rad counts as 0.1 m, about the length of the
+# hand. If the arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
-_SLACK = 0.1  # rad, by which real and simulated arms may report joints beyond the stops
-_ORTHONORMAL = 1e-4  # an R with a larger element of |R^T R - 1| is no rotation
+_LIMIT_TOLERANCE = 0.1  # rad, how far beyond the joint limits real and simulated arms may report joints
+_ORTHONORMAL_TOLERANCE = 1e-4  # largest element of |R^T R - 1| that is accepted of a rotation matrix R
 
 
 class Kinematics:
     """Forward and inverse kinematics of one arm.
 
-    Joints are (dof,) in rad, six of a YAM, without the gripper, whose opening has no effect. Poses are (4, 4), in m, of
-    `site` in the arm's own base (x forward, y left, z up).
+    Joints (dof,) are in rad; a YAM has six. The gripper is not included, and its opening has no effect. A pose (4, 4),
+    in m, is the pose of `site` in the base frame of the arm (x forward, y left, z up).
 
     Args:
         rig: a name from `configs/rigs/`, or a YAML file.
         arm: "left" or "right"; optional for a rig with one arm.
-        site: "pinch_site", where the finger tips meet, or "grasp_site", on the gripper's axis, the site of
-            `ee_pose_world` in observations and of `ee_pose` in datasets. In both, z points along the fingers, and y is
-            the direction in which they close.
+        site: "pinch_site", the point where the finger tips meet, or "grasp_site", a point on the axis of the gripper.
+            `ee_pose_world` in observations and `ee_pose` in datasets are poses of `grasp_site`. In both frames, z
+            points along the fingers, and the fingers close along y.
 
     Raises:
-        ConfigError: there is no such rig, or it is not valid.
-        UsageError: there is no such arm on it, or no such site.
+        ConfigError: the rig does not exist, or is not valid.
+        UsageError: the rig has no such arm, or the arm has no such site.
     """
 
     def __init__(self, rig: str = "single", arm: str | None = None, *, site: Site = "pinch_site") -> None:
@@ -93,19 +93,19 @@ class Kinematics:
 
     @property
     def T_base_in_world(self) -> Array:
-        """Pose (4, 4) of the arm's base: `T_site_in_world = T_base_in_world @ fk(joints)`."""
+        """Pose (4, 4) of the base of the arm: `T_site_in_world = T_base_in_world @ fk(joints)`."""
         return self._T_base_in_world.copy()
 
     @property
     def joint_range(self) -> Array:
-        """Each joint's range (dof, 2), rad."""
+        """Lower and upper limit of each joint (dof, 2), rad."""
         return self._range.copy()
 
     def fk(self, joints: ArrayLike) -> Array:
-        """The pose (4, 4) of the site in the arm's base.
+        """Return the pose (4, 4) of the site in the base of the arm.
 
         Raises:
-            UsageError: `joints` are not one number a joint, or lie beyond the joints' stops.
+            UsageError: `joints` are not one number for each joint, or exceed the joint limits.
         """
         return self._forward.T_site_in_base(self._joints(joints, "joints"), self._site)
 
@@ -117,27 +117,27 @@ class Kinematics:
         position_tolerance: float = 1e-3,
         rotation_tolerance: float = np.radians(1.0),
     ) -> Array:
-        """Joints (dof,), within their range, that bring the site to a pose (4, 4) in the arm's base.
+        """Return joints (dof,), rad, within their limits that bring the site to a pose (4, 4) in the base of the arm.
 
-        The same arguments give the same result. Every YAM has a closed solution: of all joints that reach the pose, the
-        result is the nearest to `start`, exact to 1e-6 m and rad. If no joints reach the pose, searches find joints
-        within the tolerances. An arm without a closed solution (see `core.expert.planning.find_analytic_ik`) is only
-            searched, first from `start`.
+        The same arguments give the same result. Every YAM has analytic inverse kinematics: the result is the solution
+        nearest to `start`, exact to 1e-6 m and rad. If no solution exists, numerical searches look for joints within
+        the tolerances. An arm without analytic inverse kinematics has only the searches; the first begins at `start`.
+        `core.expert.planning.analytic_ik.find_analytic_ik` decides which arms have analytic inverse kinematics.
 
         Args:
             start: present joints (dof,), rad; by default home.
-            position_tolerance, rotation_tolerance: m and rad. With a larger rotation tolerance the hand leans where the
-                arm is too short for the exact pose, and keeps the position.
+            position_tolerance, rotation_tolerance: m and rad. A larger rotation tolerance lets the hand tilt where the
+                arm is too short for the exact pose.
 
         Raises:
             UsageError: `T_site_in_base` is no pose, or `start` has no valid joints.
-            OutOfReachError: no joints reach the pose, and no search found any within the tolerances. Its `nearest` has
-                the nearest joints found, and their errors.
+            OutOfReachError: no joints within the tolerances were found. The attribute `nearest` has the nearest joints
+                found, and their errors.
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
-        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
+        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        # The nearest rotation, since other programs often pass rounded poses.
+        # Replace R by the nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")
@@ -145,16 +145,16 @@ class Kinematics:
 
     def _joints(self, values: ArrayLike, name: str) -> Array:
         joints = _numbers(values, self._home.shape, name)
-        if fault := describe_limit_violation(self._arm.name, self._arm.robot, joints, _SLACK):
+        if fault := describe_limit_violation(self._arm.name, self._arm.robot, joints, _LIMIT_TOLERANCE):
             raise UsageError(f"{name}: {fault}")
         return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
-        """Joints to search from: first the given ones, clipped to the range, then random ones with a fixed seed."""
+        """Yield start joints of searches: `first`, clipped to the range, then random joints of a fixed seed."""
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)
-        for _ in range(_RESTARTS_EXACT if self._solvers[0].has_analytic_ik else _RESTARTS):
+        for _ in range(_RESTARTS_ANALYTIC if self._solvers[0].has_analytic_ik else _RESTARTS):
             yield rng.uniform(low, high)
 
 

@@ -1,4 +1,4 @@
-"""Scenes of KitchenBench as names of tasks, such as `--task kitchenbench/stack/cups`."""
+"""Resolves task names that are scenes of KitchenBench, such as `--task kitchenbench/stack/cups`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _PREFIX = "kitchenbench/"
 
 
 def resolve_scene_task(name: str) -> str | dict[str, Any]:
-    """The config of a task that is a scene of the benchmark; any other name as it is.
+    """Return the config of a task that is a KitchenBench scene. Return any other name unchanged.
 
     Raises:
-        UsageError: the benchmark has no such scene, or the scene cannot be recorded.
-        ResourceError: the benchmark is not installed.
+        UsageError: KitchenBench has no such scene, or the scene cannot be recorded.
+        ResourceError: KitchenBench is not installed.
     """
     if not name.startswith(_PREFIX):
         return name

@@ -1,4 +1,4 @@
-"""A simulated station in real time, for programs of real ones."""
+"""A simulated station in real time, for programs that control real stations."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .station import Row, Station, StationForm, StationSettings
 
 __all__ = ["LiveStation"]
 
-_MAX_CATCH_UP = 0.1  # s; when it is farther behind, the simulation continues from the present time
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation makes up for; a larger delay is skipped
 
 
 class LiveStation(Closable):
-    """A station that moves in a thread of its own while it is open. Only one thread may use it, in which it renders.
+    """A station that is simulated in its own thread while open. Call all methods from one thread, which renders.
 
     Attributes:
-        form: names and shapes of its rows and pictures.
-        lost_s: time that the simulation skipped because it was too far behind to catch up, s.
+        form: names and shapes of rows and pictures.
+        lost_s: time that the simulation skipped because its delay was too large, s.
 
     Args:
-        by_clock: whether time passes by the clock; otherwise only `advance` lets time pass.
+        by_clock: whether simulated time follows the clock; otherwise only `advance` steps the simulation.
 
     Raises:
         ConfigError, UsageError: a setting is not valid.
@@ -47,7 +47,7 @@ class LiveStation(Closable):
 
     @property
     def trial(self) -> int:
-        """Number of the trial."""
+        """Number of the present trial."""
         return self._station.trial
 
     @property
@@ -56,34 +56,34 @@ class LiveStation(Closable):
         return self._station.time
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Put everything to the start of a trial, see `Station.begin`; time is paused meanwhile."""
+        """Reset the scene to the start of a trial, see `Station.begin`. Time is paused meanwhile."""
         with self._pause():
             begun = self._station.begin(seed, trial)
-            self._station.pictures()  # The first picture sets up the renderer, which takes a second.
+            self._station.pictures()  # The first call sets up the renderer, which takes about 1 s.
         return begun
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Put everything to the start of a recorded episode, see `Station.begin_demonstrated`; time is paused."""
+        """Reset the scene to the start of an episode, see `Station.begin_demonstrated`. Time is paused meanwhile."""
         with self._pause():
             rows = self._station.begin_demonstrated(seed, trial)
             self._station.pictures()
         return rows
 
     def command(self, row: NDArray[np.floating]) -> None:
-        """Set the command that acts from now on, see `Station.command`."""
+        """Set the command, which acts until the next one, see `Station.command`."""
         with self._lock:
             self._station.command(row)
 
     def advance(self) -> None:
-        """Let a frame's time pass, unless time passes by the clock."""
+        """Simulate one frame, unless simulated time follows the clock."""
         if self._thread is None:
             self._station.advance()
 
     def observe(self) -> tuple[Row, dict[str, Image]]:
-        """Joints and grippers (numbers of a state,), and camera -> picture (height, width, 3), of the same state.
+        """Return the state (joints and grippers), and camera -> picture (height, width, 3), of the same moment.
 
         Raises:
-            Exception: the exception that stopped the simulation.
+            Exception: the simulation was stopped by this exception.
         """
         with self._lock:
             if self._failure is not None:
@@ -92,7 +92,7 @@ class LiveStation(Closable):
         return state, self._station.pictures(positions=positions)
 
     def judge(self) -> str:
-        """Why the trial is no success at present; empty if it is a success. Time is paused meanwhile."""
+        """Return why the trial is not successful at present; empty on success. Time is paused meanwhile."""
         with self._pause():
             return self._station.judge()
 
@@ -105,7 +105,7 @@ class LiveStation(Closable):
 
     @contextmanager
     def _pause(self) -> Iterator[None]:
-        """Pause time in the block, and after an exception in it."""
+        """Pause time in the block. After an exception in the block, time stays paused."""
         with self._lock:
             self._paused = True
             yield
@@ -128,6 +128,6 @@ class LiveStation(Closable):
     def _tick(self) -> None:
         try:
             self._station.tick()
-        # `observe` raises the exception in the caller's thread.
+        # `observe` raises the exception in the thread of the caller.
         except Exception as error:  # noqa: BLE001
             self._failure, self._paused = error, True

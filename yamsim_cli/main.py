@@ -1,4 +1,4 @@
-"""The `yamsim` executable: its commands, and the conversion of errors to messages and exit codes."""
+"""The `yamsim` command line: registers the commands, and converts errors to messages and exit codes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ app.add_typer(robots.app, name="robots")
 app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
-# Packages whose versions change recorded data; `yamsim doctor` shows all packages.
+# Packages whose versions affect recorded data. `yamsim doctor` shows all packages.
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -93,15 +93,15 @@ def _root(
 
 
 _INTERRUPTED = 130  # exit code
-# Commands that run until a signal, which is then no failure.
+# Commands that run until a signal. For these, a signal gives exit code 0.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
-    """Run the command line; a `YamsimError` is one line and its exit code, anything else a traceback and 1.
+    """Run the command line, and exit. A `YamsimError` gives one line and its exit code, other errors a traceback and 1.
 
     Args:
-        interrupted: returns whether a signal came before this call.
+        interrupted: returns whether a signal arrived before this call.
     """
     raise_signals()
     try:
@@ -109,13 +109,13 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
-            # Typer turns a KeyboardInterrupt into this code.
+            # Typer converts a KeyboardInterrupt to this exit code.
             raise KeyboardInterrupt
         write_end_notes()
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Raised by any first look at a user's path, such as `exists`.
+        # Any first access to a path of the user can raise this error, such as `exists`.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
@@ -134,7 +134,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
 
 
 def _command(error: TyperException) -> str:
-    """The command whose options an error is about, such as `yamsim export mp4`."""
+    """Return the command whose options caused an error, such as `yamsim export mp4`."""
     names, context = list[str](), getattr(error, "ctx", None)
     while context is not None and context.parent is not None:
         names.insert(0, context.info_name)
@@ -143,8 +143,8 @@ def _command(error: TyperException) -> str:
 
 
 def _decimal_point(error: TyperException) -> str:
-    """A hint for a number that was given with a decimal comma; empty for anything else."""
-    # Typer checks values by pydantic, whose error is the cause.
+    """Return a hint for a number with a decimal comma; empty for other errors."""
+    # Typer validates values with pydantic, whose error is the `__cause__`.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""
     if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):

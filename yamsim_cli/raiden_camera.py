@@ -1,11 +1,11 @@
-"""A raiden camera with the pictures of `yamsim serve-robot --cameras`.
+"""A camera for raiden with the pictures of `yamsim serve-robot --cameras`.
 
     camera = YamsimCamera("right_wrist_camera", "right")
     camera.open()
     camera.grab()
     frame = camera.get_frame()
 
-raiden has to be importable, since the class is a `raiden.cameras.base.Camera`.
+raiden must be importable, since the class inherits from `raiden.cameras.base.Camera`.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from .core.errors import YamsimError
 
 __all__ = ["YamsimCamera"]
 
-# Mounted upside down on a real station; raiden turns the pictures. Source: TRI-ML/raiden 2353b10, server.py.
+# Mounted upside down on a real station, so raiden rotates the pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
-_GRAB_S = 5.0  # s, that `grab` waits for a picture
+_GRAB_S = 5.0  # s, longest wait of `grab` for a picture
 
 
 class YamsimCamera(Camera):
-    """A served camera with the interface of raiden's real ones: BGR pictures, no depth.
+    """A served camera with the interface of raiden's real cameras: BGR pictures, no depth.
 
-    Pictures of `right_wrist_camera` are turned by half a turn, as those of the real camera, since raiden turns them
+    Pictures of `right_wrist_camera` are rotated by 180 degrees like those of the real camera, since raiden rotates them
     back.
 
     Args:
         name: raiden's name of the camera, such as "left_wrist_camera".
         camera: a name that `serve-robot` prints, such as "left".
-        folder: the value of `serve-robot --folder`; by default its default.
+        folder: the value of `serve-robot --folder`, with the same default.
     """
 
     def __init__(self, name: str, camera: str, folder: str | None = None) -> None:
@@ -54,19 +54,19 @@ class YamsimCamera(Camera):
 
     @property
     def serial_number(self) -> str:
-        """A serial number made of the camera's name at the server."""
+        """A serial number that contains the name of the camera at the server."""
         return f"yamsim-{self._camera}"
 
     @property
     def recording_extension(self) -> str:
-        """The extension of files that `start_recording` writes."""
+        """The file extension for `start_recording`."""
         return "rgb"
 
     def open(self) -> None:
         """Connect to the server.
 
         Raises:
-            RuntimeError: nothing is served, or there is no such camera.
+            RuntimeError: no server runs, or the server has no such camera.
         """
         try:
             self._reader = CameraReader(self._camera, self._folder)
@@ -74,27 +74,27 @@ class YamsimCamera(Camera):
             raise RuntimeError(str(error)) from error
 
     def close(self) -> None:
-        """Close the connection and the file."""
+        """Close the connection and the file of a recording."""
         self.stop_recording()
         if self._reader is not None:
             self._reader.close()
         self._reader = self._picture = None
 
     def start_recording(self, path: Path) -> None:
-        """Write the grabbed pictures into a file: a line of JSON and the RGB bytes of each.
+        """Write each grabbed picture to a file, as a line of JSON and the RGB bytes.
 
-        raiden's converter cannot read these files; its camera server and its calibration need none.
+        raiden's converter cannot read this format. raiden's camera server and calibration do not read recorded files.
         """
         self._file = path.open("wb")
 
     def stop_recording(self) -> None:
-        """Close the file."""
+        """Close the file of a recording."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
     def grab(self) -> bool:
-        """Wait for the next picture; False if none came."""
+        """Wait for the next picture. Return whether a picture arrived."""
         if self._reader is None:
             return False
         try:
@@ -108,7 +108,7 @@ class YamsimCamera(Camera):
         return True
 
     def get_frame(self) -> CameraFrame:
-        """The picture that was grabbed last.
+        """Return the last grabbed picture.
 
         Raises:
             RuntimeError: no picture was grabbed.
@@ -119,11 +119,11 @@ class YamsimCamera(Camera):
         return CameraFrame(color=np.ascontiguousarray(image), depth=None, timestamp_ns=self._picture.time_ns)
 
     def get_current_timestamp_ns(self) -> int:
-        """Now, by the clock of frames."""
+        """Return the present time on the clock of the frames, ns."""
         return time.time_ns()
 
     def get_intrinsics(self) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int]]:
-        """Intrinsics (3, 3), no distortion (5,), and width and height in px.
+        """Return the intrinsics (3, 3), zero distortion (5,), and the size (width, height), px.
 
         Raises:
             RuntimeError: the camera is not open.

@@ -1,4 +1,4 @@
-"""Lists arms, grippers and stations, writes the files of a new arm, and checks an arm of the user's own."""
+"""Lists arms, grippers and stations, writes template files for a new arm, and checks an arm in simulation."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, for which the arm holds its home: long enough for drives to settle
-_MAX_SAG = 0.1  # rad, largest deviation of a joint from home then: beyond, a drive cannot bear the arm
+_HOLD_S = 1.0  # s, for which the arm holds its home posture: long enough for the drives to settle
+_MAX_SAG = 0.1  # rad, largest deviation of a joint from home after that; more means that a drive is too weak
 
 _YAML = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
@@ -107,11 +107,11 @@ ARM, GRIPPER, STATION = "arm", "gripper", "station"
 
 
 def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
-    """Every arm, gripper and rig with two arms, in this order, as plain data.
+    """Return all arms, grippers and rigs with two arms, in this order, as plain data.
 
-    An arm or a station with an invalid file has its error as `fault`, and an empty `goes_with`.
+    If the file of an arm or a station is not valid, its entry has the error as `fault` and an empty `goes_with`.
 
-    Raises ConfigError if a gripper's file is not valid.
+    Raises ConfigError if the file of a gripper is not valid.
     """
     meshes = _meshes(locations)
     families, faults = valid_families(locations)
@@ -150,11 +150,11 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
 
 
 def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """The arm, gripper or station of that name; of a family, its newest revision.
+    """Return the entry of an arm, gripper or station. The name of a family gives its newest revision.
 
     Raises:
-        UsageError: there is no such robot.
-        ConfigError: its file is not valid.
+        UsageError: no entry has that name.
+        ConfigError: the file of the entry is not valid.
     """
     items = robot_entries(locations)
     for item in items:
@@ -169,7 +169,7 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Name -> arm, and name -> fault of each invalid arm; `faults` has those of `valid_families`."""
+    """Return name -> arm, and name -> error of each invalid arm, including `faults` of `valid_families`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -211,7 +211,7 @@ def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
 
 
 def _meshes(locations: Locations) -> dict[str, bool]:
-    """Asset set -> whether the store has it."""
+    """Return asset set -> whether the store has the set."""
     store = AssetStore(locations.assets)
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
@@ -221,9 +221,9 @@ def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: M
 
 
 def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
-    """Write the files of a new arm under a root of data, and return their paths.
+    """Write the template files of a new arm below the data directory `data`, and return their paths.
 
-    Raises UsageError if the name is not valid or taken, or the folder cannot be written.
+    Raises UsageError if the name is not valid or exists already, or the folder cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")
@@ -242,17 +242,17 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
 
 
 def _arm_files(name: str) -> Mapping[str, str]:
-    """File name -> text of an arm of six joints, with comments for the user."""
+    """Return file name -> text for an arm with six joints, with comments for the user."""
     names = [f"joint{k}" for k in range(1, 7)]
     drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
     return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}
 
 
 def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
-    """Check an arm with each gripper that fits: it compiles, and its drives hold it at home.
+    """Check an arm with each gripper that fits. The scene must compile, and the drives must hold the home posture.
 
     Returns:
-        For each gripper: `gripper`, `ok` (None where the pair makes no rig, such as without a wrist camera), `sag_rad`
+        For each gripper: `gripper`, `ok` (None if the pair makes no rig, for example without a wrist camera), `sag_rad`
         (largest deviation of a joint from home), `detail`.
 
     Raises:
@@ -291,7 +291,7 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
 
 
 def require_checked(name: str, found: list[dict[str, Any]]) -> None:
-    """Make sure that an arm passed with each gripper. Raises SimulationError if the arm failed with a gripper."""
+    """Raise SimulationError if an arm failed the check with any gripper."""
     for one in found:
         if one["ok"] is False:
             raise SimulationError(f"arm {name!r} with {one['gripper']}: {one['detail']}")

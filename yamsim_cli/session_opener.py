@@ -1,4 +1,4 @@
-"""Opens sessions: loads the config, and finds files, meshes and an OpenGL backend."""
+"""Opens sessions: loads the config, and finds the files, the meshes and an OpenGL backend."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
 _SIZES = range(16, 4097)  # px, valid width and height of images
-_NO_GL = "off"  # MUJOCO_GL of `SessionOpener.skip_gl`; like "disabled" for MuJoCo, which stands for a user's choice
-_OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless it is empty or 0
+_NO_GL = "off"  # MUJOCO_GL for no OpenGL. `use_gl` replaces this value, but keeps "disabled", which only users set
+_OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
 def _show_no_progress() -> AbstractContextManager[FetchProgress]:
     return nullcontext(lambda label, done, total: None)
 
 
-# Setting -> key path in a record config. A task precedes its parts.
+# Setting -> key path in a record config. The task precedes settings within the task.
 _PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
@@ -66,13 +66,13 @@ class SessionOpener:
     """Opens sessions, for the command line or for a program.
 
     Attributes:
-        environ: the process's environment. MuJoCo reads the OpenGL backend from it when it is imported.
-        notify: shows the user a sentence.
+        environ: environment variables of the process. MuJoCo reads its OpenGL backend from them at its import.
+        notify: shows a sentence to the user.
         setting_label: name of a setting -> the flag or keyword in messages.
-        resolve_object: converts a thing's name to that of its config; a file of another format is imported.
-        resolve_task: converts a task's name to a name or a config as plain data.
-        fetch_bar: opens the progress bar of missing meshes.
-        notify_at_end: shows the user a sentence again at the end.
+        resolve_object: converts the name of an object to the name of its config; imports files of other formats.
+        resolve_task: converts the name of a task to a name, or to a config as plain data.
+        fetch_bar: opens the progress bar for the download of missing meshes.
+        notify_at_end: shows a sentence to the user when the command ends.
     """
 
     environ: MutableMapping[str, str]
@@ -86,12 +86,12 @@ class SessionOpener:
     def open(
         self, name: str, *, renders: bool = True, parallel: bool = True, resumes: Path | None = None, **given: Any
     ) -> Session:
-        """A session of a record config with settings.
+        """Open a session of a record config with settings.
 
         Args:
-            renders: whether anything is rendered; otherwise OpenGL and meshes are not needed.
+            renders: whether the session renders; otherwise OpenGL and meshes are not needed.
             parallel: whether several processes render, see `use_gl`.
-            resumes: the dataset that is resumed; its primitives stay primitives.
+            resumes: the dataset that the session resumes. Where it has primitives, the session shows primitives.
             given: see `config`.
 
         Raises:
@@ -115,12 +115,12 @@ class SessionOpener:
         where = self.use_gl(where, workers=parallel)
         from .core.dataset.writing.directory_claim import recorded_meshes
 
-        # A config may be that of another dataset, whose meshes do not matter here.
+        # The config may come from another dataset, whose meshes do not matter here.
         session = Session(self.config(name, where, **given), where)
         return self.with_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
 
     def locations(self) -> Locations:
-        """The places of configs, models and meshes from the environment."""
+        """Return the locations of configs, models and meshes that the environment defines."""
         from .core.files.resources import Locations
 
         return Locations.find(self.environ)
@@ -128,12 +128,12 @@ class SessionOpener:
     def config(
         self, name: str, locations: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
     ) -> RecordConfig:
-        """The named record config with settings.
+        """Load a record config with settings.
 
         Args:
-            check: a further check, which runs last and raises a `ConflictError`.
-            given: settings by name; None for settings that are not given. `randomize` keeps the ranges in the config,
-                or those of `randomization`.
+            check: an additional check, which runs last and raises a `ConflictError`.
+            given: values of settings by name; None for settings that are not given. `randomize` keeps the ranges of the
+                config or of `randomization`.
 
         Raises:
             ConfigError, UsageError: a value is not valid.
@@ -184,7 +184,7 @@ class SessionOpener:
         return load_config(RecordConfig, "record", name, locations, overrides, check_all)
 
     def _within(self, task: ProgramTask, setting: str) -> KeyPath:
-        """The key path of a setting within the task. Raises UsageError if the task has no such key."""
+        """Return the key path of a setting within the task. Raise UsageError if the task has no such key."""
         from .core.files.documents.config_base import ConflictError
 
         if setting == "threshold":
@@ -194,8 +194,8 @@ class SessionOpener:
                 raise UsageError(f"{self.setting_label(setting)}: {error}; leave it out") from None
         if setting not in task.things:
             raise UsageError(
-                f"{self.setting_label(setting)}: task {task.name!r} has no role {setting!r} whose object could be another; its "
-                f"roles: {', '.join(task.things)}"
+                f"{self.setting_label(setting)}: task {task.name!r} has no role {setting!r} whose object could "
+                f"be another; its roles: {', '.join(task.things)}"
             )
         return ("task", "things", setting, "of")
 
@@ -207,7 +207,7 @@ class SessionOpener:
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
     def _own_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
-        """Place and name of the rig in a task's config; None if it has none."""
+        """Return the place and the name of the rig in the config of a task; None if the config has no rig."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM
         from .core.files.documents.yaml_document import Document
@@ -216,7 +216,7 @@ class SessionOpener:
             read = config_model("tasks").read
             document = read(locations.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
-            return None  # loading the whole config reports the error
+            return None  # `load_config` reports the error
         rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
         return (document.place(("rig",)), rig) if isinstance(rig, str) else None
 
@@ -228,7 +228,7 @@ class SessionOpener:
         revision: str | None = None,
         robot: Sequence[str] | None = None,
     ) -> RigConfig:
-        """The named rig with another margin, another revision of its robots, and files of dynamics, where given."""
+        """Load a rig, with another margin, another revision of its robots, or files of dynamics, if given."""
         from .core.config.loader import load_config
         from .core.config.rig import RigConfig
 
@@ -239,13 +239,13 @@ class SessionOpener:
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
     def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
-        """Find an OpenGL backend for this process and its workers, before mujoco is imported.
+        """Find an OpenGL backend for this process and its workers, and set `MUJOCO_GL`.
 
         Args:
-            workers: whether several processes render, so that Mesa's software renderer has to use one core in each.
+            workers: whether several processes render; Mesa's software renderer then uses one core in each.
 
         Returns:
-            `locations` with the quality for the backend as `auto`.
+            `locations`, with the quality that `auto` means for the backend.
         """
         from .gl import bind_backend, find_backend
 
@@ -259,17 +259,17 @@ class SessionOpener:
         return replace(locations, auto_quality="balanced" if backend.software else "high")
 
     def skip_gl(self) -> None:
-        """Keep MuJoCo from loading OpenGL."""
+        """Prevent MuJoCo from loading OpenGL."""
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
     def stay_offline(self) -> None:
-        """Show primitives for missing meshes instead of fetching them."""
+        """Show primitives for missing meshes, and do not fetch the meshes."""
         self.environ[_OFFLINE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
-        """The session with the folders of all meshes of its scene.
+        """Return the session with the folders of all meshes of its scene.
 
-        Sets that the config has as primitives stay primitives.
+        Asset sets that the config records as primitives stay primitives.
         """
         from .core.config.mesh_provenance import PRIMITIVES
         from .core.scene.blueprint import recording_blueprint
@@ -282,10 +282,10 @@ class SessionOpener:
         return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 
     def find_meshes(self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
-        """`locations` with the folder of each asset set. Missing sets are fetched; the user is notified of failures.
+        """Return `locations` with the folder of each asset set. Fetch missing sets, and notify the user of failures.
 
         Args:
-            quality: whether meshes are reduced; reduced meshes are made if they are missing.
+            quality: render quality, which decides whether meshes are reduced. Missing reduced meshes are made.
         """
         from .core.files.resources import IMPORTED
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
@@ -312,7 +312,7 @@ class SessionOpener:
     def _fetch(
         self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
-        """The folders of missing sets, after fetching them unless the user chose primitives."""
+        """Fetch missing asset sets, unless the user chose primitives. Return their folders."""
         from .core.scene.assets import fetch_missing
 
         on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
@@ -332,7 +332,7 @@ class SessionOpener:
         return found
 
     def _wants_primitives(self, locations: Locations) -> bool:
-        """Whether missing meshes are not fetched: offline, or if YAMSIM_ASSETS is an empty folder or a file."""
+        """Whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
         if self.environ.get(_OFFLINE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
@@ -340,7 +340,7 @@ class SessionOpener:
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """The folder of a set's reduced meshes; the set's own folder if they cannot be made."""
+        """Return the folder of the reduced meshes of a set, or `folder` if they cannot be made."""
         from .core.scene.assets import find_reduced, make_reduced
 
         assets = lock.sets[name]
@@ -356,9 +356,9 @@ class SessionOpener:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT as two numbers of pixels.
+    """Convert a text WIDTHxHEIGHT to width and height, px.
 
-    Raises UsageError if the text has another form, or a number is out of range.
+    Raises UsageError if the text has another format, or a number is out of range.
     """
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():

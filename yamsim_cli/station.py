@@ -1,4 +1,4 @@
-"""A simulated station for programs of real ones: rows of joints, pictures and commands, frame by frame.
+"""A simulated station for programs that control real stations, with states, commands and pictures for each frame.
 
     from yamsim_cli.station import Station, StationSettings
 
@@ -8,7 +8,7 @@
         station.advance()
         pictures = station.pictures()
 
-Rows and cameras have the names and units of `yamsim export lerobot`.
+The numbers of a row and the cameras have the names and units of `yamsim export lerobot`.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ Row = NDArray[np.float32]
 
 
 class Station(Closable):
-    """The simulated arms of a rig with a task's things. Close it, or use it as a context manager.
+    """The simulated arms of a rig, with the objects of a task. Close the station, or use it as a context manager.
 
-    Time passes only in `advance` and `tick`. Until the first command, arms hold their start.
+    Only `advance` and `tick` step the simulation. Until the first command, the arms hold their start posture.
 
     Attributes:
-        form: names and shapes of its rows and pictures.
+        form: names and shapes of rows and pictures.
 
     Args:
         pictures: whether pictures can be rendered; otherwise OpenGL is not set up.
-        end: who ends a trial: with "success" the trial ends once its goal has held for its hold time, with "actor" only
-            the caller ends it.
+        end: "success" ends a trial once its goal has held for its hold time; with "actor" only the caller ends a trial.
 
     Raises:
         ConfigError, UsageError: a setting is not valid.
@@ -72,32 +71,32 @@ class Station(Closable):
 
     @property
     def trial(self) -> int:
-        """Number of the trial."""
+        """Number of the present trial."""
         return self._task.attempt.job.attempt
 
     @property
     def time(self) -> float:
-        """Time since the trial's start, s."""
+        """Simulated time since the start of the trial, s."""
         return self._task.episode.seconds
 
     @property
     def prompt(self) -> str:
-        """The trial's task in words."""
+        """The instruction of the trial."""
         return self._task.attempt.phrasing or self.form.prompt
 
     @property
     def tick_s(self) -> float:
-        """Duration of a control tick, s; a frame has one or more ticks."""
+        """Duration of a control tick, s. A frame has one or more ticks."""
         return self._timing.tick
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Put everything to the start of a trial, as in `yamsim trials --seed SEED`.
+        """Reset the scene to the start of a trial, as in `yamsim trials --seed SEED`.
 
         Returns:
-            The trial's number: the first from `trial` on that has a start.
+            The number of the trial. Trials without a valid start are skipped.
 
         Raises:
-            SimulationError: none of many trials has a start.
+            SimulationError: no trial within a limit has a valid start.
         """
         from .core.attempt_data import AttemptJob
 
@@ -106,13 +105,13 @@ class Station(Closable):
         return self.trial
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Put everything to the start of an episode, as in `yamsim record --seed SEED`; `trial` has its number then.
+        """Reset the scene to the start of an episode, as in `yamsim record --seed SEED`. Skip trials that fail.
 
         Returns:
-            The commands of the task's expert, (frames, numbers of a command).
+            The commands of the task's expert (frames, numbers of a command).
 
         Raises:
-            SimulationError: the expert succeeds in none of many trials.
+            SimulationError: the expert succeeds in no trial within a limit.
         """
         from .core.attempt_data import AttemptJob
 
@@ -123,16 +122,16 @@ class Station(Closable):
         return np.array([self._rows.action(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
 
     def state(self) -> Row:
-        """Present joints and grippers, (numbers of a state,)."""
+        """Return the present state: joints and grippers (numbers of a state,)."""
         return self._rows.state(self._task.episode.readings(self._task.attempt.job))
 
     def environment(self) -> Row:
-        """Present poses of things, (numbers of `form.environment`,), in the base of the only arm, or of the left one.
+        """Return the present poses of the objects (numbers of `form.environment`,) in the base of the left or only arm.
 
-        A thing has its position (m), the first two axes of its frame, and the joints (m, rad) of its moving parts.
+        Each object has its position (m), the first two axes of its frame, and the joints (m, rad) of its moving parts.
 
         Raises:
-            SimulationError: this trial's things have other joints than the task's typical ones.
+            SimulationError: the objects of this trial have other joints than the typical objects of the task.
         """
         from .core.dataset.environment_state import object_pose_keys, state_row
 
@@ -154,10 +153,10 @@ class Station(Closable):
         return row.astype(np.float32)
 
     def command(self, row: NDArray[np.floating] | Sequence[float]) -> None:
-        """Set the command that acts from now on.
+        """Set the command, which acts until the next one.
 
         Raises:
-            UsageError: the row is not a finite number for each of `form.action`.
+            UsageError: the row does not have one finite number for each name in `form.action`.
         """
         values = np.asarray(row, dtype=np.float32)
         if values.shape != (len(self.form.action),) or not np.isfinite(values).all():
@@ -165,31 +164,32 @@ class Station(Closable):
         self._command = values
 
     def advance(self) -> bool:
-        """Let a frame's time pass; whether the trial is a success. Time stops when the trial ends."""
+        """Simulate one frame, and return whether the trial is successful. Time stops when the trial ends."""
         for _ in range(self._timing.ticks_per_frame):
             self.tick()
         return self._task.succeeded
 
     def tick(self) -> None:
-        """Let one control tick pass, unless the trial has ended."""
+        """Simulate one control tick, unless the trial has ended."""
         self._task.episode.step(*self._rows.command(self._command))
 
     def judge(self) -> str:
-        """Why the trial is no success at present, in words; empty if it is a success."""
+        """Return why the trial is not successful at present, in words; empty on success."""
         return self._task.failure_reason()
 
     def positions(self) -> Array:
-        """A copy of MuJoCo's present positions (nq,), from which `pictures` can render later."""
+        """Return a copy of the present `qpos` (nq,), from which `pictures` can render later."""
         positions: Array = self._task.episode.data.qpos.copy()
         return positions
 
     def pictures(
         self, cameras: Sequence[str] | None = None, positions: NDArray[np.float64] | None = None
     ) -> dict[str, Image]:
-        """Camera -> RGB picture (height, width, 3) of the present state, or of MuJoCo's positions (nq,) in this trial.
+        """Return camera -> RGB picture (height, width, 3).
 
         Args:
-            cameras: by default all of `form.cameras`.
+            cameras: names of cameras; by default all of `form.cameras`.
+            positions: `qpos` (nq,) of a state in this trial; by default the present one.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -201,7 +201,7 @@ class Station(Closable):
         self._task.close()
 
     def _hold(self) -> None:
-        """Command the present joints, without encoders' errors."""
+        """Set the present joints, without encoder errors, as the command."""
         replica = self._task.simulator.replica
         replica.show(self._task.episode.data.qpos)
         self._command = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))

@@ -1,4 +1,4 @@
-"""Settings of a station, and the form of its rows and pictures, which follows from configs alone."""
+"""Settings of a station, and the format of its rows and pictures, which follows from configs alone."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from .session_opener import SessionOpener
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
-# Name of a setting of a session -> its name in `StationSettings`.
-_SPELT = {"camera": "cameras"}
+# Name of a setting in `SessionOpener` -> its name in `StationSettings`, where the two differ.
+_FIELDS = {"camera": "cameras"}
 
 
 @dataclass(frozen=True)
 class StationSettings:
-    """Settings of a station, as the flags of `yamsim record`; None for the config's value.
+    """Settings of a station. They have the meaning of the flags of `yamsim record`; None takes the config's value.
 
     Attributes:
-        action: "drives" for rad and m and then each arm's weld, "joints" for rad and grippers as shares, without welds.
-        fps: frames a second.
-        size: width and height of pictures, px, or `640x480`.
-        cameras: in order; by default the scene's and the wrists', or all of the rig's own.
+        action: "drives" for drive commands (rad, m) and then the weld of each arm; "joints" for joints (rad) and
+            relative gripper openings, without welds.
+        fps: frame rate, Hz.
+        size: width and height of pictures, px, or a text such as `640x480`.
+        cameras: names in order; by default the scene and wrist cameras, or the cameras that the rig defines.
         config: a name from `configs/record/`, or a YAML file.
-        spelling: the form of a setting's name in messages, such as "--env.{}".
+        spelling: format of setting names in messages, such as "--env.{}".
     """
 
     task: str | None = None
@@ -45,12 +46,12 @@ class StationSettings:
 
     @property
     def opener(self) -> SessionOpener:
-        """The opener of sessions, whose messages spell the settings."""
-        return dataclasses.replace(PROGRAM, setting_label=lambda name: self.spelling.format(_SPELT.get(name, name)))
+        """The session opener, whose messages name settings by `spelling`."""
+        return dataclasses.replace(PROGRAM, setting_label=lambda name: self.spelling.format(_FIELDS.get(name, name)))
 
     @property
     def given(self) -> dict[str, Any]:
-        """Setting of a session -> value, without the config's name."""
+        """Setting of a session -> value, without the name of the config."""
         apart = ("config", "spelling")
         given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
         return given | {"camera": given.pop("cameras"), "wrist": True}
@@ -58,16 +59,16 @@ class StationSettings:
 
 @dataclass(frozen=True)
 class StationForm:
-    """Names and shapes of a station's rows and pictures, known before the station is built.
+    """Names and shapes of a station's rows and pictures, which are known before the station is built.
 
     Attributes:
         state: names of the numbers of a state.
         action: names of the numbers of a command.
-        environment: names of the numbers of the things' poses, see `Station.environment`.
+        environment: names of the numbers of the object poses, see `Station.environment`.
         cameras: camera -> shape of its pictures (height, width, 3).
-        fps: frames a second.
-        most_frames: limit of a trial's frames.
-        prompt: the task in words; trials of a task with several phrasings may use another one.
+        fps: frame rate, Hz.
+        most_frames: maximum number of frames in a trial.
+        prompt: the instruction; trials of a task with several phrasings may use another one.
     """
 
     state: tuple[str, ...]
@@ -80,7 +81,7 @@ class StationForm:
 
     @classmethod
     def from_settings(cls, settings: StationSettings) -> StationForm:
-        """The form of a station with these settings; reads configs alone.
+        """Return the form of a station with these settings. Only configs are read.
 
         Raises:
             ConfigError, UsageError: a setting is not valid.
@@ -90,7 +91,7 @@ class StationForm:
 
     @classmethod
     def of_config(cls, config: RecordConfig) -> StationForm:
-        """The form of a station with a record config."""
+        """Return the form of a station with a record config."""
         from .core.dataset.environment_state import object_pose_keys, state_names
         from .core.dataset.row_format import RowFormat
 

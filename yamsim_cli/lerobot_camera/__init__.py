@@ -1,6 +1,6 @@
-"""LeRobot cameras with the pictures of `yamsim serve-robot --cameras`: `type: yamsim`.
+"""A LeRobot camera, `type: yamsim`, with the pictures of `yamsim serve-robot --cameras`.
 
-Importing the package registers the type with LeRobot.
+The import of this package registers the type with LeRobot.
 """
 
 from .camera import YamsimCamera

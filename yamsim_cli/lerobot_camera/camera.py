@@ -1,4 +1,4 @@
-"""A simulated camera with the interface of LeRobot's cameras."""
+"""A simulated camera with the interface of LeRobot's `Camera`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..camera_reader import CameraReader, Picture, served_cameras
 from ..core.errors import ResourceError, YamsimError
 from .config import YamsimCameraConfig
 
-_READ_S = 5.0  # s, that `read` waits for a picture
+_READ_S = 5.0  # s, longest wait of `read` for a picture
 
 
 class YamsimCamera(Camera):
@@ -25,7 +25,7 @@ class YamsimCamera(Camera):
         super().__init__(config)
         self.config = config
         self._reader: CameraReader | None = None
-        self._last = -1  # number of the picture that was read last
+        self._last = -1  # number of the last picture that was read
 
     def __str__(self) -> str:
         return f"YamsimCamera({self.config.camera})"
@@ -37,7 +37,7 @@ class YamsimCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """The cameras that are served in the default folder."""
+        """Return the cameras that a server offers in the default folder."""
         try:
             found = served_cameras()
         except ResourceError:
@@ -53,11 +53,11 @@ class YamsimCamera(Camera):
         ]
 
     def connect(self, warmup: bool = True) -> None:
-        """Connect to the server, and with `warmup` wait for a picture.
+        """Connect to the server. With `warmup`, also wait for a picture.
 
         Raises:
             DeviceAlreadyConnectedError: the camera is connected.
-            ConnectionError: nothing is served, or there is no such camera.
+            ConnectionError: no server runs, or the server has no such camera.
             ValueError: the served pictures differ from the config.
         """
         if self._reader is not None:
@@ -80,7 +80,7 @@ class YamsimCamera(Camera):
             self.read()
 
     def read(self) -> NDArray[Any]:
-        """The next picture (height, width, 3) that was not read yet; waits for it.
+        """Wait for a picture (height, width, 3) that was not read yet, and return it.
 
         Raises:
             DeviceNotConnectedError: the camera is not connected, or the server has ended.
@@ -89,11 +89,11 @@ class YamsimCamera(Camera):
         return self._new(_READ_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
-        """The newest picture (height, width, 3) that was not read yet; waits for it. Raises as `read`."""
+        """Wait for a picture (height, width, 3) that was not read yet, and return it. Raises the errors of `read`."""
         return self._new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
-        """The newest picture (height, width, 3), read or not. Raises as `read`, also for an older picture."""
+        """Return the newest picture (height, width, 3), read or not. Raises as `read`, also for a picture too old."""
         picture = self._picture_after(-1, _READ_S)
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:

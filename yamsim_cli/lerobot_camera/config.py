@@ -14,8 +14,9 @@ class YamsimCameraConfig(CameraConfig):
 
     Attributes:
         camera: a name that `serve-robot` prints, such as "top".
-        folder: the value of `serve-robot --folder`; by default its default.
-        fps, width, height: expected values; by default the served ones.
+        folder: the value of `serve-robot --folder`, with the same default.
+        color_mode: order of the colour channels, RGB or BGR.
+        fps, width, height: expected values, Hz and px; by default the values of the server.
     """
 
     camera: str

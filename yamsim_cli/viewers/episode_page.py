@@ -16,12 +16,12 @@ from .viewpoint import Viewpoint
 
 
 class Images(Protocol):
-    """The images of an episode's frames."""
+    """Reads the images of an episode."""
 
     cameras: tuple[str, ...]
 
     def read(self, camera: str, frame: int) -> NDArray[np.uint8]:
-        """An RGB image (height, width, 3) of uint8.
+        """Return an RGB image (height, width, 3), uint8.
 
         Raises:
             DatasetError: the image is missing or damaged.
@@ -30,33 +30,33 @@ class Images(Protocol):
 
 
 class EpisodePage(ScenePage):
-    """The page of one player, with its frames' pictures and a slider that shows and sets the frame."""
+    """The page of a player, with the images of the frame and a slider for the frame."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
         super().__init__(player, viewpoint, address)
         self._player = player
         self._images = images
-        self._pictured: int | None = None
-        self._slid = 0
+        self._shown_frame: int | None = None
+        self._slider_frame = 0
         self.slider = self._server.gui.add_slider("frame", 0, player.frames - 1, step=1, initial_value=0)
         self.slider.on_update(self._seek)
         self.pictures: dict[str, viser.GuiImageHandle] = {}
         self.update()
 
     def update(self) -> None:
-        """Send what has changed since the last call to all clients."""
+        """Send all changes since the last call to all clients."""
         super().update()
         with self._player.lock:
             frame = self._player.frame
-            if frame != self._slid:
-                # Set only if playing moved the frame, so that a user's move of the slider is not undone.
-                # viser's setter takes more types than its getter returns, which mypy cannot express.
-                self.slider.value = self._slid = frame  # type: ignore[misc]
+            if frame != self._slider_frame:
+                # Move the slider only if the player moved on, so that a move by the user is not undone.
+                # mypy cannot express that viser's setter takes more types than its getter returns.
+                self.slider.value = self._slider_frame = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
         self._status.content = f"{frame * self._player.frame_period:.2f} s{state}"
-        # Images are read at the start, and then only while a client is connected.
-        if frame != self._pictured and (self._server.get_clients() or self._pictured is None):
-            self._pictured = frame
+        # Read images at the start, and later only while a client is connected.
+        if frame != self._shown_frame and (self._server.get_clients() or self._shown_frame is None):
+            self._shown_frame = frame
             self._show_pictures(frame)
 
     def _show_pictures(self, frame: int) -> None:
@@ -64,7 +64,7 @@ class EpisodePage(ScenePage):
             try:
                 image = self._images.read(camera, frame)
             except DatasetError as error:
-                # The scene can be played without pictures.
+                # The player also works without images.
                 self._status.content += f"  \n{error}"
                 continue
             if camera in self.pictures:
@@ -73,9 +73,9 @@ class EpisodePage(ScenePage):
                 self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
     async def _seek(self, event: Any) -> None:
-        # A coroutine runs at once. A thread would often run after playing moved the slider on.
-        # Without a client, the page itself moved the slider.
+        # viser runs a coroutine immediately, but a thread often only after the player has moved the slider.
+        # An event without a client comes from `update`.
         if event.client is not None:
             with self._player.lock:
-                self._slid = self.slider.value
-                self._player.seek(self._slid)
+                self._slider_frame = self.slider.value
+                self._player.seek(self._slider_frame)

@@ -1,4 +1,4 @@
-"""MuJoCo's own window."""
+"""Shows a scene in MuJoCo's passive viewer window."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from ..core.errors import ResourceError
 from .viewed_scene import ViewedScene
 from .viewpoint import Viewpoint
 
-_KEY_SPACE = 32  # GLFW's code
-_CLOSE_SECONDS = 5.0  # s that the window's thread may take to end; the thread renders at most one more picture
+_KEY_SPACE = 32  # key code in GLFW
+_CLOSE_SECONDS = 5.0  # s, longest wait for the window's thread, which renders at most one more image
 
 
 def run_window(
     shown: ViewedScene, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
 ) -> None:
-    """Show a model until the window is closed, or `stopped` returns True.
+    """Show a scene until the window is closed, or `stopped` returns True.
 
-    The window's Control sliders drive a live rig's joints. Space pauses; the window's reset, or backspace, goes home.
+    The Control sliders of the window command the drives of a live rig. Space pauses. Backspace or the window's reset
+    button resets the scene.
 
     Args:
-        period: time between two pictures, s.
+        period: time between two images, s.
         ready: called when the window is open, unless `stopped` returns True before.
 
     Raises:
@@ -45,7 +46,7 @@ def run_window(
             then = shown.time
             viewer.sync()
             if shown.time < then:
-                # The window's own reset puts every joint at zero, where the arms intersect themselves.
+                # The window's reset sets every joint to 0, where the arms intersect themselves.
                 shown.reset()
             time.sleep(max(0.0, began + period - time.monotonic()))
 
@@ -67,19 +68,19 @@ def _window(shown: ViewedScene) -> Iterator[Any]:
         yield viewer
     finally:
         viewer.close()
-        # The window's thread must end before the interpreter does, or it reads memory that is freed.
+        # If the window's thread outlives the interpreter, the thread reads freed memory.
         for thread in set(threading.enumerate()) - others:
             thread.join(_CLOSE_SECONDS)
 
 
 def _check_display() -> None:
-    """Open an invisible window first: where that fails, MuJoCo's viewer would wait for its own window for ever."""
+    """Open an invisible window as a test. If that fails, MuJoCo's viewer would wait for its own window forever."""
     try:
         import glfw
     except ImportError as error:
         raise ResourceError(f"MuJoCo's window needs GLFW ({error}): use --web") from error
 
-    # The callback stays set. By default, GLFW's remarks on features that a desktop lacks would go to stderr.
+    # The callback stays set. By default, GLFW prints warnings about missing desktop features on stderr.
     reasons = ["GLFW gives no reason"]
     glfw.set_error_callback(lambda _, text: reasons.append(os.fsdecode(text)))
     window = None

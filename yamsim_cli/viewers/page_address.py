@@ -1,4 +1,4 @@
-"""The address that a browser page listens on."""
+"""The network address of a browser page."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class PageAddress:
-    """The address of a browser page.
+    """The network address of a browser page.
 
     Attributes:
         port: the port to listen on; 0 takes a free one.
-        host: an address or name of this machine; `0.0.0.0` for all its addresses.
+        host: an address or name of this machine; `0.0.0.0` for all addresses.
     """
 
     port: int = 0
@@ -30,7 +30,7 @@ class PageAddress:
 
     @property
     def url_host(self) -> str:
-        """The host in a URL for this machine's own browser."""
+        """The host in a URL for a browser on this machine."""
         if self.host in ("0.0.0.0", "::"):
             return LOOPBACK
         return f"[{self.host}]" if ":" in self.host else self.host

@@ -1,4 +1,4 @@
-"""A browser page that shows a live rig, moves its joints, and takes its cameras' pictures."""
+"""A browser page that shows a live rig, moves its joints, and shows the images of its cameras."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from .scene_page import ScenePage
 from .viewed_scene import DriveControl, LiveRig
 from .viewpoint import Viewpoint
 
-_STATUS_PERIOD = 1.0  # s
-_STEP = 0.001  # rad or m, of sliders
-_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arms; closer, their bases would touch
+_STATUS_PERIOD = 1.0  # s, between two updates of the status
+_STEP = 0.001  # rad or m, step of the sliders
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arms; at less, their bases would touch
 
 
 class CameraPictures(Protocol):
-    """Renders what cameras see. Only one thread calls it."""
+    """Renders camera images. Only one thread calls it."""
 
     def render(self, camera: str) -> NDArray[np.uint8]:
-        """An RGB image (height, width, 3) of uint8.
+        """Return an RGB image (height, width, 3), uint8.
 
         Raises:
             ResourceError: nothing can be rendered here.
@@ -37,11 +37,11 @@ class CameraPictures(Protocol):
 
 
 class RigPage(ScenePage):
-    """The page of a live rig: a slider for every drive, check boxes for what is shown, and its cameras.
+    """The page of a live rig, with a slider for every drive, check boxes for visibility, and a camera panel.
 
     Args:
-        boards: whether boards and mounts are shown at first, if the rig has them.
-        pictures: renders what the rig's cameras see; None if nothing can be rendered.
+        boards: whether boards and mounts are visible at first, if the rig has them.
+        pictures: renders the images of the rig's cameras; None if nothing can be rendered.
     """
 
     def __init__(
@@ -65,13 +65,13 @@ class RigPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send what has changed since the last call to all clients."""
+        """Send all changes since the last call to all clients."""
         super().update()
         self._cameras.update()
         self._show_status()
 
     def _add_sliders(self) -> dict[tuple[str, str], viser.GuiSliderHandle[float]]:
-        """(arm, drive) -> its slider."""
+        """Add a slider for each drive, and return (arm, drive) -> slider."""
         sliders = {}
         for arm, drives in itertools.groupby(self._live.drives, key=lambda drive: drive.arm):
             with self._server.gui.add_folder(arm):
@@ -80,7 +80,7 @@ class RigPage(ScenePage):
         return sliders
 
     def _add_slider(self, drive: DriveControl) -> viser.GuiSliderHandle[float]:
-        # A slider counts its steps from its lower end. If that is a whole number of steps, so are all values.
+        # A slider counts steps from its lower end. Round both ends so that all values are multiples of the step.
         low, high = math.ceil(drive.low / _STEP) * _STEP, math.floor(drive.high / _STEP) * _STEP
         slider = self._server.gui.add_slider(
             f"{drive.name} ({drive.unit})", round(low, 3), round(high, 3), step=_STEP, initial_value=drive.home
@@ -89,7 +89,7 @@ class RigPage(ScenePage):
         return slider
 
     def _add_margin(self) -> viser.GuiSliderHandle[float] | None:
-        """A slider for the distance between two arms; None for a lone arm."""
+        """Add a slider for the distance between two arms, and return it; None for one arm."""
         rig = self._live.rig
         if len(rig.arms) < 2:
             return None
@@ -99,7 +99,6 @@ class RigPage(ScenePage):
         return slider
 
     def _add_switches(self, *, boards: bool) -> None:
-        """Add check boxes for what is shown."""
         gui, bodies = self._server.gui, self._bodies
         model = self._live.model
         mocap = [frame for body, frame in bodies.frames.items() if model.body_mocapid[body] >= 0]
@@ -124,7 +123,7 @@ class RigPage(ScenePage):
 
     def _go_home(self, _: Any) -> None:
         for drive in self._live.drives:
-            # viser's setter takes more types than its getter returns, which mypy cannot express.
+            # mypy cannot express that viser's setter takes more types than its getter returns.
             self.sliders[drive.arm, drive.name].value = drive.home  # type: ignore[misc]
         self._live.reset()
 
@@ -138,7 +137,7 @@ class RigPage(ScenePage):
 
 
 class CamerasPanel:
-    """A folder of the page with buttons to take pictures and to look through cameras; absent without cameras."""
+    """A folder of the page with buttons that take images and move the view to a camera. Absent without cameras."""
 
     def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
         self._gui = server.gui
@@ -158,7 +157,7 @@ class CamerasPanel:
                 self._add_view(camera)
 
     def update(self) -> None:
-        """Take the requested pictures; to be called from the thread that owns OpenGL."""
+        """Render the requested images. Call the method from the thread that owns the OpenGL context."""
         if not self._requested or self._pictures is None:
             return
         self._requested = False
@@ -166,7 +165,7 @@ class CamerasPanel:
             try:
                 image = self._pictures.render(camera)
             except ResourceError as error:
-                # Rendering would fail again, so the button is disabled.
+                # Disable the button, since rendering would fail again.
                 self._pictures, self._button.disabled = None, True
                 with self._folder:
                     self._gui.add_markdown(f"No pictures: {error}")

@@ -1,4 +1,4 @@
-"""Adds a compiled scene to a viser page: a frame for each body with its geoms, and a mesh for each cloth."""
+"""Adds a compiled scene to a viser page: a frame with geoms for each body, and a mesh for each cloth."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import viser
 
 from ..core.geometry.se3 import Array
 
-_FIRST_HIDDEN_GROUP = 3  # MuJoCo's viewer hides groups from this one on; collision primitives behind meshes are in it
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default of a geom; any other colour overrides the geom's material
-_IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down viser's images, and up MuJoCo's planes
+_FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; has the collision primitives behind meshes
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default for geoms; any other value overrides the material
+_IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down in viser's images, and up in MuJoCo's planes
 
-# Collision primitives are transparent, so that the parts behind them are seen.
+# Collision primitives are transparent, so that the meshes inside them stay visible.
 _COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
 
 Paint = dict[str, Any]
@@ -24,12 +24,12 @@ Paint = dict[str, Any]
 
 @dataclass(frozen=True)
 class BodyNodes:
-    """A page's nodes.
+    """The viser nodes of a scene's bodies.
 
     Attributes:
-        frames: body -> its frame in `world`, for bodies with geoms. Frames start at the origin.
-        looks: parent nodes of the visible geoms, one per body, without those of the world itself.
-        colliders: parent nodes of collision primitives behind visible geoms, one per body; hidden at first.
+        frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
+        looks: parent nodes of the visible geoms, one for each body except the world body.
+        colliders: parent nodes of the collision primitives, one for each body; hidden at first.
     """
 
     frames: dict[int, viser.FrameHandle]
@@ -66,7 +66,7 @@ def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
 
 
 def _rgb(colour: Array) -> tuple[int, int, int]:
-    """A colour's first three channels, from 0 to 255, as whole numbers."""
+    """Return the first three channels of a colour in 0..255 as integers."""
     red, green, blue = (round(float(part)) for part in colour[:3])
     return red, green, blue
 
@@ -103,12 +103,12 @@ def _add_mesh(
         return
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-    # Smooth shading would round off every edge of a machined part.
+    # Smooth shading would make the edges of machined parts look round.
     scene.add_mesh_simple(name, model.mesh_vert[vertices], model.mesh_face[faces], flat_shading=True, **paint, **placed)
 
 
 def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """A geom's mesh with its material's texture; None where the geom has no texture."""
+    """Return the mesh of a geom with the texture of its material; None without a texture."""
     from PIL import Image
 
     mesh, material = int(model.geom_dataid[geom]), int(model.geom_matid[geom])
@@ -118,27 +118,27 @@ def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
     coordinates = model.mesh_texcoord[model.mesh_texcoordadr[mesh] :][: model.mesh_texcoordnum[mesh]]
-    # Corners with the same vertex and texture coordinates are merged: normals then go on over edges as in MuJoCo.
+    # Merge corners with the same vertex and texture coordinates. Normals are then continuous over edges, as in MuJoCo.
     corners = np.stack(
         [model.mesh_face[first : first + count], model.mesh_facetexcoord[first : first + count]], axis=-1
     )
     pairs, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
     uv = coordinates[pairs[:, 1]] * model.mat_texrepeat[material]
     material_of: Any = trimesh.visual.material.PBRMaterial
-    look = material_of(
+    pbr = material_of(
         baseColorTexture=Image.fromarray(_texture(model, texture)),
         baseColorFactor=np.rint(255 * model.mat_rgba[material]).astype(np.uint8),
         metallicFactor=0.0,
         roughnessFactor=0.7,
     )
-    # MuJoCo counts v from the texture's upper edge, glTF's writer from its lower edge.
+    # MuJoCo measures v from the upper edge of the texture, and the glTF writer from the lower edge.
     visual_of: Any = trimesh.visual.TextureVisuals
-    visual = visual_of(uv=np.column_stack([uv[:, 0], 1 - uv[:, 1]]), material=look)
+    visual = visual_of(uv=np.column_stack([uv[:, 0], 1 - uv[:, 1]]), material=pbr)
     return trimesh.Trimesh(vertices[pairs[:, 0]], index.reshape(-1, 3), visual=visual, process=False)
 
 
 def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, placed: dict[str, Any]) -> None:
-    """Add a plane: a printed board if its texture covers it once, or a floor if its texture repeats."""
+    """Add a plane: as a printed board if the texture covers the plane once, or as a floor if the texture repeats."""
     material = int(model.geom_matid[geom])
     texture = _texture_of(model, material)
     width, height = 2 * model.geom_size[geom, :2]
@@ -146,7 +146,7 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
         wxyz = np.empty(4)
         mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
         pixels, turned = _texture(model, texture), placed | {"wxyz": wxyz}
-        # As PNG, since a marker's edges must stay sharp.
+        # Use PNG, since the edges of markers must stay sharp.
         scene.add_image(name, pixels, width, height, format="png", cast_shadow=False, **turned)
         return
     image = _texture(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
@@ -165,12 +165,12 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
 
 
 def _texture_of(model: mujoco.MjModel, material: int) -> int:
-    """The number of a material's colour texture; -1 without one."""
+    """Return the number of the colour texture of a material; -1 without one."""
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
 
 def _texture(model: mujoco.MjModel, texture: int) -> Array:
-    """A texture's pixels (height, width, channels) uint8, first row on top."""
+    """Return the pixels (height, width, channels), uint8, of a texture, top row first."""
     shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = model.tex_adr[texture]
     pixels: Array = model.tex_data[start : start + np.prod(shape)].reshape(shape)
@@ -178,7 +178,7 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
 
 
 class ClothNodes:
-    """A page's cloths, each in the mean colour of its texture; all their points start at the origin."""
+    """The cloths on a page, each in the mean colour of its texture. All points start at the origin."""
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
         self._points = [
@@ -188,7 +188,7 @@ class ClothNodes:
             scene.add_mesh_simple(
                 f"/cloth/{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, k)}",
                 np.zeros((int(model.flex_vertnum[k]), 3)),
-                # Points are numbered from 0 in each cloth.
+                # Point numbers start at 0 in each cloth.
                 model.flex_elem[model.flex_elemdataadr[k] :][: 3 * model.flex_elemnum[k]].reshape(-1, 3),
                 color=_cloth_colour(model, int(model.flex_matid[k])),
                 side="double",
@@ -197,12 +197,12 @@ class ClothNodes:
         ]
 
     def show(self, points: Array) -> None:
-        """Move all points (nflexvert, 3) in `world`, m; viser sends changes only."""
+        """Set the positions of all points (nflexvert, 3) in `world`, m. viser sends changes only."""
         for node, own in zip(self._nodes, self._points, strict=True):
             node.vertices = points[own].astype(np.float32)
 
     def remove(self) -> None:
-        """Take them off the page."""
+        """Remove the cloths from the page."""
         for node in self._nodes:
             node.remove()
 

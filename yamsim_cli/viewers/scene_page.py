@@ -1,4 +1,4 @@
-"""The base of all browser pages: a viser server for this machine, bodies that move, and a button to pause them."""
+"""The base class of all browser pages: a viser server, moving bodies, and a pause button."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from .scene_nodes import ClothNodes, add_bodies
 from .viewed_scene import ViewedScene
 from .viewpoint import FOV_DEG, Viewpoint
 
-_DECIMALS = 5  # of positions (m) and quaternions: an arm at rest trembles by less, and rounding keeps that unsent
-_BEAT_SECONDS = 1.0  # s from one sign of life to a page to the next
-_SILENCE_SECONDS = 5.0  # s without a sign of life after which a page says that it is disconnected
+_DECIMALS = 5  # of positions (m) and quaternions; an arm at rest trembles by less, so no changes are sent
+_HEARTBEAT_PERIOD = 1.0  # s, between two heartbeats to a page
+_HEARTBEAT_TIMEOUT = 5.0  # s without a heartbeat, after which a page shows that it is disconnected
 
 # Held while a server starts, see `_refusing_other_sites`.
-_STARTING = threading.Lock()
+_START_LOCK = threading.Lock()
 
 
 class ScenePage:
-    """A page that shows a scene's bodies and cloths as they move. Closing the page frees its port.
+    """A page that shows the moving bodies and cloths of a scene. Closing the page frees its port.
 
     Raises:
         UsageError: the page cannot listen on the address.
     """
 
     def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
-        # Browsers drop connections at any time. Without a handler, each would print a traceback on stderr.
+        # Browsers drop connections at any time. Without a handler, each drop would print a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
         self._server = serve_page(address, f"yamsim: {shown.title}")
@@ -65,16 +65,16 @@ class ScenePage:
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # The model was replaced in between; the next call shows the new one.
+                return  # The model was replaced meanwhile; the next call shows the new model.
             for body, frame in self._bodies.frames.items():
-                # viser does not send a pose that has not changed.
+                # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
             self._cloths.show(points)
         if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
             self._pause_button.label = label
             self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
         if (now := time.monotonic()) >= self._beat_due:
-            self._beat, self._beat_due = self._beat + 1, now + _BEAT_SECONDS
+            self._beat, self._beat_due = self._beat + 1, now + _HEARTBEAT_PERIOD
             self._heartbeat.content = _disconnected(self._beat)
 
     def close(self) -> None:
@@ -91,15 +91,15 @@ class ScenePage:
 
 
 def _disconnected(beat: int) -> str:
-    """A notice that appears by itself, on the panel and across the page, unless the next beat replaces it in time.
+    """Return HTML that shows a notice on the panel and across the page, unless the next heartbeat replaces it in time.
 
-    A page whose server is gone still shows the last state that was sent, such as a recording in progress. No server
-    can correct that any more, so the page holds the notice from the start.
+    Without its server, a page still shows the last state, such as a recording in progress. A server that is gone cannot
+    send a notice, so each heartbeat contains the notice in advance.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
-    looks = "background: rgb(150, 0, 0); color: white; font-weight: bold"
-    shown = f"{hidden}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
+    style = "background: rgb(150, 0, 0); color: white; font-weight: bold"
+    shown = f"{hidden}; {style}; animation: {name} 0s {_HEARTBEAT_TIMEOUT}s forwards"
     across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
     return (
         f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
@@ -109,20 +109,20 @@ def _disconnected(beat: int) -> str:
 
 
 class _LocalServer(viser.ViserServer):
-    """viser's server without its tunnel to a public address, which any client could request."""
+    """A viser server without the tunnel to a public address, which any client could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing: there is no tunnel."""
+        """Do nothing."""
         return
 
 
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
-    """An empty page on an address, which refuses requests of other sites; raises as `require_free_address`."""
+    """Serve an empty page that refuses requests of other sites. Raises the errors of `require_free_address`."""
     require_free_address(address)
     with _refusing_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
-        # Another program took the port meanwhile, and viser chose the next free one.
+        # Another program took the port meanwhile, so viser chose the next free port.
         server.stop()
         raise _port_error(address, "it is in use")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -132,9 +132,9 @@ def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
 
 @contextlib.contextmanager
 def _refusing_other_sites(host: str) -> Iterator[None]:
-    """A WebSocket server that starts inside this block refuses requests from pages of other sites.
+    """Make a WebSocket server that starts inside this block refuse requests from pages of other sites.
 
-    viser makes its server by itself and has no hook for requests, so the function that viser calls is wrapped.
+    viser creates its server without a hook for requests, so the block wraps the function that viser calls.
     """
     serve = websockets.asyncio.server.serve
 
@@ -148,7 +148,7 @@ def _refusing_other_sites(host: str) -> Iterator[None]:
 
         return serve(*args, process_request=check, **options)
 
-    with _STARTING:
+    with _START_LOCK:
         websockets.asyncio.server.serve = with_check  # type: ignore[assignment, misc]
         try:
             yield
@@ -157,11 +157,11 @@ def _refusing_other_sites(host: str) -> Iterator[None]:
 
 
 def require_free_address(address: PageAddress) -> None:
-    """Make sure that a page can listen on an address.
+    """Check that a page can listen on an address.
 
     Raises:
         UsageError: the host is no address of this machine.
-        ResourceError: the port is taken, or may not be used.
+        ResourceError: the port is in use, or is not permitted.
     """
     try:
         family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
@@ -170,7 +170,7 @@ def require_free_address(address: PageAddress) -> None:
         raise UsageError(f"--host {address.host} is not valid ({reason}): give an address of this machine") from error
     with socket.socket(family, kind) as probe:
         if os.name == "posix":
-            # As the server does: closing connections of an earlier page do not block the port.
+            # The server also sets this option, so that closing connections of an earlier page do not block the port.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(place)

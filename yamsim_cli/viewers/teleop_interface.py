@@ -1,4 +1,4 @@
-"""The interface between a page and the arm that a person drives on it."""
+"""The interface between a browser page and a teleoperated arm."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from .viewed_scene import ViewedScene
 
 @dataclass(frozen=True)
 class TeleopStatus:
-    """The state of a session, for a person to read.
+    """The state of a teleoperation session, for display.
 
     Attributes:
-        arm: the driven arm, "left" or "right"; empty for a lone arm.
+        arm: the teleoperated arm, "left" or "right"; empty for a rig with one arm.
         recording: whether an attempt is being recorded.
         seconds: length of the recording so far, s.
-        episodes, failures, waiting: numbers of episodes in the dataset, of failed attempts, and of those to be judged.
-        target_distance: distance from the target to the nearest pose in the arm's reach, m; 0 if the target is in reach.
-        at_limit: joints that are at a stop.
-        obstacle: name of an obstacle in the arm's path; empty without one.
-        gripper_open, magnet: commands of the gripper and the magnet; `magnet` is None where friction alone holds.
-        magnet_holds: whether the magnet holds the object.
+        episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts without a result.
+        target_distance: distance from the target to the nearest reachable pose, m; 0 for a reachable target.
+        at_limit: names of the joints at a joint limit.
+        obstacle: name of the obstacle that blocks the arm; empty without one.
+        gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
+        magnet_holds: whether the weld holds an object.
         message: the result of the last command.
-        prompt: the task in words, where they differ between attempts.
-        goal: how far the task's goal is met; empty for tasks without one.
+        prompt: the instruction, if it differs between attempts.
+        goal: how far the goal of the task is met; empty for tasks without a goal.
     """
 
     arm: str
@@ -51,12 +51,12 @@ class TeleopStatus:
 
 
 class TeleopInterface(ViewedScene):
-    """A lone arm, or one of two arms, that follows a target. Its methods may be called from any thread."""
+    """A teleoperated arm that follows a target, alone or as one of two. All methods are thread-safe."""
 
     @property
     @abc.abstractmethod
     def target(self) -> Array:
-        """The target pose (4, 4) of the pinch frame between the finger tips, in `world`."""
+        """The target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
 
     @property
     @abc.abstractmethod
@@ -65,32 +65,32 @@ class TeleopInterface(ViewedScene):
 
     @abc.abstractmethod
     def switch_arm(self) -> None:
-        """Drive the other arm, if there is one."""
+        """Teleoperate the other arm, if the rig has two."""
 
     @abc.abstractmethod
     def set_target_pose(self, T_pinch_in_world: Array) -> None:
-        """Set the hand's target (4, 4)."""
+        """Set the target pose (4, 4) of the pinch frame in `world`."""
 
     @abc.abstractmethod
     def toggle_gripper(self) -> None:
-        """Open the gripper, or close it."""
+        """Open a closed gripper, or close an open one."""
 
     @abc.abstractmethod
     def set_magnet(self, on: bool) -> None:
-        """Switch the magnet on or off. The magnet takes the object only if the hand is near the object."""
+        """Switch the weld on or off. The weld takes an object only if the hand is near."""
 
     @abc.abstractmethod
     def start(self) -> None:
-        """Start the attempt anew, and record it."""
+        """Restart the attempt, and record it."""
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the recording, which is then judged."""
+        """End the recording. The attempt is then judged."""
 
     @abc.abstractmethod
     def pause_unattended(self) -> None:
-        """Pause a recording until somebody resumes it: the last page was closed."""
+        """Pause a recording because the last page was closed, until a user resumes it."""
 
     @abc.abstractmethod
     def discard(self) -> None:
-        """End the recording, and forget it."""
+        """End the recording, and delete it."""

@@ -1,4 +1,4 @@
-"""A browser page from which a person drives an arm, or two in turn, and records what they do."""
+"""A browser page to teleoperate one arm, or two arms in turn, and to record attempts."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)
-_STEP = 0.01  # m, shift of the target by a key
-_TURN = np.radians(5.0)  # rad, turn of the target about the vertical by a key
-_TYPING_PAUSE = 1.0  # s without a key after which typed numbers count: typing 0.15 must not move the target to 0
+_STEP = 0.01  # m, translation of the target by one key press
+_TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
+_TYPING_PAUSE = 1.0  # s without a key press, after which typed numbers act; typing 0.15 must not move the target to 0
 
-# Key, description, shift of the target along the world's axes, and turn about the vertical.
+# Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
 _MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
@@ -42,13 +42,13 @@ _KEYS = (
 
 
 class TeleopPage(ScenePage):
-    """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and obstacles in its path."""
+    """The page of a teleoperated arm: a gizmo for the target, recording buttons, and notices of obstacles."""
 
     def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False
-        # Most actions compute a new target from the current one, so actions run one after the other.
+        # Most actions compute a new target from the current one, so actions must not run concurrently.
         self._acting = threading.Lock()
         self._notice = self._server.gui.add_html("")
         self._add_recording()
@@ -65,7 +65,7 @@ class TeleopPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send what has changed since the last call to all clients."""
+        """Send all changes since the last call to all clients."""
         super().update()
         with self._acting:
             if self._fields.ready:
@@ -108,9 +108,9 @@ class TeleopPage(ScenePage):
         self._server.gui.add_command(name, hotkey=key).on_trigger(self._queued(act))
 
     def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """A callback of a button or a key that runs after the callbacks of earlier presses."""
+        """Return a callback for a button or a key. Callbacks run in the order of the presses."""
 
-        # A coroutine runs in the server's own loop. In threads, two quick keys could overtake each other, or be lost.
+        # A coroutine runs in the server's loop. In threads, quick key presses could change their order or get lost.
         async def act_queued(_: Any) -> None:
             with self._acting:
                 self._take_typed()
@@ -128,7 +128,7 @@ class TeleopPage(ScenePage):
         else:
             self._arm.start()
 
-    # A coroutine runs in the server's own loop, where a client that comes back is counted first.
+    # A coroutine runs in the server's loop, where a client that reconnects is counted first.
     async def _disconnect(self, _: viser.ClientHandle) -> None:
         if not self._server.get_clients():
             self._arm.pause_unattended()
@@ -146,7 +146,7 @@ class TeleopPage(ScenePage):
         down = np.array([0.0, 0.0, -1.0])
         self._arm.set_target_pose(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
 
-    # A coroutine runs in the server's own loop, so that a drag's steps stay in order.
+    # A coroutine runs in the server's loop, so that the steps of a drag stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         with self._acting:
             self._take_typed()
@@ -177,7 +177,7 @@ class TeleopPage(ScenePage):
 
 
 def _notice(status: TeleopStatus) -> str:
-    """HTML with the reasons why the hand cannot reach its target, in red; or that the hand follows, in green."""
+    """Return HTML with the reasons why the hand cannot reach its target, in red, or that the hand follows, in green."""
     reasons = []
     if status.obstacle:
         reasons.append(f"{status.obstacle} is in the way")
@@ -193,39 +193,39 @@ def _notice(status: TeleopStatus) -> str:
 
 
 class TargetFields:
-    """Fields with the hand's target, in which a person can type another target.
+    """Input fields with the target of the hand.
 
-    The fields follow the target until a person types, and then keep the typed numbers until `take`. Not to be called
-    from several threads at once; only typing comes from the server's own thread.
+    The fields follow the target until a user types. They then keep the typed numbers until `take`. The class is not
+    thread-safe; only `_type` runs in the server's thread.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
         self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
         self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
-        # Time of the last key, on a steady clock; None if nothing is typed.
+        # Time of the last key press by `time.monotonic`, s; None without typed numbers.
         self._typed_at: float | None = None
-        # Coroutines run in the server's own loop, so that typing is noted before any later action.
+        # Coroutines run in the server's loop, so that typing is registered before any later action.
         self._place.on_update(self._type)
         self._heading.on_update(self._type)
 
     @property
     def typed(self) -> bool:
-        """Whether typed numbers wait to be taken."""
+        """Whether `take` has typed numbers to apply."""
         return self._typed_at is not None
 
     @property
     def ready(self) -> bool:
-        """Whether typed numbers wait to be taken, and the typing has ended."""
+        """Whether `take` has typed numbers to apply, and the user has stopped typing."""
         typed_at = self._typed_at
         return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
 
     def take(self, target: Array) -> Array:
-        """`target` (4, 4) in `world` with the typed numbers in it."""
+        """Return `target` (4, 4) in `world` with the typed numbers applied."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
         (shown_place, shown_heading), T = self._shown, target.copy()
-        # Numbers that were not changed keep the target's full precision.
+        # Unchanged numbers keep the full precision of the target.
         for axis, (number, shown) in enumerate(zip((x, y, z), shown_place, strict=True)):
             if number != shown:
                 T[axis, 3] = number
@@ -235,22 +235,22 @@ class TargetFields:
         return T
 
     def show(self, target: Array) -> None:
-        """Show the target, unless someone is typing."""
+        """Show the target, unless a user is typing."""
         x, y, z = (round(float(part), 3) for part in target[:3, 3])
         numbers = ((x, y, z), round(float(np.degrees(hand_heading(target))), 1))
-        # Compared with the last shown numbers: the fields may hold typed numbers that are not noted yet.
+        # Compare with the last shown numbers, since the fields may hold typed numbers that are not registered yet.
         if self.typed or numbers == self._shown:
             return
         self._shown = numbers
-        # viser's setters take more types than their getters return, which mypy cannot express.
+        # mypy cannot express that viser's setters take more types than their getters return.
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # Without a client, `show` changed the fields.
+        # An event without a client comes from `show`.
         if event.client is not None:
             self._typed_at = time.monotonic()
 
 
 def hand_heading(T: Array) -> float:
-    """The direction of the hand's y axis, along which the fingers close, in the world's xy plane, rad."""
+    """Return the heading of the y axis of the hand, along which the fingers close, in the xy plane of `world`, rad."""
     return float(np.arctan2(T[1, 1], T[0, 1]))

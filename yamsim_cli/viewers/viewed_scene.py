@@ -1,4 +1,4 @@
-"""Scenes that viewers show: a rig simulated in real time, and a recorded episode that is played."""
+"""Scenes for viewers: a rig that is simulated in real time, and a player of recorded episodes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ..core.config.rig import ArmConfig, RigConfig
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.scene.fiducials import BOARD_BODY, MOUNT_BODY
 
-_MAX_CATCH_UP = 0.1  # s; after a stall, such as a sleep of the machine, physics skips the rest of the time it missed
+_MAX_CATCH_UP = 0.1  # s, longest missed time that physics makes up for after a stall, such as a sleep of the machine
 
 
 class ViewedScene(abc.ABC):
-    """A scene whose state changes while viewers show it. Its methods may be called from any thread.
+    """A scene that viewers show while its state changes. All methods are thread-safe.
 
     Attributes:
-        title: title of the page's tab.
-        model, data: the scene and its state; a page shows another model as soon as `model` is replaced.
-        paused: whether the scene stands still.
-        lock: held while the state is changed or read. A page's controls act in threads of their own.
+        title: title of the browser tab.
+        model, data: the scene and its state. After `model` is replaced, a page shows the new model.
+        paused: whether time is paused.
+        lock: held while the state is changed or read. The controls of a page run in threads of their own.
     """
 
     title: str
@@ -41,25 +41,25 @@ class ViewedScene(abc.ABC):
 
     @abc.abstractmethod
     def advance(self, now: float) -> None:
-        """Move on to `now`, s on a steady clock."""
+        """Advance the scene to `now`, s on a monotonic clock."""
 
     @abc.abstractmethod
     def reset(self) -> None:
-        """Go back to the beginning."""
+        """Reset the scene to its beginning."""
 
     def body_poses(self) -> tuple[Array, Array]:
-        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
+        """Return the positions (nbody, 3), m, and quaternions (nbody, 4), wxyz, of all bodies in `world`."""
         with self.lock:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
     def cloth_points(self) -> Array:
-        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        """Return the points of all cloths (nflexvert, 3) in `world`, m."""
         with self.lock:
             points: Array = self.data.flexvert_xpos.copy()
             return points
 
     def _elapsed(self, now: float) -> float:
-        """Seconds since the last call, 0 at the first call."""
+        """Return the seconds since the last call; 0 at the first call."""
         elapsed = 0.0 if self._last is None else now - self._last
         self._last = now
         return elapsed
@@ -67,13 +67,13 @@ class ViewedScene(abc.ABC):
 
 @dataclass(frozen=True)
 class DriveControl:
-    """One position drive that a person can set.
+    """A position drive that a user can command.
 
     Attributes:
-        arm: name of its arm.
-        name: its own name, without the arm's prefix.
-        actuator: its index in `ctrl`.
-        low, high, home: its range, and its command in keyframe `home`, in `unit`.
+        arm: name of the arm.
+        name: name of the drive without the prefix of the arm.
+        actuator: index in `ctrl`.
+        low, high, home: limits of the command, and the command in keyframe `home`, in `unit`.
         unit: `rad`, or `m` for a gripper, whose command is the opening of one finger.
     """
 
@@ -87,11 +87,11 @@ class DriveControl:
 
 
 class LiveRig(ViewedScene):
-    """A rig simulated in real time, whose joints a person moves while watching.
+    """A rig that is simulated in real time, with joints that a user can move.
 
     Args:
-        model: a compiled rig, with or without a task's objects, whose first keyframe is `home`.
-        title: title of the page's tab; the rig's name unless given.
+        model: a compiled rig, with or without the objects of a task. Its first keyframe is `home`.
+        title: title of the browser tab; by default the name of the rig.
     """
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
@@ -101,7 +101,7 @@ class LiveRig(ViewedScene):
         self.model = model
         self.data = mujoco.MjData(model)
         self.drives = tuple(_drive(model, arm, name) for arm in rig.arms for name in arm.robot.drives)
-        self._owed = 0.0
+        self._pending_time = 0.0
         self.reset()
 
     @property
@@ -110,19 +110,19 @@ class LiveRig(ViewedScene):
         return float(self.data.time)
 
     def reset(self) -> None:
-        """Go back to keyframe `home`, at rest, with every drive holding its place."""
+        """Reset the rig to keyframe `home`, at rest, with every drive holding its position."""
         with self.lock:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def command(self, drive: DriveControl, value: float) -> None:
-        """Set a drive's command, in its unit; a value outside its range is clipped."""
+        """Set the command of a drive, in its unit, clipped to its range."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
 
     def set_margin(self, margin: float) -> None:
-        """Change the distance (m) between the arms; boards and mounts move with them."""
+        """Set the distance (m) between the arms. Boards and mounts move with the arms."""
         with self.lock:
             self.rig = self.rig.model_copy(update={"margin": margin})
             for k, arm in enumerate(self.rig.arms):
@@ -133,7 +133,7 @@ class LiveRig(ViewedScene):
             mujoco.mj_forward(self.model, self.data)
 
     def _follow_bases(self) -> None:
-        """Move boards and mounts to their arm's base: a reset puts them where they were compiled."""
+        """Move boards and mounts to the bases of their arms, since a reset restores the compiled poses."""
         for arm in self.rig.arms:
             base = self.model.body(arm.prefix + arm.robot.base)
             for body in (BOARD_BODY, MOUNT_BODY):
@@ -143,17 +143,17 @@ class LiveRig(ViewedScene):
                     self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
 
     def advance(self, now: float) -> None:
-        """Step physics up to `now`, s on a steady clock; while paused, no step is made."""
+        """Step physics up to `now`, s on a monotonic clock, unless paused."""
         with self.lock:
             elapsed = self._elapsed(now)
             if self.paused:
                 return
             timestep = self.model.opt.timestep
-            self._owed = min(self._owed + elapsed, _MAX_CATCH_UP)
-            steps = int(self._owed / timestep)
+            self._pending_time = min(self._pending_time + elapsed, _MAX_CATCH_UP)
+            steps = int(self._pending_time / timestep)
             if steps:
                 mujoco.mj_step(self.model, self.data, nstep=steps)
-                self._owed -= steps * timestep
+                self._pending_time -= steps * timestep
 
 
 def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> DriveControl:
@@ -167,11 +167,11 @@ class EpisodePlayer(ViewedScene):
     """Plays recorded states in a loop, without physics.
 
     Args:
-        title: title of the page's tab.
+        title: title of the browser tab.
         model: the scene.
-        positions: MuJoCo's positions (frames, nq), a row for each frame.
-        frame_period: simulated time from one frame to the next, s.
-        speed: how fast time passes; 1 is real time.
+        positions: `qpos` of each frame (frames, nq).
+        frame_period: simulated time between two frames, s.
+        speed: playback speed; 1 is real time.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class EpisodePlayer(ViewedScene):
 
     @property
     def frame(self) -> int:
-        """Number of the frame that is shown."""
+        """Number of the present frame."""
         return min(int(self._time / self.frame_period), self.frames - 1)
 
     @property
@@ -203,18 +203,18 @@ class EpisodePlayer(ViewedScene):
         return self._time
 
     def reset(self) -> None:
-        """Go back to the first frame."""
+        """Show the first frame, and continue from there."""
         self.seek(0)
 
     def seek(self, frame: int) -> None:
-        """Show one frame, and play on from there."""
+        """Show a frame, and continue from there."""
         with self.lock:
-            # The middle of the frame, where rounding does not matter.
+            # In the middle of the frame, rounding errors do not matter.
             self._time = (frame + 0.5) * self.frame_period
             self._show()
 
     def advance(self, now: float) -> None:
-        """Play up to `now`, s on a steady clock; while paused, nothing moves."""
+        """Advance the playback to `now`, s on a monotonic clock, unless paused."""
         with self.lock:
             elapsed = self._elapsed(now)
             if not self.paused:

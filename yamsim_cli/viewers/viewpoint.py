@@ -1,4 +1,4 @@
-"""A viewer's first camera pose."""
+"""The initial camera pose of a viewer."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array
 
-FOV_DEG = 45.0  # vertical
-_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # from the front, to one side and above
+FOV_DEG = 45.0  # deg, vertical field of view
+_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, a view from the front, to one side and above
 
-# A ball around an arm at rest and its board, which has to be in the picture.
+# A ball around an arm at rest and its board, which the view must contain.
 _BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
 _BALL_RADIUS = 0.34  # m
-_TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
+_TABLE_MARGIN = 0.12  # m, added to the radius for the table of a task
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera in orbit around a point, in MuJoCo's terms.
+    """A camera that orbits a point, in MuJoCo's convention.
 
     Attributes:
         look_at: the point (3,) in `world`, m.
         distance: distance from the point, m.
         azimuth_deg: heading of the line of sight about world z, from +x.
-        elevation_deg: angle of the line of sight above the horizon; a negative one looks down.
+        elevation_deg: angle of the line of sight above the horizon; negative values look down.
     """
 
     look_at: Array
@@ -44,17 +44,17 @@ class Viewpoint:
 
 
 def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """A view of a table and its arms.
+    """Return a view of a table and its arms.
 
     Args:
         x, y, z: the point in `world` to look at, m.
-        span: distance between the outermost arms' bases, m.
+        span: distance between the bases of the outermost arms, m.
     """
     return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
-    """A view of all arms and boards of a rig."""
+    """Return a view of all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
@@ -62,5 +62,5 @@ def rig_viewpoint(rig: RigConfig) -> Viewpoint:
 
 
 def _framing(look_at: Array, radius: float) -> Viewpoint:
-    """A view that holds a ball of this radius, m."""
+    """Return a view that contains a ball of this radius, m."""
     return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

@@ -1,4 +1,4 @@
-"""Compose a rig, with or without a task, into a folder or a zip file for other programs."""
+"""Composes a rig, with or without a task, and writes the scene to a folder or a zip file for other programs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
 @dataclass(frozen=True)
 class ComposeReport:
-    """A composed scene: its path, its files, and the compiled model's size and bodies."""
+    """A written scene: path, files, the sizes and bodies of the compiled model, and the backup of an older output."""
 
     path: Path
     files: tuple[str, ...]
@@ -41,8 +41,8 @@ class HomeState:
 
     Attributes:
         T_in_world: object -> pose (4, 4) in `world`.
-        joints: of each arm, rad; None for home.
-        parts: joint of an articulated object -> its opening, m or rad; others are closed.
+        joints: joints of each arm, rad; None for the home posture.
+        parts: joint of an articulated object -> joint position, m or rad; other joints are closed.
     """
 
     T_in_world: Mapping[str, Array] = field(default_factory=dict)
@@ -51,10 +51,10 @@ class HomeState:
 
 
 def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
-    """The first attempt of a session's seed: the config with the things of this attempt, and the start state.
+    """Sample the first attempt of a session. Return the config with the objects of the attempt, and its start state.
 
     Raises:
-        SimulationError: the things have no room, or the scene cannot be compiled.
+        SimulationError: no layout has room for the objects, or the scene cannot be compiled.
     """
     job = AttemptJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
@@ -65,7 +65,7 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
             raise SimulationError(f"task {config.task.name!r}: {describe_missing_start(simulator, attempt)}")
         parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
         opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
-    # An arm without a part in the task stands where the arm's own tasks begin.
+    # An arm that does not act in the task has the start posture of its model.
     joints = [
         config.start_joints if number in config.acting_indices else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
@@ -76,10 +76,10 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
 def compose_at_home(
     blueprint: Blueprint, locations: Locations, home: HomeState | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """A composed scene with keyframe `home`, and its compiled model.
+    """Compose a scene with keyframe `home`. Return the spec and the compiled model.
 
     Args:
-        home: the arms at rest without objects, unless given.
+        home: the state of the keyframe; by default the home posture without objects.
     """
     spec, home = compose(blueprint, locations), home or HomeState()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
@@ -97,12 +97,13 @@ def write_scene(
     """Write a composed scene to a folder, or to one zip file.
 
     Args:
-        overwrite: an existing `out` is renamed once the new scene is on the disk.
+        overwrite: whether to replace an existing `out`, which is renamed once the new scene is on the disk.
+        reader: the oldest MuJoCo version that must read the scene.
 
     Raises:
         UsageError: `out` exists, or the scene uses elements that `reader` does not know.
         ResourceError: `out` cannot be written, and is unchanged.
-        SimulationError: the scene is not stable: its parts move apart in plain MuJoCo.
+        SimulationError: the scene is not stable: its parts move apart when MuJoCo steps it.
     """
     _check_stable(model)
     files = scene_files(spec, model, reader)

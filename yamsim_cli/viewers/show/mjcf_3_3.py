@@ -1,4 +1,4 @@
-"""The MJCF of MuJoCo 3.3, as far as composed scenes use it, and the differences of newer versions.
+"""The part of MuJoCo 3.3's MJCF that composed scenes use, and the differences in newer versions.
 
 Source: `mujoco.mj_printSchema` and the compiled defaults of the releases named below.
 """
@@ -11,8 +11,8 @@ _POSE = "pos quat axisangle euler xyaxes zaxis"
 _SOLVER = "solref solimp"
 _JOINT_SOLVER = "solreflimit solimplimit solreffriction solimpfriction"
 
-# Section and element -> the attributes that 3.3.0 and all later versions up to 4.0.0 read. Bodies may hold bodies, and
-# classes may hold classes. An element's attributes in a class are the element's own. `gap` is left out: its meaning
+# Section and element -> the attributes that all versions from 3.3.0 to 4.0.0 read. Bodies may contain bodies, and
+# classes may contain classes. In a class, an element has the same attributes. `gap` is left out, since its meaning
 # changed in 3.9.
 ATTRIBUTES: Mapping[str, frozenset[str]] = {
     element: frozenset(names.split())
@@ -81,7 +81,7 @@ ATTRIBUTES: Mapping[str, frozenset[str]] = {
     }.items()
 }
 
-# Element in a class -> the key of `ATTRIBUTES` with its attributes.
+# Element in a class -> the key of its attributes in `ATTRIBUTES`.
 CLASS_ELEMENTS: Mapping[str, str] = {
     **{name: f"worldbody/{name}" for name in ("joint", "geom", "site", "camera", "light")},
     **{name: f"asset/{name}" for name in ("mesh", "material")},
@@ -90,19 +90,19 @@ CLASS_ELEMENTS: Mapping[str, str] = {
     "general": "actuator/general",
 }
 
-# Attributes for which 3.3 knows fewer values: element -> attribute -> the values that it reads.
+# Attributes with fewer values in 3.3: element -> attribute -> the values that 3.3 reads.
 VALUES: Mapping[str, Mapping[str, frozenset[str]]] = {
-    # Distances to a mesh need a plugin there.
+    # In 3.3, signed distance fields need a plugin.
     "worldbody/geom": {
         "type": frozenset({"plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"})
     },
     "option": {"integrator": frozenset({"Euler", "RK4", "implicit", "implicitfast"})},
 }
 
-# Attributes that came after 3.3 and may be left out: element -> attribute -> the values for which that changes only
-# looks, or None for all values. `castshadow` of geoms (4.0) and `colorspace` (3.3.3) are looks. `input="pos"` (4.0)
-# only names an actuator's single control, and its gain and bias hold everything else. `inheritrange` of `general`
-# (3.16) is already worked out when MuJoCo writes the file.
+# Attributes after 3.3 that may be left out: element -> attribute -> the harmless values, or None for all values.
+# Leaving out `castshadow` of geoms (4.0) or `colorspace` (3.3.3) changes only the appearance. `input="pos"` (4.0) only
+# names the single control of an actuator; gain and bias determine the rest. MuJoCo applies `inheritrange` of `general`
+# (3.16) before it writes the file.
 OPTIONAL: Mapping[str, Mapping[str, frozenset[str] | None]] = {
     "worldbody/geom": {"castshadow": None},
     "asset/texture": {"colorspace": None},

@@ -1,7 +1,4 @@
-"""Show a recorded episode: as a video or in a viewer, and repeat its actions in physics.
-
-Of a real recording, viewers show the rig as it was measured.
-"""
+"""Shows a recorded episode as a video or in a viewer. For a real recording, viewers show the measured motion."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenVideo:
-    """A video that was written: its length in s, its size in pixels, and the new path of an older file of its name."""
+    """A written video: length in s, size in px, and the backup of an older file with the same name."""
 
     path: Path
     frames: int
@@ -53,15 +50,15 @@ class WrittenVideo:
 def film_recorded(
     episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
 ) -> WrittenVideo:
-    """Make a video of the images that were recorded.
+    """Make a video of the recorded images.
 
     Args:
-        cameras: cameras that are put side by side; the first one if empty.
-        frame_period: from one frame to the next in the video, s.
+        cameras: cameras whose images are placed side by side; the first camera if empty.
+        frame_period: time between two frames in the video, s.
 
     Raises:
-        UsageError: there is no such camera, or the file exists.
-        DatasetError: an image is missing, altered or damaged; no video is left then.
+        UsageError: the episode has no such camera, or the file exists.
+        DatasetError: an image is missing, altered or damaged. No video is written then.
         ResourceError: see `VideoWriter`.
     """
     if not episode.record.cameras:
@@ -79,14 +76,14 @@ def film_rendered(
     *,
     overwrite: bool,
 ) -> WrittenVideo:
-    """Make a video of an episode rendered anew.
+    """Render an episode again, and make a video.
 
     Args:
-        session: of `session_with_wrist_camera`, with its meshes.
+        session: the result of `session_with_wrist_camera`, with its meshes.
 
     Raises:
-        DatasetError: the episode was not simulated, or in another scene.
-        UsageError, ResourceError: as for `film_recorded`.
+        DatasetError: the episode was not simulated, or was simulated in another scene.
+        UsageError, ResourceError: see `film_recorded`.
     """
     with _simulator_of(episode, session) as simulator:
         chosen = _choose(cameras, simulator.scene.cameras)
@@ -115,20 +112,20 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
-    """A dataset's session with a wrist camera, even if none was recorded.
+    """Return the session of a dataset with a wrist camera, whether or not the dataset records one.
 
     Args:
-        size: width and height of images, px; the recorded size unless given.
+        size: width and height of images, px; by default the recorded size.
     """
     image = session.config.image
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
 
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
-    """MuJoCo's positions (frames, nq) of a simulated episode.
+    """Return the `qpos` of each frame (frames, nq) of a simulated episode.
 
     Raises:
-        DatasetError: the episode was not simulated, or in another scene, or a file is damaged.
+        DatasetError: the episode was not simulated, was simulated in another scene, or a file is damaged.
     """
     frames = episode.frames()
     if not all(map(has_simulation, frames)):
@@ -146,7 +143,7 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 
 
 def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
-    """The simulator of a session in which an episode took place."""
+    """Return the simulator of the scene in which an episode was simulated."""
     return simulator_for(session, AttemptJob(episode.record.seed, episode.record.attempt))
 
 
@@ -158,15 +155,15 @@ def play_simulated(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a simulated episode in a loop, see `view.show_scene`.
+    """Play a simulated episode in a loop, see `viewer.show_scene`.
 
     Args:
-        session: of the dataset's own config.
-        speed: how fast time passes; 1 is real time.
+        session: a session of the dataset's config.
+        speed: playback speed; 1 is real time.
 
     Raises:
         DatasetError: the episode was not simulated, or is damaged.
-        UsageError, ResourceError: see `view.show_scene`.
+        UsageError, ResourceError: see `viewer.show_scene`.
     """
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
@@ -186,13 +183,13 @@ def play_real(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play the measured motion of a real recording's arms in a loop, see `play`.
+    """Play the measured motion of a real recording in a loop, see `viewer.show_scene`.
 
     Args:
-        motion: of the recording's arms, in the order of the rig's recorded arms.
+        motion: motion of the arms, in the recording order of the rig.
 
     Raises:
-        UsageError, ResourceError: see `view.show_scene`.
+        UsageError, ResourceError: see `viewer.show_scene`.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s
@@ -218,7 +215,7 @@ def _show(
 
 
 def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
-    """MuJoCo's positions (n, nq) at even times, each of the latest measurement."""
+    """Return `qpos` (n, nq) at multiples of `period`, each from the latest measurement."""
     rig = blueprint.rig
     even = np.arange(0.0, motion.duration + period / 2, period)
     rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)

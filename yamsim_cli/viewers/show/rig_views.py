@@ -1,4 +1,4 @@
-"""Render a rig from several views, and lay the pictures side by side."""
+"""Renders a rig from several views, and makes a montage of the images."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ViewScene:
 
     Attributes:
         size: width and height of a view, px.
-        fine: width and height of the rendered picture before it is averaged, px.
+        fine: width and height of the rendered image before it is averaged to `size`, px.
     """
 
     rig: RigConfig
@@ -45,7 +45,7 @@ class ViewScene:
     fine: tuple[int, int]
 
     def renderer(self) -> SceneRenderer:
-        """A renderer of the views, which the caller closes.
+        """Return a renderer of the views, which the caller must close.
 
         Raises:
             ResourceError: nothing can render here.
@@ -54,7 +54,7 @@ class ViewScene:
 
 
 def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
-    """Compose a rig with a camera for each view, placed by the rig's extent; `size` is a view's (width, height), px."""
+    """Compose a rig with a camera for each view, placed by the rig's extent. A view has `size` (width, height), px."""
     rig = blueprint.rig
     spec, model = compose_at_home(replace(blueprint, pictures=PictureSettings(quality, size)), locations)
     cameras = _cameras(rig, model, _at_home(model), size)
@@ -74,12 +74,12 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def picture_names() -> list[str]:
-    """File names of the pictures of `render_views`."""
+    """Return the file names of the images of `render_views`."""
     return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
 
 
 def render_views(views: ViewScene) -> dict[str, Image]:
-    """File name -> RGB image (height, width, 3): every labelled view, and the montage.
+    """Render all views with labels, and the montage. Return file name -> RGB image (height, width, 3).
 
     Raises:
         ResourceError: nothing can render here.
@@ -95,7 +95,7 @@ def render_views(views: ViewScene) -> dict[str, Image]:
 
 
 def write_views(images: dict[str, Image], out: Path) -> list[Path]:
-    """Write all images or none into a folder, which is made if missing; return their paths.
+    """Write either all images or none into a folder, which is created if missing. Return their paths.
 
     Raises:
         ResourceError: the folder cannot be written.
@@ -118,12 +118,12 @@ def _cameras(
 
 
 def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
-    """The body that turns with an arm's joint, counted from the base."""
+    """Return the body that an arm's joint moves; joints are numbered from the base."""
     return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
 
 
 def _names(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
-    """Label -> its point (3,) in `world`."""
+    """Return label -> position (3,) in `world`."""
     names = {}
     for arm in rig.arms:
         names[f"{arm.name} ({arm.side})"] = data.xpos[_link(model, arm, arm.robot.dof // 2 - 1)] + np.array(
@@ -131,7 +131,7 @@ def _names(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[s
         )
         if arm.board:
             ids = arm.board.board.ids
-            # In front of the board, as the cameras see it: on it, the text would hide the markers.
+            # In front of the board as seen by the cameras. On the board, the text would hide the markers.
             in_front = data.geom(f"{arm.prefix}{BOARD_BODY}").xpos + np.array([0.085, 0, 0])
             names[f"ids {ids[0]}-{ids[-1]}"] = in_front
     return names

@@ -1,8 +1,8 @@
-"""A composed scene as files: `scene.xml` and all files that the XML names.
+"""Converts a composed scene to files: `scene.xml` and all files that the XML names.
 
-MuJoCo writes MJCF of its own version. For MuJoCo 3.3, all later versions and dm_control, the MJCF is translated: frames
-become part of their children's poses, and values whose defaults differ between versions are written out. A scene that
-3.3 cannot express is refused.
+MuJoCo writes MJCF of its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control.
+The poses of children absorb frames, and values whose defaults differ between versions become explicit. A scene that 3.3
+cannot express is an error.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
 
-Reader = Literal["3.3", "4"]  # the oldest MuJoCo that can read a scene
+Reader = Literal["3.3", "4"]  # the oldest MuJoCo version that must read the scene
 Element = ElementTree.Element
 
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip file; a constant date makes equal scenes equal bytes
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # earliest date of a zip file; constant, so that equal scenes give equal bytes
 
 
 def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:
-    """Relative path -> content of a scene's files; equal specs give equal bytes.
+    """Return relative path -> content for the files of a scene. Equal specs give equal bytes.
 
     Args:
         model: the compiled `spec`.
 
     Raises:
-        UsageError: the scene has something that `reader` does not know.
+        UsageError: the scene has an element, attribute or value that `reader` does not know.
     """
     named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
     files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
@@ -43,7 +43,7 @@ def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.
 
 
 def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
-    """A zip file of `files` inside `folder`; equal files give equal bytes."""
+    """Return a zip file with `files` inside `folder`. Equal files give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
@@ -55,13 +55,13 @@ def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
 
 
 def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
-    """The MJCF of a scene for MuJoCo 3.3 and newer, with all digits.
+    """Return the MJCF of a scene for MuJoCo 3.3 and newer, in full precision.
 
     Args:
         model: the compiled `spec`.
 
     Raises:
-        UsageError: the scene has something that 3.3 does not know.
+        UsageError: the scene has an element, attribute or value that 3.3 does not know.
     """
     root = ElementTree.fromstring(_as_authored(spec))
     _write_defaults(root, model)
@@ -79,7 +79,7 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
 
 def _as_authored(spec: mujoco.MjSpec) -> str:
-    """MuJoCo's own MJCF of the scene with all digits; of a compiled spec MuJoCo would round to six."""
+    """Return the MJCF that MuJoCo writes, in full precision. From a compiled spec, MuJoCo writes six digits."""
     compiler = spec.compiler
     before = compiler.savecompiled, compiler.savecanonical
     try:
@@ -91,9 +91,9 @@ def _as_authored(spec: mujoco.MjSpec) -> str:
 
 
 def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
-    """Write out the values whose defaults differ between versions.
+    """Make values explicit whose defaults differ between versions.
 
-    `island`, on by default since 3.3.6, is left out: the flag only solves the same equations in parts, and makes older
+    `island`, on by default since 3.3.6, is left out. The flag only solves the same equations in parts, and older
     versions colour each moving body by its island.
     """
     option = _child(root, "option")
@@ -101,19 +101,19 @@ def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
     # Since 3.8 a pair of convex geoms may touch at several points. Source: MuJoCo's changelog.
     several = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD
     _child(option, "flag").set("multiccd", "enable" if several else "disable")
-    # 4.0 has a third value for the headlight, which looks the same as 1.
+    # 4.0 has a third value for the headlight, which gives the same image as 1.
     _child(_child(root, "visual"), "headlight").set("active", "1" if model.vis.headlight.active else "0")
 
 
 def _write_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
-    """Write out a mass of 0; otherwise MuJoCo 3.3.5 looks for the centre of the massless geoms."""
+    """Make a mass of 0 explicit. Otherwise MuJoCo 3.3.5 computes the centre of massless geoms."""
     if model.body_mass[number] == 0 and body.find("inertial") is None:
         place = {"pos": _text(model.body_ipos[number]), "quat": _text(model.body_iquat[number])}
         body.insert(0, ElementTree.Element("inertial", {**place, "mass": "0", "diaginertia": "0 0 0"}))
 
 
 def _write_light_type(light: Element) -> None:
-    """Write a light's type as the attribute of 3.3.0."""
+    """Replace the type of a light by the attribute `directional` of 3.3.0."""
     kind = light.get("type")
     if kind in ("directional", "spot"):
         del light.attrib["type"]
@@ -121,7 +121,7 @@ def _write_light_type(light: Element) -> None:
 
 
 def _unroll(parent: Element) -> None:
-    """Replace every frame by its children, with the frame's pose and class, in place."""
+    """Replace every frame in place by its children, with the pose and class of the frame applied."""
     for child in parent:
         _unroll(child)
     parent[:] = [item for child in parent for item in (_children_in_frame(child) if child.tag == "frame" else [child])]
@@ -147,7 +147,7 @@ def _children_in_frame(frame: Element) -> Iterator[Element]:
 
 
 def _reduce(root: Element, scene: str) -> None:
-    """Remove the attributes that 3.3 does not need, and refuse those that 3.3 does not know."""
+    """Remove optional attributes. Raise UsageError for other elements, attributes and values that 3.3 does not know."""
     for where, element in _walk(root):
         if where not in ATTRIBUTES:
             raise UsageError(_unknown(scene, f"<{element.tag}>"))
@@ -194,5 +194,5 @@ def _numbers(element: Element, name: str, default: str) -> Array:
 
 
 def _text(numbers: Iterable[float]) -> str:
-    """Numbers as text that reads back to the same values; -0 becomes 0."""
+    """Convert numbers to text without loss of precision; -0 becomes 0."""
     return " ".join(repr(float(number) + 0.0).removesuffix(".0") for number in numbers)

@@ -1,4 +1,4 @@
-"""Show a scene in a browser page or in MuJoCo's own window, and a live rig whose joints a person moves."""
+"""Shows a scene, or a live rig with movable joints, on a browser page or in MuJoCo's window."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from .compose import compose_at_home, first_attempt_start
 if TYPE_CHECKING:
     from ..scene_page import ScenePage
 
-PERIOD = 1 / 30  # s between two pictures; physics takes as many steps between them as real time needs
-_PICTURE = (320, 240)  # px, of a camera's picture on the page
+PERIOD = 1 / 30  # s, between two images; physics takes as many steps in between as real time needs
+_PICTURE = (320, 240)  # px, width and height of camera images on the page
 
 
 def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
-    """Compose a rig and put it into keyframe `home`, ready to run.
+    """Compose a rig in keyframe `home`, ready to simulate.
 
     Args:
-        quality: of its cameras' pictures; None where none are rendered.
+        quality: render quality of camera images; None if no images are rendered.
     """
     _, model = compose_at_home(_with_cameras(blueprint, quality), locations)
     return LiveRig(blueprint.rig, model)
 
 
 def make_live_task(session: Session, *, boards: bool = True, quality: RenderConfig | None = None) -> LiveRig:
-    """A task's scene, with the layout of the seed's first attempt; see `make_live_rig`.
+    """Compose the scene of a task, with the layout of the first attempt of the seed, see `make_live_rig`.
 
     Raises:
-        SimulationError: the things have no room, or the scene cannot be compiled.
+        SimulationError: no layout has room for the objects, or the scene cannot be compiled.
     """
     config, home = first_attempt_start(session)
     blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
@@ -52,7 +52,7 @@ def make_live_task(session: Session, *, boards: bool = True, quality: RenderConf
 
 
 def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
-    """The same scene with the cameras of its wrists and of its station."""
+    """Return the same scene with its wrist cameras and station cameras."""
     pictures = PictureSettings(quality, _PICTURE) if quality is not None else None
     rig = blueprint.rig
     cameras = (
@@ -64,20 +64,20 @@ def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Bluepri
 
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
-    """The first view of a task's scene, towards a point between the arm and the middle of the table."""
+    """Return the initial view of a task scene, towards a point between the arm and the middle of the table."""
     x, y, _ = config.table.position
     return workspace_viewpoint(x - 0.15, y, config.table.top + 0.1, config.rig.span)
 
 
 class LivePictures:
-    """Renders what a live rig's cameras see; the first call makes the renderer, for its own thread."""
+    """Renders the camera images of a live rig. The first call creates the renderer, which belongs to that thread."""
 
     def __init__(self, live: LiveRig) -> None:
         self._live = live
         self._renderer: SceneRenderer | None = None
 
     def render(self, camera: str) -> Image:
-        """An RGB image (240, 320, 3) of a camera.
+        """Return an RGB image (240, 320, 3) of a camera.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -103,12 +103,12 @@ def view_rig(
     boards: bool = True,
     pictures: bool = False,
 ) -> None:
-    """Run a rig's physics and show the rig, see `show_scene`.
+    """Simulate a rig and show it, see `show_scene`.
 
     Args:
-        viewpoint: the viewer's first view; the whole rig unless given.
+        viewpoint: the initial view; by default the whole rig.
         boards: whether a page shows boards and mounts at first.
-        pictures: whether a page offers pictures of the rig's cameras.
+        pictures: whether a page offers images of the rig's cameras.
     """
     viewpoint = viewpoint or rig_viewpoint(live.rig)
     seen = LivePictures(live) if pictures else None
@@ -136,13 +136,14 @@ def show_scene(
     """Show a scene in real time until `stopped` returns True, or MuJoCo's window is closed.
 
     Args:
-        address: of the browser page; None for MuJoCo's window.
-        open_page: makes the page; called only where the viewer library is installed.
-        ready: called once, with the page's URL, when the viewer is open; not called if `stopped` returns True before.
+        address: address of the browser page; None for MuJoCo's window.
+        open_page: creates the page; called only if viser is installed.
+        ready: called once when the viewer is open, with the URL of the page or None. Not called if `stopped` returns
+            True before.
 
     Raises:
         UsageError: the page cannot listen on the address.
-        ResourceError: the viewer library is not installed, or no window can be opened.
+        ResourceError: viser is not installed, or no window can be opened.
     """
     if address is None:
         from ..mujoco_window import run_window
@@ -164,10 +165,10 @@ def show_scene(
 
 
 def require_viser() -> None:
-    """Make sure that a browser page can be served.
+    """Check that a browser page can be served.
 
     Raises:
-        ResourceError: the viewer library is not installed.
+        ResourceError: viser is not installed.
     """
     try:
         from .. import scene_page as bodies_page  # noqa: F401

@@ -1,4 +1,4 @@
-"""Writes driven attempts into the dataset, in order, after a worker process has rendered them."""
+"""Writes teleoperated attempts into the dataset, in order, after a worker process has rendered them."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from yamsim_cli.core.workers.process_pool import ProcessPool
 
 SOURCE = "teleop"
 
-_POLL_SECONDS = 0.1  # s, between two checks whether a waiting writer was closed
+_POLL_SECONDS = 0.1  # s, between two checks whether the writer was closed while it waits
 
 
 class TeleopAttemptRenderer(Closable):
-    """Renders successful driven attempts, which were judged while they were driven.
+    """Renders successful teleoperated attempts. Their outcomes are known before.
 
     Args:
-        render: whether successes become files.
+        render: whether successful attempts get files.
     """
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
@@ -40,11 +40,11 @@ class TeleopAttemptRenderer(Closable):
         if render:
             check_meshes(session)
         self._simulators = Simulators(session)
-        # Compiled at once, since the scene's files may be gone when the first attempt arrives.
+        # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
     def run(self, driven: SimulatedAttempt) -> AttemptPayload:
-        """The recorded bytes of an attempt."""
+        """Return the payload of an attempt."""
         simulator, done = self._simulators.get(driven.attempt.job), driven
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
@@ -59,12 +59,12 @@ DrivenExecutor = Executor[SimulatedAttempt, AttemptPayload]
 
 
 def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayload]:
-    """A worker process, so that rendering does not delay the arm."""
+    """Start a worker process, so that rendering does not delay the arm."""
     return ProcessPool(functools.partial(TeleopAttemptRenderer, session), 1)
 
 
 class AttemptReceiver(Protocol):
-    """Receives driven attempts."""
+    """Receives teleoperated attempts."""
 
     @property
     def next_attempt(self) -> int:
@@ -77,13 +77,13 @@ class AttemptReceiver(Protocol):
 
 
 class AttemptWriter(Closable):
-    """Has driven attempts rendered, and writes them in order, in a thread of its own.
+    """Sends teleoperated attempts to the executor, and writes the results in order, in a thread of its own.
 
-    Writing an episode can take longer than a control tick. A context manager: on its exit, attempts that are not
-    written yet are given up. While it is open, no other code may use the sink or the executor.
+    Writing an episode can take longer than a control tick. Use the writer as a context manager; its exit drops
+    attempts that are not written yet. Until then, no other code may use the sink or the executor.
 
     Args:
-        written: called with an attempt's number once the attempt is in the sink.
+        written: called with the number of an attempt once the attempt is in the sink.
     """
 
     def __init__(
@@ -113,25 +113,25 @@ class AttemptWriter(Closable):
         return self._first + self._submitted
 
     def submit(self, driven: SimulatedAttempt) -> None:
-        """Queue an attempt."""
+        """Queue an attempt for the thread."""
         self._submitted += 1
         self._futures.append(self._thread.submit(self._process, driven))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
-        """The next attempt that is written; None if none is within `timeout` seconds.
+        """Wait up to `timeout` seconds for the next written attempt, and return its record, or None.
 
         Raises:
-            OSError: the disk refused something.
-            PartialJobError: the worker ended in each of several tries.
+            OSError: a write to the disk failed.
+            PartialJobError: the worker process died in each of several tries.
             ResourceError: nothing can be rendered here.
         """
         if not self._futures:
             return None
-        # A TimeoutError of the future could also be that of a network disk.
+        # A TimeoutError of the future could also come from a network disk.
         if not wait(list(self._futures)[:1], timeout).done:
             return None
         attempt = self._futures.popleft().result()
-        assert attempt is not None  # it is None only after `close`
+        assert attempt is not None  # None only after `close`
         self.trials.append(attempt)
         self.episodes += attempt.episode is not None
         return attempt
@@ -149,7 +149,7 @@ class AttemptWriter(Closable):
             raise
 
     def _payload(self) -> AttemptPayload | None:
-        """The worker's result; None once the writer is closed."""
+        """Wait for the result of the worker. Return None once the writer is closed."""
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]
@@ -168,7 +168,7 @@ class AttemptWriter(Closable):
         return attempt
 
     def close(self) -> None:
-        """Give up the attempts that are not written yet."""
+        """Stop the thread. Attempts that are not written yet are lost."""
         self._ended.set()
-        # An episode that is being written becomes whole.
+        # An episode that is being written is completed.
         self._thread.shutdown(wait=True, cancel_futures=True)

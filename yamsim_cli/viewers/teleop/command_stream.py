@@ -1,4 +1,4 @@
-"""Streams of commands of a leader arm: a JSON object with a time on each line."""
+"""Command streams of a leader arm: text files with a timed JSON object on each line."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .teleop_scene import TeleopScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
-_BEYOND = math.radians(30)  # rad, by which joints of a leader arm may lie beyond the stops, to which they are clipped
-_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values a little beyond both ends of the range
+_LIMIT_TOLERANCE = math.radians(30)  # rad, how far a leader arm may exceed joint limits; commands are clipped to them
+_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly beyond both ends of the range
 
 
 class PoseTarget(Config):
@@ -38,15 +38,15 @@ class PoseTarget(Config):
 
 
 class TeleopCommand(Config):
-    """One line of a stream; values that it leaves out do not change.
+    """One line of a stream. Values that the line leaves out do not change.
 
     Attributes:
-        t: time since the stream's beginning, s.
-        arm: of two arms, the one for this and the following commands; at first, the arm that acts first in the task.
-        joints: of the arm, rad; or of both arms with openings, the left arm's first, as in frames.
-        ee: pose of `grasp_site` in the arm's base, or in the left arm's base of two, as `ee_pose` in frames.
+        t: time since the beginning of the stream, s.
+        arm: the arm for this and the following commands; at first, the arm that acts first in the task.
+        joints: joints of the arm, rad; or joints and openings of both arms, the left arm first, as in frames.
+        ee: pose of `grasp_site` in the base of the left or only arm, as `ee_pose` in frames.
         gripper: opening of one finger, m.
-        magnet: whether the magnet is on.
+        magnet: whether the weld is commanded to hold.
         event: start, stop or discard a recording.
     """
 
@@ -60,7 +60,7 @@ class TeleopCommand(Config):
 
     @property
     def T_grasp_in_base(self) -> Array | None:
-        """Target pose (4, 4) of `grasp_site`; None if this line has none."""
+        """Target pose (4, 4) of `grasp_site`; None if the line has no pose."""
         if self.ee is None:
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
@@ -80,10 +80,10 @@ class TeleopCommand(Config):
 
 
 def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
-    """All commands of a file, in order of time, for the arms of a recording.
+    """Read all commands of a file, in order of time, for the arms of a recording.
 
     Raises:
-        ConfigError: the file cannot be read, or a line is no command of these arms; the message names line and key.
+        ConfigError: the file cannot be read, or a line is not valid for these arms. The message names line and key.
     """
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -109,7 +109,7 @@ def _read(line: str, where: str) -> TeleopCommand:
     try:
         return TeleopCommand.model_validate_json(line)
     except ValidationError as error:
-        # Of the two forms of `ee`, the error that is nested deepest is that of the intended form.
+        # `ee` has two forms. The most deeply nested error belongs to the form that the user intended.
         first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
         key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
         message = first["msg"].removeprefix("Value error, ")
@@ -127,9 +127,7 @@ class _Arms:
         self._task, self._grasp = config.task.name, config.grasp
 
     def check(self, command: TeleopCommand, where: str) -> None:
-        """Raises:
-        ConfigError: there is no such arm or no magnet, or the joints are not valid.
-        """
+        """Check one command. Raise ConfigError if the arm or the weld does not exist, or the joints are not valid."""
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
                 f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "
@@ -150,7 +148,7 @@ class _Arms:
             raise ConfigError(f"{where}: joints: {count} numbers; give {dof} of the {self._driven} arm{both}")
         for side, row in rows.items():
             robot = self._arms[side].robot
-            if fault := describe_limit_violation(self._arms[side].name, robot, row, _BEYOND):
+            if fault := describe_limit_violation(self._arms[side].name, robot, row, _LIMIT_TOLERANCE):
                 raise ConfigError(f"{where}: joints: {fault}")
             try:
                 for opening in row[robot.dof :]:
@@ -160,7 +158,7 @@ class _Arms:
 
 
 class StreamPlayer:
-    """Applies a stream's commands, each at the first tick that begins at or after its time."""
+    """Applies each command of a stream at the first control tick that begins at or after its time."""
 
     def __init__(self, commands: Sequence[TeleopCommand]) -> None:
         self._commands = commands
@@ -168,12 +166,12 @@ class StreamPlayer:
 
     @property
     def done(self) -> bool:
-        """Whether every command has acted."""
+        """Whether all commands were applied."""
         return self._next == len(self._commands)
 
     def act(self, scene: TeleopScene, now: float) -> None:
-        """Apply the commands that are due at `now`, s since the stream's beginning."""
-        # The tolerance covers the rounding of a tick's time, which is a sum of many ticks.
+        """Apply the commands that are due at `now`, s since the beginning of the stream."""
+        # The tolerance covers rounding errors of `now`, which is a multiple of the tick.
         while not self.done and self._commands[self._next].t <= now + 1e-9:
             self._apply(scene, self._commands[self._next])
             self._next += 1

@@ -1,4 +1,4 @@
-"""Recordings on the disk while they are driven, so that the recording of a killed session can still be judged."""
+"""Saves recordings to the disk during teleoperation, so that the recording of a killed session can be judged later."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class CommandTick:
     """The commands of a control tick.
 
     Attributes:
-        ctrl: to each arm's drives (arms, drives), rad and m.
-        magnet: whether each arm's weld was commanded to hold.
-        reference: each arm's reference joints and opening (arms, drives), rad and m, see `TeleopArm.asked`.
+        ctrl: commands to the drives (arms, drives), rad and m.
+        magnet: for each arm, whether the weld was commanded to hold.
+        reference: reference joints and openings (arms, drives), rad and m, see `TeleopArm.reference`.
     """
 
     ctrl: Array
@@ -38,10 +38,11 @@ class UnfinishedRecording:
     """The recording of a killed session.
 
     Attributes:
-        path: the file.
-        start: MuJoCo's positions (nq,) at its beginning.
-        ticks: all ticks that passed.
-        stopped: number of ticks before the stop; None if there was no stop.
+        path: the file of the recording.
+        job: seed and number of the attempt.
+        start: `qpos` (nq,) at the beginning.
+        ticks: the commands of all simulated ticks.
+        stopped: number of ticks before the stop; None without a stop.
     """
 
     path: Path
@@ -52,10 +53,10 @@ class UnfinishedRecording:
 
 
 class RecordingJournal:
-    """Writes recordings tick by tick, each into its own file in a dataset's directory.
+    """Writes each recording, tick by tick, to a file in the directory of the dataset.
 
-    A file exists from a recording's start until its attempt is written into the dataset, or discarded. A written tick
-    survives the end of this process; a loss of power may cost the last second.
+    A file exists from the start of a recording until the attempt is written into the dataset, or discarded. A written
+    tick survives the end of this process. A power failure may lose the last second.
     """
 
     def __init__(self, dataset: Path) -> None:
@@ -67,13 +68,13 @@ class RecordingJournal:
         """Open the file of a recording.
 
         Raises:
-            OSError: the disk refused it.
+            OSError: the file cannot be written.
         """
         self.end()
         self._folder.mkdir(exist_ok=True)
         assert attempt.start is not None, "a driven attempt has a start"
         self._attempt = attempt.job.attempt
-        # Unbuffered, since a buffer would be lost with this process.
+        # Unbuffered, since a crash of this process would lose a buffer.
         self._file = self._place(self._attempt).open("wb", buffering=0)
         self._write(
             {
@@ -85,34 +86,34 @@ class RecordingJournal:
         )
 
     def add(self, tick: CommandTick) -> None:
-        """Write a tick, if a recording goes on."""
+        """Write a tick, if a recording is open."""
         if self._file is not None:
-            ctrl, asked = tick.ctrl.ravel().tolist(), tick.reference.ravel().tolist()
-            self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": asked})
+            ctrl, reference = tick.ctrl.ravel().tolist(), tick.reference.ravel().tolist()
+            self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": reference})
 
     def stop(self) -> None:
-        """Write that the recording was stopped; the ticks that follow let everything come to rest."""
+        """Write that the recording was stopped. In the ticks that follow, the scene comes to rest."""
         self._write({"event": _STOP})
 
     def end(self) -> None:
-        """Close the file; it stays until its attempt is dropped."""
+        """Close the file. The file exists until `drop` removes it."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
     def discard(self) -> None:
-        """Close the file and drop it."""
+        """Close the file and remove it."""
         self.end()
         self.drop(self._attempt)
 
     def drop(self, attempt: int) -> None:
-        """Remove an attempt's file."""
+        """Remove the file of an attempt."""
         self._place(attempt).unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._folder.rmdir()
 
     def unfinished(self) -> list[UnfinishedRecording]:
-        """The recordings of killed sessions, in order; files without a beginning are removed."""
+        """Return the recordings of killed sessions, in order. Remove files without a complete first line."""
         found = []
         for path in sorted(self._folder.glob("*.jsonl")):
             recording = _read(path)
@@ -131,13 +132,13 @@ class RecordingJournal:
 
 
 def _read(path: Path) -> UnfinishedRecording | None:
-    """A recording as far as it was written; None without its beginning."""
+    """Read a recording up to the last complete line. Return None if the first line is not valid."""
     lines: list[dict[str, Any]] = []
     for line in path.read_bytes().split(b"\n"):
         try:
             lines.append(json.loads(line))
         except ValueError:
-            # Only the last line can be cut off.
+            # Only the last line can be incomplete.
             break
     try:
         job, start = AttemptJob(int(lines[0]["seed"]), int(lines[0]["attempt"])), np.array(lines[0]["start"], float)
@@ -150,5 +151,5 @@ def _read(path: Path) -> UnfinishedRecording | None:
 
 def _tick(line: Mapping[str, Any]) -> CommandTick:
     magnet = tuple(bool(on) for on in line["magnet"])
-    ctrl, asked = (np.array(line[key], float).reshape(len(magnet), -1) for key in ("ctrl", "asked"))
-    return CommandTick(ctrl, magnet, asked)
+    ctrl, reference = (np.array(line[key], float).reshape(len(magnet), -1) for key in ("ctrl", "asked"))
+    return CommandTick(ctrl, magnet, reference)

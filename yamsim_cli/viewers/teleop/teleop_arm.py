@@ -1,4 +1,4 @@
-"""One arm that a person or a leader arm drives: its target, its motion, and what blocks it."""
+"""An arm that a user or a leader arm teleoperates: its target, its motion, and its obstacles."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.placement import ArmCollisionCheck
 
-_IK_ITERATIONS = 12
-_REACH = 0.003  # m, from a target to the nearest pose of the hand; a target beyond is out of reach
-_AT_LIMIT = 0.005  # rad, from a joint to its stop; a nearer joint counts as at the stop
-_CLEARANCE = 0.012  # m, from the pinch frame's target to the table, which the finger tips must not enter
+_IK_ITERATIONS = 12  # iterations of inverse kinematics in a control tick
+_REACH_TOLERANCE = 0.003  # m, position error of inverse kinematics up to which a target counts as reachable
+_LIMIT_DISTANCE = 0.005  # rad, distance to a joint limit below which a joint counts as at the limit
+_CLEARANCE = 0.012  # m, least height of a target of the pinch frame above the table; keeps the finger tips out of it
 
 
 class TeleopArm:
-    """Follows a target as fast as its motors can, and stops before the table, the other arm and itself.
+    """Follows a target with bounded speed, and stops before a collision with the table, the other arm or itself.
 
     Attributes:
         side: "left" or "right".
         opening: commanded opening of each finger, m.
         widest: largest opening of each finger, m.
         magnet: whether the weld is commanded to hold.
-        apart: distance from the target to the nearest pose in reach, m; 0 if the target is in reach.
-        blocked: the obstacle that stops the arm; empty for none.
+        target_distance: distance from the target to the nearest reachable pose, m; 0 for a reachable target.
+        obstacle: name of the obstacle that stops the arm; empty for none.
 
     Args:
-        number: of the arm, in the scene.
+        number: number of the arm in the scene.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, number: int) -> None:
@@ -42,22 +42,22 @@ class TeleopArm:
         self.side = arm.side
         self._names = arm.robot.joint_names
         self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
-        self._closed = min(_opening_around_a_thing(config), self.widest)
+        self._closed = min(_opening_around_object(config), self.widest)
         self._ik = IkSolver(kinematic_model(arm), self._arm.T_base_in_world)
-        self._pursuit = JointTracker(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
-        self._obstruction = ArmCollisionCheck(scene, number)
+        self._tracker = JointTracker(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
+        self._collision_check = ArmCollisionCheck(scene, number)
         self._T_pinch_in_grasp = _fixed_pose(
             scene.model, f"{self._arm.prefix}pinch_site", f"{self._arm.prefix}grasp_site"
         )
 
     def reset(self, stand: ArmPosture) -> None:
-        """Put the arm at rest at joints and an opening."""
-        self._pursuit.reset(stand.joints)
+        """Set the reference to a posture, at rest."""
+        self._tracker.reset(stand.joints)
         self._joint_target: Array | None = None
         self._target = self._ik.pose_of(stand.joints)
         self.opening, self.magnet = stand.opening, False
-        # An arm that starts with closed fingers keeps them closed until it is commanded.
-        self._used = self.opening > 0.0
+        # An arm that starts with closed fingers keeps them closed until its first command.
+        self._was_commanded = self.opening > 0.0
         self.target_distance, self.obstacle = 0.0, ""
 
     @property
@@ -67,98 +67,98 @@ class TeleopArm:
 
     @property
     def is_open(self) -> bool:
-        """Whether the commanded opening is larger than around the held object."""
+        """Whether the commanded opening is larger than the closed one."""
         return self.opening > self._closed
 
     @property
     def reference(self) -> Array:
-        """The reference of the joints now, rad, and the commanded opening, m, if the arm has fingers."""
-        return self._with_opening(self._pursuit.joints)
+        """The present reference (drives,): joints, rad, and, if the arm has fingers, the commanded opening, m."""
+        return self._with_opening(self._tracker.joints)
 
     @property
     def at_limit(self) -> tuple[str, ...]:
-        """Names of the joints that are at a stop."""
+        """Names of the joints at a joint limit."""
         low, high = self._arm.joint_range.T
-        joints = self._pursuit.joints
-        near = (joints < low + _AT_LIMIT) | (joints > high - _AT_LIMIT)
+        joints = self._tracker.joints
+        near = (joints < low + _LIMIT_DISTANCE) | (joints > high - _LIMIT_DISTANCE)
         return tuple(name for name, there in zip(self._names, near, strict=True) if there)
 
     def set_target_pose(self, T_pinch_in_world: Array) -> None:
-        """Set the hand's target (4, 4); a target inside the table is lifted above it."""
-        self._used, self._joint_target = True, None
+        """Set the target pose (4, 4) of the pinch frame in `world`. A target inside the table is lifted above it."""
+        self._was_commanded, self._joint_target = True, None
         self._target = self._above_table(T_pinch_in_world)
 
     def set_grasp_target(self, T_grasp_in_world: Array) -> None:
-        """Set the hand's target: a pose (4, 4) of `grasp_site`."""
+        """Set the target pose (4, 4) of `grasp_site` in `world`."""
         self.set_target_pose(T_grasp_in_world @ self._T_pinch_in_grasp)
 
     def set_joint_target(self, joints: Array) -> None:
-        """Set the target joints (dof,), rad, clipped to the stops."""
+        """Set the target joints (dof,), rad, clipped to the joint limits."""
         reachable: Array = np.clip(joints, *self._arm.joint_range.T)
-        self._used, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
+        self._was_commanded, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
 
     def set_gripper(self, opening: float) -> None:
         """Set the opening of each finger, m, clipped to its range."""
-        self._used, self.opening = True, min(max(opening, 0.0), self.widest)
+        self._was_commanded, self.opening = True, min(max(opening, 0.0), self.widest)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper fully, or close it: a weld's gripper to the object's opening, another gripper wholly."""
+        """Open the gripper fully, or close it. With welds, the gripper closes to the opening around the object."""
         self.set_gripper(self._closed if self.is_open else self.widest)
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the magnet, which holds an object within its reach."""
-        self._used, self.magnet = True, on
+        """Switch the weld, which holds an object within its reach."""
+        self._was_commanded, self.magnet = True, on
 
     def release(self) -> None:
-        """Switch the magnet off, open the gripper, and hold the joints."""
+        """Switch the weld off, open the gripper, and hold the joints."""
         self.magnet = False
-        if self._used:
+        if self._was_commanded:
             self.opening = self.widest
         self.halt()
 
     def halt(self) -> None:
-        """Hold the joints, and keep the grasp."""
-        self._joint_target = self._pursuit.joints.copy()
+        """Hold the joints without a change of the gripper and the weld."""
+        self._joint_target = self._tracker.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """The commands to the drives for the next tick, rad and m.
+        """Advance the reference by a tick, and return the commands (drives,) to the drives, rad and m.
 
         Args:
-            qpos: MuJoCo's positions (nq,) now.
+            qpos: the present positions (nq,) of the scene.
         """
-        before = self._pursuit.joints
+        before = self._tracker.joints
         velocity = self._step_reference(qpos)
-        # As `episode.commands.drive_commands`, without the compensation of inertia: the next target is not known.
-        command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
+        # As `core.episode.commands.drive_commands`, without inertia compensation, since the next target is unknown.
+        command = (before + self._tracker.joints) / 2 + self._arm.kv * velocity / self._arm.kp
         return self._with_opening(command)
 
     def posture_of(self, asked: Array) -> ArmPosture:
-        """The stand of a value of `asked`."""
+        """Convert a value of `reference` (drives,) to a posture."""
         return ArmPosture(asked[: self._arm.dof], float(asked[-1]) if self._arm.fingers else 0.0)
 
     def _with_opening(self, joints: Array) -> Array:
         return joints.copy() if self._arm.fingers is None else np.append(joints, self.opening)
 
     def _step_reference(self, qpos: Array) -> Array:
-        """Move the reference a tick towards the target, unless blocked; returns its velocity (dof,), rad/s."""
-        pursuit = self._pursuit
-        after = pursuit.next_reference(self._goal())
-        depth, name = self._obstruction.depth(qpos, after)
-        # A motion out of an obstacle is allowed.
-        if depth and depth >= self._obstruction.depth(qpos, pursuit.joints)[0]:
+        """Move the reference a tick towards the target, unless blocked. Return its velocity (dof,), rad/s."""
+        tracker = self._tracker
+        after = tracker.next_reference(self._goal())
+        depth, name = self._collision_check.depth(qpos, after)
+        # A motion that reduces the penetration is allowed.
+        if depth and depth >= self._collision_check.depth(qpos, tracker.joints)[0]:
             self.obstacle = name
-            pursuit.halt()
+            tracker.halt()
             return np.zeros(self._arm.dof)
         self.obstacle = ""
-        return pursuit.apply_reference(after)
+        return tracker.apply_reference(after)
 
     def _goal(self) -> Array:
-        """The target joints (dof,), rad."""
+        """Return the target joints (dof,), rad, and update `target_distance`."""
         if self._joint_target is not None:
             self.target_distance = 0.0
             return self._joint_target
-        solution = self._ik.solve_next(self._target, self._ik.solution_at(self._pursuit.joints), _IK_ITERATIONS)
-        self.target_distance = solution.position_error if solution.position_error > _REACH else 0.0
+        solution = self._ik.solve_next(self._target, self._ik.solution_at(self._tracker.joints), _IK_ITERATIONS)
+        self.target_distance = solution.position_error if solution.position_error > _REACH_TOLERANCE else 0.0
         return solution.joints
 
     def _above_table(self, T: Array) -> Array:
@@ -169,10 +169,10 @@ class TeleopArm:
         return lifted
 
 
-def _opening_around_a_thing(config: RecordConfig) -> float:
-    """The opening of one finger around the first object to grasp, m, to which the gripper of a weld closes.
+def _opening_around_object(config: RecordConfig) -> float:
+    """Return the opening of one finger around the first object to grasp, m, to which grippers with welds close.
 
-    Fingers that hold by friction close until the object stops them: 0.
+    The result is 0 for grasps by friction, since the object stops the fingers.
     """
     grasps = (item.grasp for item in config.task.objects)
     first = next((grasp for grasp in grasps if grasp is not None), None)
@@ -180,7 +180,7 @@ def _opening_around_a_thing(config: RecordConfig) -> float:
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
-    """Pose (4, 4) of a site in another site of the same body."""
+    """Return the pose (4, 4) of a site in the frame of another site on the same body."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))

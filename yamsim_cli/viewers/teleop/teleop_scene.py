@@ -1,4 +1,4 @@
-"""Arms that are driven tick by tick: targets in, driven attempts out. The module knows neither pages nor files."""
+"""Simulates teleoperated arms tick by tick, and submits the attempts. The module depends on neither pages nor files."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ from .attempt_writer import AttemptReceiver
 from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
 from .teleop_arm import TeleopArm
 
-TIME_LIMIT = 600.0  # s, of a recording, by default
+TIME_LIMIT = 600.0  # s, default time limit of a recording
 
 
 class TeleopAttemptScene:
-    """The compiled scene and the arms of the attempt that was begun last. Each cast of things has its own scene.
+    """The compiled scene and the arms of the present attempt. Each role assignment has a scene of its own.
 
     Attributes:
-        sides: of the arms, in the order of recordings.
-        postures: of the arms, at the start.
+        scene: the compiled scene.
+        arms: the arms, in the order of recordings.
+        sides: sides of the arms, in the order of recordings.
+        postures: start postures of the arms.
     """
 
     scene: CompiledScene
@@ -47,10 +49,10 @@ class TeleopAttemptScene:
         self.postures = start_postures(session.config)
 
     def begin(self, job: AttemptJob) -> Attempt:
-        """The sampled attempt of a job.
+        """Sample the attempt of a job, which becomes the present attempt.
 
         Raises:
-            SimulationError: the attempt's things have no room.
+            SimulationError: no layout has room for the objects of the attempt.
         """
         attempt = self.sample(job)
         if attempt.start is None:
@@ -61,7 +63,7 @@ class TeleopAttemptScene:
         return attempt
 
     def sample(self, job: AttemptJob, start: Array | None = None) -> Attempt:
-        """The sampled attempt of a job, with or without a start; or with a given start, MuJoCo's positions (nq,)."""
+        """Sample the attempt of a job, which may lack a start. If given, `start` (nq,) becomes its start state."""
         simulator = self._simulators.get(job)
         if simulator is not self._simulator:
             self._simulator, self.scene = simulator, simulator.scene
@@ -70,39 +72,41 @@ class TeleopAttemptScene:
         return attempt if start is None else replace(attempt, start=start)
 
     def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
-        """The episode of the attempt that was begun last, at its start."""
+        """Reset the arms, and open the episode of the present attempt."""
         assert self._simulator is not None, "begin comes first"
-        for arm, stand in zip(self.arms, self.postures, strict=True):
-            arm.reset(stand)
+        for arm, posture in zip(self.arms, self.postures, strict=True):
+            arm.reset(posture)
         return open_episode(self._simulator, attempt, rules)
 
     def result(self, attempt: Attempt, episode: Episode) -> SimulatedAttempt:
-        """End an attempt's episode, and return the attempt's result."""
+        """Finish the episode of an attempt, and return the attempt with its result."""
         assert self._simulator is not None, "begin comes first"
         played = episode.finish()
         return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
 
 
 class TeleopScene(TeleopInterface):
-    """A scene and its state; a `viewers.teleop_interface.Driven`. Its methods may be called from any thread.
+    """A scene with teleoperated arms, and its state. All methods are thread-safe.
 
-    Of two arms one is driven at a time, and the other continues to its last target. Methods without a side command the
-    driven arm. The arm follows a target, a pose of the hand or joints, see `TeleopArm`. After a stop, targets are
-    ignored until everything is at rest. A recording begins at rest at its attempt's layout. Each attempt has its own
-    cast, so the scene and the model change between attempts. A stop releases what magnets hold. Fingers keep their
-    grasp, since that may be the goal.
+    Of two arms, one is teleoperated at a time, and the other continues to its last target. Methods without a side
+    command the teleoperated arm. An arm follows a target pose or target joints, see `TeleopArm`. A recording begins at
+    rest with the layout of its attempt. Each attempt has its own role assignment, so the scene and the model change
+    between attempts. A stop releases objects that welds hold. Fingers keep their grasp, since the goal may require it.
+    After a stop, the scene ignores targets until it is at rest.
 
     Attributes:
-        sides: of the arms, in the order of recordings.
-        driven: index of the driven arm in that order.
+        sides: sides of the arms, in the order of recordings.
+        driven: index of the teleoperated arm in that order.
+        episodes, failures, waiting, discarded: counts of attempts, see `TeleopStatus`.
+        message: the result of the last command.
 
     Args:
-        receiver: gets the driven attempts.
-        time_limit: of a recording, s.
-        end: who ends a recording: the person, or the first tick at which the goal has held for its hold time.
+        receiver: receives the attempts.
+        time_limit: time limit of a recording, s.
+        end: the rule that ends a recording.
 
     Raises:
-        SimulationError: the task's things have no room.
+        SimulationError: no layout has room for the objects of the task.
     """
 
     def __init__(
@@ -116,9 +120,9 @@ class TeleopScene(TeleopInterface):
         super().__init__()
         self._config = config = session.config
         self._receiver, self._journal = receiver, journal
-        self._longest = max(1, round(time_limit / config.task.timing.tick))
+        self._max_ticks = max(1, round(time_limit / config.task.timing.tick))
         self._rules = EpisodeRules(end)
-        self._magnets = config.grasp == "weld"
+        self._has_welds = config.grasp == "weld"
         self.title = f"{config.task.name} teleop"
         self._stage = TeleopAttemptScene(session)
         self.sides = self._stage.sides
@@ -128,7 +132,7 @@ class TeleopScene(TeleopInterface):
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
         self._ticks = 0
-        # Ticks that are left until the attempt of a stopped recording is judged.
+        # Remaining ticks until a stopped recording is submitted.
         self._settling: int = 0
         self._begin()
 
@@ -149,7 +153,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def recording(self) -> bool:
-        """Whether a recording goes on, or comes to rest after a stop."""
+        """Whether an attempt is being recorded, including the ticks after a stop."""
         return self._recording
 
     @property
@@ -173,7 +177,7 @@ class TeleopScene(TeleopInterface):
                 at_limit=arm.at_limit,
                 obstacle=arm.obstacle,
                 gripper_open=arm.is_open,
-                magnet=arm.magnet if self._magnets else None,
+                magnet=arm.magnet if self._has_welds else None,
                 magnet_holds=self._episode.held[self.driven],
                 message=self.message,
                 prompt=self._attempt.phrasing,
@@ -181,35 +185,35 @@ class TeleopScene(TeleopInterface):
             )
 
     def switch_arm(self) -> None:
-        """Drive the other arm, if there is one."""
+        """Teleoperate the other arm, if the rig has two."""
         with self.lock:
             self.driven = (self.driven + 1) % len(self.sides)
 
     def select_arm(self, side: str) -> None:
-        """Drive the arm of a side, "left" or "right", which has to exist."""
+        """Teleoperate the arm of a side, "left" or "right", which must exist."""
         with self.lock:
             self.driven = self.sides.index(side)
 
     def set_target_pose(self, T_pinch_in_world: Array) -> None:
-        """Set the hand's target (4, 4); a target inside the table is lifted above it."""
+        """Set the target pose (4, 4) of the pinch frame in `world`. A target inside the table is lifted above it."""
         self._command(lambda arm: arm.set_target_pose(T_pinch_in_world))
 
     def set_grasp_target(self, T_grasp_in_base: Array) -> None:
-        """Set the hand's target: a pose (4, 4) of `grasp_site` in the base to which frames' `ee_pose` refers."""
+        """Set the target pose (4, 4) of `grasp_site` in the base of the left or only arm, as `ee_pose` in frames."""
         self._command(lambda arm: arm.set_grasp_target(self._stage.scene.T_base_in_world @ T_grasp_in_base))
 
     def set_joint_target(self, joints: Array) -> None:
-        """Set the arm's target joints, rad, as a leader arm does; they are clipped to the stops."""
+        """Set the target joints (dof,), rad, clipped to the joint limits."""
         self._command(lambda arm: arm.set_joint_target(joints))
 
     def set_all_joint_targets(self, joints: Array) -> None:
-        """Set all arms' target joints and openings (arms, drives), rad and m; arms without fingers have no opening."""
+        """Set target joints and openings (arms, drives), rad and m. Arms without fingers have no opening."""
         with self.lock:
             if not self._settling:
                 for arm, row in zip(self._arms, joints, strict=True):
-                    stand = arm.posture_of(row)
-                    arm.set_joint_target(stand.joints)
-                    arm.set_gripper(stand.opening)
+                    posture = arm.posture_of(row)
+                    arm.set_joint_target(posture.joints)
+                    arm.set_gripper(posture.opening)
 
     def set_gripper(self, opening: float) -> None:
         """Set the opening of each finger, m, clipped to its range."""
@@ -220,17 +224,16 @@ class TeleopScene(TeleopInterface):
         self._command(lambda arm: arm.toggle_gripper())
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the magnet, which holds an object within its reach."""
+        """Switch the weld, which holds an object within its reach."""
         self._command(lambda arm: arm.set_magnet(on))
 
     def _command(self, command: Callable[[TeleopArm], None]) -> None:
-        """Command the driven arm, unless a stopped recording comes to rest."""
         with self.lock:
             if not self._settling:
                 command(self._arm)
 
     def start(self) -> None:
-        """Reset everything to the attempt's start, and record."""
+        """Reset the scene to the start of the attempt, and record."""
         with self.lock:
             self.settle()
             self._begin(recording=True)
@@ -239,9 +242,7 @@ class TeleopScene(TeleopInterface):
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording, and release what magnets hold. The attempt is submitted after the time in which things
-        settle and the goal has to hold.
-        """
+        """End the recording, and release objects that welds hold. Submit the attempt after settling and hold time."""
         with self.lock:
             if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
@@ -252,51 +253,50 @@ class TeleopScene(TeleopInterface):
         self._halt_arms()
         if self._journal:
             self._journal.stop()
-        self._settling = self._rest_ticks
-        self.message = f"{'letting go, and ' if self._magnets else ''}waiting until all is at rest"
+        self._settling = self._ticks_after_stop
+        self.message = f"{'letting go, and ' if self._has_welds else ''}waiting until all is at rest"
         if not self._settling:
             self._finish_recording()
 
     def _halt_arms(self) -> None:
         for arm in self._arms:
-            if self._magnets:
+            if self._has_welds:
                 arm.release()
             else:
                 arm.halt()
 
     @property
-    def _rest_ticks(self) -> int:
-        """Ticks of a recording after a stop."""
+    def _ticks_after_stop(self) -> int:
         task = self._config.task
         return task.timing.settle_ticks + task.hold_ticks
 
     def pause_unattended(self) -> None:
-        """Pause a recording that nobody watches any more."""
+        """Pause a recording because the last page was closed."""
         with self.lock:
             if self._recording and not self.paused:
                 self.paused = True
                 self.message = "paused, since nobody was watching: Play goes on"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
-        """Submit the recording of a killed session, after the release and the rest that it still lacks."""
+        """Submit the recording of a killed session, after a simulation of the missing ticks after its stop."""
         with self.lock:
             self._put(self._stage.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.reference)
             for k, arm in enumerate(self._arms):
-                asked = np.array([tick.reference[k] for tick in left.ticks])
-                if len(asked) and (asked != asked[0]).any():
-                    last = arm.posture_of(asked[-1])
+                references = np.array([tick.reference[k] for tick in left.ticks])
+                if len(references) and (references != references[0]).any():
+                    last = arm.posture_of(references[-1])
                     arm.reset(last)
                     arm.set_joint_target(last.joints)
             self._halt_arms()
             since = 0 if left.stopped is None else len(left.ticks) - left.stopped
-            for _ in range(max(0, self._rest_ticks - since)):
+            for _ in range(max(0, self._ticks_after_stop - since)):
                 self._act()
             self._submit_recording()
 
     def settle(self) -> None:
-        """Let the ticks after a stop pass at once."""
+        """Simulate all remaining ticks after a stop immediately."""
         with self.lock:
             while self._settling:
                 self._tick()
@@ -312,7 +312,7 @@ class TeleopScene(TeleopInterface):
         self._begin()
 
     def discard(self) -> None:
-        """Discard the recording; the same layout comes again."""
+        """Discard the recording. The next attempt has the same layout."""
         with self.lock:
             if not self._recording:
                 self.message = "nothing was being recorded"
@@ -324,7 +324,7 @@ class TeleopScene(TeleopInterface):
             self._begin()
 
     def reset(self) -> None:
-        """Reset everything to the attempt's start; a present recording is discarded."""
+        """Reset the scene to the start of the attempt. Discard a present recording."""
         with self.lock:
             if self._recording:
                 self.discard()
@@ -332,17 +332,17 @@ class TeleopScene(TeleopInterface):
                 self._begin()
 
     def tick(self) -> None:
-        """Let a control tick pass, unless paused."""
+        """Simulate a control tick, unless paused."""
         with self.lock:
             if not self.paused:
                 self._tick()
 
     def advance(self, now: float) -> None:
-        """Let a control tick pass; the caller keeps the time."""
+        """Simulate a control tick, unless paused. The caller keeps the time."""
         self.tick()
 
     def _begin(self, *, recording: bool = False) -> None:
-        """Put the scene to the next attempt's start. Only a recording can end by the rules."""
+        """Set the scene to the start of the next attempt. Only recordings end by the rules."""
         attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
         self._put(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording
@@ -362,20 +362,19 @@ class TeleopScene(TeleopInterface):
         return self._arms[self.driven]
 
     def _act(self) -> None:
-        """Let the arms' commands act for a tick."""
         ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])
         magnet = tuple(arm.magnet for arm in self._arms)
-        asked = np.array([arm.reference for arm in self._arms])
-        self._episode.step(ctrl, magnet, asked)
+        reference = np.array([arm.reference for arm in self._arms])
+        self._episode.step(ctrl, magnet, reference)
         if self._recording and self._journal:
-            self._journal.add(CommandTick(ctrl, magnet, asked))
+            self._journal.add(CommandTick(ctrl, magnet, reference))
 
     def _tick(self) -> None:
         self._act()
         for arm, holds in zip(self._arms, self._episode.held, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
-                if self._magnets:
+                if self._has_welds:
                     self.message = "the magnet found nothing within its reach"
         self._ticks += 1
         if self._settling:
@@ -384,6 +383,6 @@ class TeleopScene(TeleopInterface):
                 self._finish_recording()
         elif self._recording and self._episode.end is not None:
             self._finish_recording()
-        elif self._recording and self._episode.ticks >= self._longest:
+        elif self._recording and self._episode.ticks >= self._max_ticks:
             self._end()
-            self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"
+            self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the longest that is recorded"

@@ -1,4 +1,4 @@
-"""Teleoperation sessions: arms driven by a stream of commands, or by a person on a page."""
+"""Teleoperation sessions with a command stream, or with a user on a browser page."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from .command_stream import StreamPlayer, TeleopCommand
 from .recording_journal import RecordingJournal
 from .teleop_scene import TIME_LIMIT, TeleopScene
 
-_MAX_CATCH_UP = 0.25  # s; a loop that is farther behind continues from the present time
-_POLL_SECONDS = 0.5  # s, that the end of a session waits for an attempt at a time
+_MAX_CATCH_UP = 0.25  # s, largest delay that the loop makes up for; a larger delay is skipped
+_POLL_SECONDS = 0.5  # s, longest single wait for an attempt at the end of a session
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,10 @@ class Jitter:
 
     Attributes:
         rate_hz: nominal rate of ticks.
-        ticks: how many there were.
-        p50, p95, max: median, 95 % percentile and maximum.
-        late: how many ticks began more than half a tick after they were due.
-        lost: time that the simulation stood still because the loop was too far behind to catch up, ms. The recording
-            lacks no tick by that.
+        ticks: number of ticks.
+        p50, p95, max: median, 95th percentile and maximum.
+        late: number of ticks that began more than half a tick late.
+        lost: time that the loop skipped because its delay was too large, ms. The recording still has every tick.
     """
 
     rate_hz: float
@@ -55,7 +54,7 @@ class Jitter:
 
 
 class TickClock:
-    """Paces a loop by the monotonic clock, and measures the jitter."""
+    """Paces a loop with the monotonic clock, and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -78,7 +77,7 @@ class TickClock:
 
     @property
     def jitter(self) -> Jitter | None:
-        """None before the second tick."""
+        """The jitter so far; None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
@@ -92,9 +91,11 @@ class TeleopReport:
     """The result of a session.
 
     Attributes:
-        episodes, attempts: numbers in the dataset now.
-        trials: of this session, in order.
-        jitter: of the control ticks; None if they did not follow the clock.
+        path: directory of the dataset.
+        episodes, attempts: numbers in the dataset.
+        discarded: number of recordings that the user discarded.
+        trials: records of the attempts of this session, in order.
+        jitter: jitter of the control ticks; None if ticks did not follow the clock.
     """
 
     path: Path
@@ -107,14 +108,14 @@ class TeleopReport:
 
 @dataclass(frozen=True)
 class TeleopSession:
-    """The arms in their scene, and the writer of the attempts."""
+    """The scene, the writer of its attempts, and the dataset."""
 
     scene: TeleopScene
     attempts: AttemptWriter
     dataset: DatasetWriter
 
     def update(self, timeout: float = 0.0) -> None:
-        """Show the scene's user the next written attempt; raises as `AttemptWriter.next_written`."""
+        """Update the numbers and the message of the scene. Raises the errors of `AttemptWriter.next_written`."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
         scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
@@ -124,7 +125,7 @@ class TeleopSession:
             scene.message = f"attempt {attempt.attempt}: {end}"
 
     def finish(self, jitter: Jitter | None) -> TeleopReport:
-        """Wait until all attempts are written."""
+        """Wait until all attempts are written, and return the report."""
         while self.attempts.waiting:
             self.update(_POLL_SECONDS)
         data, trials = self.dataset, tuple(self.attempts.trials)
@@ -133,11 +134,11 @@ class TeleopSession:
 
 
 def check_page(address: PageAddress) -> None:
-    """Make sure that a page can be served, before its dataset is made.
+    """Check that a page can be served, before the dataset is created.
 
     Raises:
-        UsageError: the address is in use.
-        ResourceError: the viewer library is not installed.
+        UsageError: the host is no address of this machine.
+        ResourceError: the port is in use, or viser is not installed.
     """
     require_viser()
     from ..scene_page import require_free_address
@@ -154,15 +155,15 @@ def open_teleop(
     *,
     time_limit: float = TIME_LIMIT,
 ) -> Iterator[TeleopSession]:
-    """Open a dataset and a scene to drive; recordings of killed sessions are judged first.
+    """Open a dataset and a scene for teleoperation. Recordings of killed sessions are judged first.
 
     Args:
         warn: called with each warning.
-        time_limit: of a recording, s, which is then stopped and judged.
+        time_limit: time limit of a recording, s. At the limit, the recording is stopped and judged.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
-        PartialJobError: the disk refused something.
+        PartialJobError: a write to the disk failed.
     """
     session = state_meshes(session)
     config = session.config
@@ -172,7 +173,7 @@ def open_teleop(
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
         for number in sorted(writer.lost_lines):
-            # A demonstration cannot be made again, which the ledger states from now on.
+            # A demonstration cannot be repeated, so write a placeholder record to the ledger.
             writer.log(writer.attempts[number])
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
@@ -187,7 +188,8 @@ def open_teleop(
                 yield TeleopSession(scene, attempts, writer)
         except OSError as error:
             raise PartialJobError(
-                f"{explain_disk_error(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
+                f"{explain_disk_error(error, out)}: {writer.episodes} episodes are whole in {out}; "
+                "continue with --resume"
             ) from error
         except BaseException:
             with contextlib.suppress(OSError):
@@ -198,11 +200,11 @@ def open_teleop(
 def _submit_unfinished(
     scene: TeleopScene, attempts: AttemptWriter, journal: RecordingJournal, warn: Callable[[str], None]
 ) -> None:
-    """Submit the recordings of killed sessions whose attempt is the dataset's next one."""
+    """Submit the recordings of killed sessions that continue the dataset without a gap."""
     for left in journal.unfinished():
         attempt = left.job.attempt
         if attempt < attempts.next_attempt or not left.ticks:
-            # The attempt is already written, or has no tick.
+            # The attempt is in the dataset already, or has no tick.
             journal.drop(attempt)
         elif attempt > attempts.next_attempt:
             warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
@@ -215,10 +217,10 @@ def _submit_unfinished(
 def run_stream(
     session: TeleopSession, commands: Sequence[TeleopCommand], stop: StopRequest, *, realtime: bool
 ) -> TeleopReport:
-    """Drive the arms by a stream of commands. At its end a recording is stopped; if the user ends it, discarded.
+    """Teleoperate the arms with a command stream. Its end stops a recording; a stop request discards the recording.
 
     Args:
-        realtime: whether ticks follow the clock; otherwise they pass as fast as possible, with the same result.
+        realtime: whether ticks follow the clock; otherwise they run as fast as possible, with the same result.
     """
     scene, player = session.scene, StreamPlayer(commands)
     clock = TickClock(scene.tick_seconds) if realtime else None
@@ -237,7 +239,7 @@ def run_stream(
 
 
 def _end_recording(scene: TeleopScene) -> None:
-    """Submit a stopped recording, and discard any other."""
+    """Submit a stopped recording, or discard an unfinished one."""
     scene.settle()
     if scene.recording:
         scene.discard()
@@ -246,13 +248,13 @@ def _end_recording(scene: TeleopScene) -> None:
 def run_page(
     session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: StopRequest
 ) -> TeleopReport:
-    """Serve a page until the user ends it; a recording that is not stopped by then is discarded.
+    """Serve a page until the user ends the session, and discard an unfinished recording.
 
     Args:
-        ready: called with the page's URL once the page is served.
+        ready: called with the URL once the page is served.
 
     Raises:
-        UsageError: the address is in use.
+        UsageError, ResourceError: the page cannot listen on the address.
     """
     from ..teleop_page import TeleopPage
 
