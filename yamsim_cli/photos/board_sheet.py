@@ -1,7 +1,6 @@
 """Lay out a board's printed page, and write the page as a PDF of vector shapes or as a PNG with its resolution.
 
-Lengths are in mm on the page, with x right and y down from its top left corner. `board_sheet` converts a `Board`'s
-metres.
+Lengths are in mm on the page, with x right and y down from the top left corner, except those of `Board`.
 """
 
 from __future__ import annotations
@@ -94,16 +93,15 @@ class PrintedPage:
     marks: tuple[Mark, ...]
 
 
-# The page's margin, where most printers cannot print.
-_MARGIN = 12.0
+_MARGIN = 12.0  # of the page, where most printers cannot print
 _TITLE_SIZE = 6.0
 _LINE_STEP = 5.2
 _HEADER = 12.0 + 4 * _LINE_STEP
 _RULER_LENGTH = 100.0
 _RULER_COLUMN = 14.0
 _FOOTER = 40.0
-_QUIET = 5.0
-_CROP_MARK = 6.0
+_QUIET = 5.0  # minimum width of the white zone around the board
+_CROP_MARK = 6.0  # length
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:

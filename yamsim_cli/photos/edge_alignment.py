@@ -25,9 +25,7 @@ _TUKEY_CUTOFF = 4.685  # standard deviations, above which a residual has no weig
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _BORDER = 3  # grains from the picture's border, within which outlines are ignored
 _ROUNDS = 6  # of a refinement
-_REACH_RATIO = (
-    0.62  # ratio of a round's reach to the previous one; short final reaches exclude edges other than the arm's
-)
+_REACH_RATIO = 0.62  # of consecutive rounds, so that in the end only the arm's own edges are within reach
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ Item = Mapping[str, Any]
 
 
 class FactTable:
-    """A table of one item's properties, with a name and a value per row; in a narrow terminal, values below long names."""
+    """A table of one item's properties, one per row. In a narrow terminal, values are below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
         self._rows = [(_plain(name), _plain(value)) for name, value in rows]

@@ -161,19 +161,21 @@ def judge_detection(
             f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
             "from nearer by or from a slant"
         )
-        smear = fit.alignment.blur
+        kernel = fit.alignment.blur
         return BoardDetection(
-            board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=smear, advice=advice
+            board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=kernel, advice=advice
         )
     creased = _CREASED_SHARE_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASED_SHARE
     shaped = marginalize_shape(photo, camera, [whole_board_piece(board, fit.agreeing)], fit.alignment, creased=creased)
     covariance, shared = pose_covariance(shaped, camera, np.zeros(3))
-    sighting = BoardDetection(board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.blur)
-    turn, shift = sighting.rotation_sigma, sighting.own_position_sigma
+    detection = BoardDetection(
+        board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.blur
+    )
+    turn, shift = detection.rotation_sigma, detection.own_position_sigma
     assert turn is not None and shift is not None
     own_turn = math.sqrt(float(np.trace((covariance - shared @ shared.T)[:3, :3])))
     if own_turn <= limits.turn and turn <= _SHARED_ERROR_FACTOR * limits.turn and shift <= limits.shift:
-        return sighting
+        return detection
     why = (
         "too few, too small or too blurred markers"
         if shaped.flat > _MIN_FLAT_PROBABILITY
@@ -183,11 +185,10 @@ def judge_detection(
         )
     )
     reason = f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: {why}"
-    return replace(sighting, status=BoardStatus.UNCERTAIN, reason=reason, advice=advice)
+    return replace(detection, status=BoardStatus.UNCERTAIN, reason=reason, advice=advice)
 
 
 def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> bool:
-    """Return whether several markers that the fit excludes are whole but displaced, as beyond a crease."""
     if fit.contradicting < _MIN_DISPLACED:
         return False
     check = measure_agreement(photo, camera, [whole_board_piece(board)], fit.T, fit.alignment.blur, fit.alignment.noise)
@@ -212,8 +213,8 @@ def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> 
     # A rotation w about the centre moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    mistakes = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
-    shared: Array = moved @ np.column_stack(mistakes)
+    error_columns = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(error_columns)
     covariance: Array = moved @ alignment.covariance @ moved.T + shared @ shared.T
     return covariance, shared
 

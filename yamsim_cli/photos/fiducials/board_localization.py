@@ -185,18 +185,18 @@ def locate_together(
     ]
     # The most certain board gives the start pose of the shared frame.
     best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
-    T_board_in_cam, smear = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
+    T_board_in_cam, kernel = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
     # The scale is fitted too: an error of a quarter of a percent in a fixed scale would tilt the boards by 0.2 degrees.
-    growth = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
+    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
-    T_start[:3, 3] *= math.exp(growth.start)
+    T_start[:3, 3] *= math.exp(scale_prior.start)
     T_start = T_start @ inverse(T_boards_in_ref[best])
     photo = grey.astype(np.float32)
-    alignment = align_pose(photo, camera, pieces, T_start, smear, log_scale_prior=growth)
+    alignment = align_pose(photo, camera, pieces, T_start, kernel, log_scale_prior=scale_prior)
     if alignment is None or abs(alignment.log_scale) > _MAX_LOG_SCALE:
         return None
-    alignment = marginalize_shape(photo, camera, pieces, alignment, growth)
+    alignment = marginalize_shape(photo, camera, pieces, alignment, scale_prior)
     T_ref, joint = alignment.T_ref_in_cam, []
     for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
         covariance, shared = pose_covariance(alignment, camera, T[:3, 3])

@@ -202,12 +202,12 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     # Another size scales the vector from the camera to the board.
     way = two.T_board_in_cam[:3, 3]
     weighted = np.linalg.solve(noise, np.column_stack([off, way]))
-    growth = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
+    size_change = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
     before = float(off @ weighted[:, 0])
-    left = before - growth**2 * float(way @ weighted[:, 1])
-    if before - left < _MIN_EXPLAINED or left > _MAX_UNEXPLAINED or abs(growth) < _MIN_SIZE_DIFFERENCE:
+    left = before - size_change**2 * float(way @ weighted[:, 1])
+    if before - left < _MIN_EXPLAINED or left > _MAX_UNEXPLAINED or abs(size_change) < _MIN_SIZE_DIFFERENCE:
         return None
-    return 1.0 + growth
+    return 1.0 + size_change
 
 
 def _without_pose(sighting: BoardDetection) -> BoardDetection:

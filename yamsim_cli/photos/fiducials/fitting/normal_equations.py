@@ -1,4 +1,4 @@
-"""Residuals of a drawn print against the photo, their Jacobian, and robust least squares over all pixels."""
+"""Compute residuals of a rendered print against the photo, their Jacobian, and robust normal equations."""
 
 from __future__ import annotations
 

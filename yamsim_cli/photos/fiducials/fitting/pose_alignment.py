@@ -37,8 +37,8 @@ _MAX_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
 USUAL_BLUR = BlurKernel(0.9)  # px, start of a fit if the blur is not known
 
 # Ratio of the standard deviations with marginalized shape and placement to those from noise alone. At 1.3, the 95 %
-# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tools.bench.print_shape`, seeds
-# below 200, and `tools.bench.filament`). 1.4 leaves a margin.
+# intervals hold at least 95 % of the poses in each of six sets of 40 to 120. 1.4 leaves a margin. Source:
+# `python -m tools.bench.print_shape` with seeds below 200, and `tools.bench.filament`.
 INFLATION = 1.4
 
 _PX_PER_LOG_SCALE = 4.0  # px, shift of the print per unit of log scale; the distance compensates the rest
@@ -238,7 +238,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         by_ray = pixels.by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
-        # A longer focal length mostly changes the distance. `alignment` adds that large part, and this one omits it.
+        # A longer focal length mostly changes the distance. This derivative omits that part, and `alignment` adds it.
         by_focal = along + by_shift[:, 2] * self._depth(T)
         by_lens = [by_focal]
         if self._camera.intrinsics_covariance:
@@ -281,13 +281,13 @@ class _PoseProblem(PrintProblem[_PoseState]):
         # A fold moves the print by the distance from the crease.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
         neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
-        growth = held.index(_LOG_SCALE) if _LOG_SCALE in held else None
+        scale_index = held.index(_LOG_SCALE) if _LOG_SCALE in held else None
         return replace(
             found,
             T_ref_in_cam=self.apply_step(state, pose_of.step).T,
             covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
             by_lens=by_lens,
-            by_print=found.by_print if growth is None else pose_of.moves[turns, growth],
+            by_print=found.by_print if scale_index is None else pose_of.moves[turns, scale_index],
             flat=pose_of.flat,
         )
 
@@ -302,8 +302,8 @@ class _PoseProblem(PrintProblem[_PoseState]):
         blur = float(np.clip(state.blur.blur + every[_BLUR], *self._blur_range))
         motion = np.array(state.blur.motion) + every[_MOTION]
         motion *= min(1.0, _MAX_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
-        smear = BlurKernel(blur, (float(motion[0]), float(motion[1])))
-        return _PoseState(pose(at - R @ self._centre, R), smear, state.log_scale + float(every[_LOG_SCALE]))
+        kernel = BlurKernel(blur, (float(motion[0]), float(motion[1])))
+        return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
     def _every(self, step: Array) -> Array:
         """Return the step of all parameters except the lens, with 0 for parameters that are not fitted."""

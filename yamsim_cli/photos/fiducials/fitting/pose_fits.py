@@ -135,8 +135,8 @@ def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Boa
         kept = tuple(k for k in candidates.markers if k in tiles and k not in _outliers(tiles))
         if kept == fit.agreeing:
             break
-        smear, noise = fit.alignment.blur, fit.alignment.noise
-        again = align_pose(photo, camera, [whole_board_piece(board, kept)], fit.T, smear)
+        kernel, noise = fit.alignment.blur, fit.alignment.noise
+        again = align_pose(photo, camera, [whole_board_piece(board, kept)], fit.T, kernel)
         if again is None or not faces_camera(again.T_ref_in_cam):
             break
         fit = PoseFit(again, kept, fit.contradicting + len(fit.agreeing) - len(kept))
@@ -203,7 +203,7 @@ def _other_boards_agree(fit: PoseFit, rival: PoseFit, predicted_poses: Sequence[
 
 
 def is_clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
-    """Return whether the photo is so much likelier under `fit` that `rival` is excluded."""
+    """Return whether the photo's likelihood under `fit` excludes `rival`."""
     evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(rival.mean_square / fit.mean_square)
     return evidence >= _MIN_EVIDENCE
 

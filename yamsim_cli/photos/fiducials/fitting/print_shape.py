@@ -68,9 +68,9 @@ def shape_modes(board: Board, at: Array) -> Array:
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
     """Return the shift of points (n, 2) on a board along x (n, m) and along y (n, m), per metre of each mode.
 
-    A printer or a drawing program rounds all markers of a column alike, all markers of a row alike, and the half edge
-    of all markers alike. Without the last mode, the marker size would determine the print's scale. Marker positions
-    determine the scale better.
+    Rounding in a printer or a drawing program is equal for all markers of a column, all markers of a row, and the half
+    edges of all markers. Without the last mode, the marker size would determine the print's scale, instead of the more
+    exact marker positions.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])

@@ -211,9 +211,9 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
-        smeared = blur.blurred(every)
-        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(smeared[..., 0])
-        outside, beside = every[..., 1:], smeared[..., 1:]
+        blurred = blur.blurred(every)
+        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(blurred[..., 0])
+        outside, beside = every[..., 1:], blurred[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
     return RenderedPrint(sharp, grey, outside, beside, at, _marker_at(view, at, blur))

@@ -35,8 +35,8 @@ from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
 # Error of each point without noise, px of the view, because the rendering has few sample points per pixel. Source: 350
-# outlines of random views. With this error and the noise, 95 % of squared distances are within those of a normal
-# distribution, in sharp and blurred, small and large photos.
+# outlines of random views, sharp and blurred, small and large. With this error and the noise, 95 % of squared distances
+# are within those of a normal distribution.
 _MIN_SIGMA_PX = 0.003
 # Ratio of standard deviations to those from noise alone, since the fit does not marginalize the print's shape and
 # placement. Source: `python -m tools.bench.intervals`.

@@ -27,8 +27,7 @@ from .board_poses import BoardPoses, FocalPoses, fit_board_poses, select_rows
 
 Grey = NDArray[np.uint8]
 
-# Search range in longer sides of the image: from a field of view of 100 degrees to a lens longer than those that film
-# robots.
+# Search range, longer sides of the image: from a 100 degree field of view to a lens longer than those that film robots.
 _FOCAL_RANGE = (0.42, 16.0)
 _NODES, _REFINED_NODES = 57, 33  # focal lengths of a profile over the whole range, and over one valley
 _MAX_VALLEYS = 3  # local minima of the misfit that are refined
@@ -48,8 +47,8 @@ _CURVATURE_SHARE = 0.5
 _MAX_INTERVAL_RATIO = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
 _MAX_MISFIT_SIGMAS = 3.72  # standard deviations, which one in ten thousand sets of consistent outlines exceeds
 
-_USUAL = 0.5 / math.tan(math.radians(30.0))  # longer sides, focal length of a 60 degree field of view along that side
-_USUAL_SIGMA = 0.35  # standard deviation of its logarithm
+_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides, for a field of view of 60 degrees
+_TYPICAL_LOG_SIGMA = 0.35  # standard deviation of the logarithm of a typical focal length
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
@@ -247,7 +246,7 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
 def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> FocalEstimate:
     """Estimate the focal length from the outlines in all photos of one camera, of `size` (width, height), px."""
     width, height = size
-    usual = CameraModel.pinhole(width, height, _USUAL * max(size), _USUAL_SIGMA)
+    usual = CameraModel.pinhole(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
     if not outlines:
         return FocalEstimate(usual, None, None, _NO_BOARD)
     found = _best_profile(
@@ -276,7 +275,6 @@ def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coars
 def _refine_profile(
     outlines: Sequence[BoardOutline], size: tuple[int, int], found: FocalProfile, best: int
 ) -> FocalProfile:
-    """Return the profile over one valley with enough nodes."""
     for _ in range(_MAX_REFINEMENTS):
         last_node = len(found.spread) - 1
         likely = found.misfit < found.misfit[best] + _CHI_VALLEY

@@ -45,7 +45,7 @@ FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the bo
 _TRIALS_PER_BOARD = 1200
 _TRIALS_PER_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
 _MAX_BOARD_LOG_CHANCE = -8.0  # log of chance, below which a patch is probably the board
-_MAX_RETRIED_LOG_CHANCE = -3.0  # log of chance, from which a fit with low correlation is not repeated
+_MAX_RETRIED_LOG_CHANCE = -3.0  # log of chance, below which a fit with low correlation is repeated
 _SAME_MOTION = 3.0  # px, difference of lengths within which two motions are the same
 _MAX_FITS = 2  # candidates of one kind that are fitted
 _MIN_RELATIVE_AGREEMENT = 0.6  # of the best candidate's agreement, below which a candidate is not fitted
@@ -193,10 +193,10 @@ class BoardRecognizer:
             tried: the blur of an earlier attempt; the function returns None if the estimated blur is similar.
         """
         view, plane = self._view(piece, T)
-        smear = None if view is None else estimate_blur(view, plane)
-        if smear is None or (tried is not None and abs(smear.length - tried.length) < _SAME_MOTION):
+        kernel = None if view is None else estimate_blur(view, plane)
+        if kernel is None or (tried is not None and abs(kernel.length - tried.length) < _SAME_MOTION):
             return None
-        fit = align_pose(self._photo, self._camera, [piece], T, smear)
+        fit = align_pose(self._photo, self._camera, [piece], T, kernel)
         if fit is None or not faces_camera(fit.T_ref_in_cam):
             return None
         view, plane = self._view(piece, fit.T_ref_in_cam)
@@ -273,8 +273,8 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
 
     angles = np.arange(_MOTION_DIRECTIONS) * math.pi / _MOTION_DIRECTIONS
     vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _MOTION_LENGTHS for angle in angles]
-    blurs = {smear: unexplained(smear) for smear in map(BlurKernel, _BLUR_SIGMAS)}
-    motions = {smear: unexplained(smear) for smear in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)}
+    blurs = {kernel: unexplained(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
+    motions = {kernel: unexplained(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)}
     blurred, moved = min(blurs, key=lambda one: blurs[one]), min(motions, key=lambda one: motions[one])
     return moved if motions[moved] < _MAX_MOTION_RATIO * blurs[blurred] else blurred
 
