@@ -39,7 +39,7 @@ def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
         y = (points[:, 0, 1] - cy) / fy
         return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
     K, distortion = np.array(camera.K), np.array(camera.distortion)
-    # In OpenCV 4, another function accepts criteria.
+    # OpenCV 4 accepts criteria in another function.
     if older := getattr(cv2, "undistortPointsIter", None):
         found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
     else:

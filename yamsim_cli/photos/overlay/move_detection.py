@@ -19,7 +19,7 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from ..fiducials.board_detection import BoardStatus
 from .photo_arm_poses import ArmPose, RigInPhoto
 
-# Smallest reported move. An arm in front of its board shifts the estimated pose by a similar amount.
+# Smallest reported move. An arm in front of its board shifts the estimated pose by part of this amount.
 _MIN_SHIFT = 5e-4  # m
 _MIN_TURN = math.radians(0.1)  # rad
 # Smallest standard deviation of a pose. Identical photos would have none.

@@ -107,7 +107,7 @@ def find_arms(
     before: RigInPhoto | None = None,
     limits: PoseLimits = USUAL_LIMITS,
 ) -> RigInPhoto:
-    """Return each arm's pose from its board, or else from the other board or from the recording.
+    """Return each arm's pose from its board, with `trust_margin` from any board, or else from the recording.
 
     Args:
         grey: the photo (height, width).

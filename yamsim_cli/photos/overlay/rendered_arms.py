@@ -30,7 +30,7 @@ from ..lens_distortion import LensWarp
 
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5  # geom group that is not rendered
-_MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which arms are rendered at twice the resolution, for smooth edges
+_MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which arms are rendered at double resolution: smooth edges in any OpenGL
 _MAX_SIDE = 8192  # px, largest side of a rendered picture
 
 
@@ -89,7 +89,7 @@ class ArmRenderer(Closable):
         spec = compose(blueprint, locations)
         for light in list(spec.lights):
             spec.delete(light)
-        # The photo's light is unknown. Light from the camera casts no visible shadows, which could be wrong.
+        # The photo's light is unknown. Light from the camera avoids wrong shadows, since it casts no visible ones.
         spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
         spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
         self._model = compile_spec(spec)

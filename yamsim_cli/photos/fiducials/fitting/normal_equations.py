@@ -115,9 +115,9 @@ def _picture_derivatives(
 def _surroundings_brightness(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], predicted_poses: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Return the brightness (n, sides) of the surroundings at each pixel's tile, in units of the print's contrast.
+    """Return the brightness (n, sides) of the surroundings, whose pixel shares are `predicted_poses` (n, sides).
 
-    `predicted_poses` (n, sides) is the share of each pixel that comes from outside the print.
+    The unit is the print's contrast.
     """
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)

@@ -2,8 +2,7 @@
 
 A fit renders the boards' print as the camera would see it from an assumed pose, with blur. Robust least squares over
 all pixels adjusts pose and blur until rendering and photo agree. Each marker has its own brightness and contrast.
-Corners that are detected one by one lie on blurred edges, and neighbouring cells displace them. This model includes
-neighbouring cells and blur.
+Neighbouring cells and blur displace corners that are detected one by one, but the rendering includes both effects.
 """
 
 from __future__ import annotations

@@ -24,9 +24,8 @@ _BENT_SAG = 1e-3  # m, sigma of the bow or twist at the print's edge, for a bent
 _FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users notice larger folds
 _BENT_PROBABILITY = 0.02  # prior probability of a bent print
 CREASED_SHARE = 0.08  # prior probability of a creased print
-# Sigma of the error of the linear crease modes, as a share of the fold angle. With this value, the poses of 180 creased
-# photos stay within their intervals.
-_NONLINEAR_FOLD_SHARE = 0.15
+# With this value, the poses of 180 creased photos stay within their intervals.
+_NONLINEAR_FOLD_SHARE = 0.15  # sigma of the error of the linear crease modes, as a share of the fold angle
 _CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
 _CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # crease positions from the centre, in half widths of the print
 _HEIGHT_MODES = _BOW_MODES + _CREASE_DIRECTIONS * len(_CREASE_OFFSETS)
@@ -68,9 +67,8 @@ def shape_modes(board: Board, at: Array) -> Array:
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
     """Return the shift of points (n, 2) on a board along x (n, m) and along y (n, m), per metre of each mode.
 
-    Rounding in a printer or a drawing program is equal for all markers of a column, all markers of a row, and the half
-    edges of all markers. Without the last mode, the marker size would determine the print's scale, instead of the more
-    exact marker positions.
+    Rounding in a printer or drawing program is equal for the markers of a column, for those of a row, and for all half
+    edges. Without the last mode, the marker size would determine the scale, which the positions determine better.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])

@@ -33,7 +33,7 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
         size: width and height of the photo, px.
         spread: longer side of the photo over the focal length (n,).
     """
-    # Unit in the picture: its longer side. Unit on the board: the board's width.
+    # The length unit in the picture is its longer side, and on the board its width.
     longer = max(size)
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))

@@ -40,7 +40,7 @@ from .marker_bits import BitEvidence, measure_evidence
 Grey = NDArray[np.uint8]
 
 FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the board is recognized
-# Positions and orientations that are tried for each board. Source: photos without boards (`make bench-fiducials`) have
+# Positions and orientations that are tried for each board. Source: `make bench-fiducials`. Photos without boards have
 # 20 to 60 patches in four orientations, and about 250 moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
 _TRIALS_PER_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
@@ -234,7 +234,6 @@ class BoardRecognizer:
 
 
 def _best_candidates(found: Sequence[BoardCandidate]) -> Iterator[BoardCandidate]:
-    """Yield the likeliest candidates at distinct places."""
     taken = list[BoardCandidate]()
     for one in found:
         if one.agreement < _MIN_RELATIVE_AGREEMENT * found[0].agreement or len(taken) == _MAX_FITS:
