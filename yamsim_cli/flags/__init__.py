@@ -1,1 +1,1 @@
-"""Flags that commands share, and what comes of them before a command starts."""
+"""Flags that several commands share, and their evaluation before a command starts."""

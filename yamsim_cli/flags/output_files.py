@@ -1,6 +1,6 @@
-"""Output files of commands, which are checked before the work begins.
+"""Check output files before a command starts.
 
-A file that exists is refused without `--overwrite`. A folder that cannot be written to is always refused.
+An existing file is an error without `--overwrite`. A folder without write access is always an error.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from yamsim_cli.terminal.console import print_note
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
-MIN_FREE_BYTES = 1 << 16  # bytes of free space under which no output is begun: reports and pictures are larger
+MIN_FREE_BYTES = 1 << 16  # bytes of free space, below which no command starts; reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
@@ -29,7 +29,7 @@ ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to th
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
-    """The treatment of an output dataset that exists."""
+    """Return how to treat an existing output dataset. Raises `UsageError` for both flags."""
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
     if resume and overwrite:
@@ -38,16 +38,16 @@ def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
 
 
 def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse output files that exist or cannot be written.
+    """Raise an error for output files that exist or cannot be written.
 
     Args:
         flag: the option that names the files, for the message.
-        files: one file, whose folder has to exist, or several in folders that are made later.
-        overwrite: whether files that exist may be replaced.
+        files: one file, whose folder has to exist, or several files in folders that the command creates.
+        overwrite: whether existing files may be replaced.
 
     Raises:
         UsageError: a file exists and may not be replaced, is a directory, or has no folder.
-        ResourceError: the file system is read-only or full.
+        ResourceError: the folder is not writable, or the file system is full.
     """
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
@@ -62,14 +62,14 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
 
 
 def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
-    """Refuse the files of --out and --html as `require_unused` does, where they are given."""
+    """Check the files of --out and --html, if given, as `require_unused` does."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
             require_unused(flag, file, overwrite=overwrite)
 
 
 def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:
-    """Write a report to the file of --out, if given, and say so on stderr."""
+    """Write a report as JSON to the file of --out, if given, and a note to stderr."""
     if out is None:
         return
     from yamsim_cli.core.files.documents.json_text import json_text

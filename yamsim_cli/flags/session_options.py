@@ -1,4 +1,4 @@
-"""Flags of rigs, tasks and sessions that several commands have, and the opener of their sessions."""
+"""Flags for rigs, tasks and sessions that several commands share, and the opener of their sessions."""
 
 from __future__ import annotations
 
@@ -93,15 +93,15 @@ MinSuccess = Annotated[
 ]
 
 
-def _flag(setting: str) -> str:
+def _flag_name(setting: str) -> str:
     return f"--{setting.replace('_', '-')}"
 
 
-# Opens the sessions of all commands: error messages name flags, and notes go to stderr.
-opener = SessionOpener(os.environ, print_note, _flag, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
+# The session opener of all commands. Its error messages name flags, and its notes go to stderr.
+opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
 
 
-# Settings of a session that a command may have as parameters, see `SessionOpener.config`.
+# Session settings that a command may have as parameters, see `SessionOpener.config`.
 _SETTINGS = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
@@ -109,7 +109,7 @@ _SETTINGS = (
 
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings for `opener.open` among a command's parameters, of which `item` is the setting `object`."""
+    """Return the settings for `opener.open` from a command's parameters, with the parameter `item` as `object`."""
     return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 
@@ -119,7 +119,7 @@ def _set_offline(wanted: bool) -> bool:
     return wanted
 
 
-# Takes effect when parsed, so that commands only have to declare it.
+# The callback takes effect when typer parses the flag, so commands only declare a parameter.
 Offline = Annotated[
     bool,
     typer.Option(

@@ -1,4 +1,4 @@
-"""Flags of commands that open a viewer: the choice of the viewer, and settings before MuJoCo is imported."""
+"""Flags of commands that open a viewer, the choice of the viewer, and settings before the import of MuJoCo."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .session_options import opener
 if TYPE_CHECKING:
     from yamsim_cli.viewers.page_address import PageAddress
 
-_PORT = 8090  # of browser pages, unless --port is given
+_DEFAULT_PORT = 8090  # of browser pages
 
 Web = Annotated[
     bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window on this display.")
 ]
 Port = Annotated[
     int | None,
-    typer.Option(min=0, max=65535, help=f"Port of the browser page, {_PORT} unless given; 0 takes a free one."),
+    typer.Option(min=0, max=65535, help=f"Port of the browser page, {_DEFAULT_PORT} unless given; 0 takes a free one."),
 ]
 Host = Annotated[
     str | None,
@@ -34,10 +34,10 @@ Host = Annotated[
 
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
-    """The address of a browser page. The user is warned if others can reach the page."""
+    """Return the address of a browser page, and warn the user if other machines can reach the page."""
     from yamsim_cli.viewers.page_address import LOOPBACK, PageAddress
 
-    address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
+    address = PageAddress(_DEFAULT_PORT if port is None else port, host or LOOPBACK)
     if not address.is_private:
         print_note(
             f"Anyone who reaches {address.host} can watch and move what the page shows: the page asks for no password "
@@ -47,13 +47,13 @@ def page_address(port: int | None, host: str | None) -> PageAddress:
 
 
 def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageAddress | None:
-    """The browser page's address, or None for MuJoCo's window.
+    """Return the browser page's address, or None for MuJoCo's window.
 
-    Without `web`, the viewer is the page if a port or host is given or no window can open.
+    If `web` is None, the viewer is the page if a port or host is given or no window can open.
 
     Raises:
         UsageError: a port or host is given for a window.
-        ResourceError: a window is requested, and none can open.
+        ResourceError: a window is requested, but none can open.
     """
     missing = _missing_for_window()
     for flag, value in (("--port", port), ("--host", host)):
@@ -66,7 +66,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageA
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Set MuJoCo's OpenGL for the viewer, before MuJoCo is imported."""
+    """Set MuJoCo's OpenGL backend for the viewer, before MuJoCo is imported."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -75,7 +75,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Keep viser from announcing its server on stdout: viser writes to rich's global console."""
+    """Silence rich's global console, on which viser announces its server on stdout."""
     import rich
 
     rich.get_console().quiet = True
@@ -83,7 +83,7 @@ def quiet_page() -> None:
 
 def _missing_for_window() -> str | None:
     if sys.platform == "darwin":
-        # macOS opens windows in the main thread only, and MuJoCo's interpreter keeps that thread free for them.
+        # macOS opens windows only in the main thread, which MuJoCo's interpreter keeps free.
         return None if "MJPYTHON_BIN" in os.environ else "MuJoCo's interpreter mjpython on macOS"
     if sys.platform == "win32" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         return None

@@ -1,4 +1,4 @@
-"""Compares the simulated arms with photos of the real ones: outlines with the photos' edges, and masks with masks."""
+"""Compare simulated arms with photos of the real arms: outlines with the photos' edges, and masks with masks."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from ..real.gap.gap_page import CaptionedJpeg
 
 @dataclass(frozen=True)
 class RecordedPhoto:
-    """A photo that was taken during a recording.
+    """A photo from a recording.
 
     Attributes:
-        gap: the recording's gap.
+        gap: the sim-to-real gap of the recording.
         frame: number of the measured sample, from 0.
         sample: row of that sample in the motion.
     """
@@ -52,13 +52,13 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """The name of one camera, and its photos in the compared parts of recordings.
+    """Return the name of one camera, and its photos in the compared parts of recordings.
 
     Args:
         camera: name of the camera, see `chosen_camera`.
 
     Raises:
-        UsageError: no recording has photos, or none by that camera.
+        UsageError: no recording has photos from that camera in its compared part.
     """
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
@@ -83,7 +83,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
 
 
 def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[RecordedPhoto]:
-    """At most `maximum` of the photos, evenly chosen. The photo with the largest joint error is among them."""
+    """Return at most `maximum` evenly spaced photos, including the photo with the largest joint error."""
     if len(taken) <= maximum:
         return list(taken)
     worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
@@ -97,19 +97,19 @@ def _error(photo: RecordedPhoto) -> float:
 
 
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
-    """How a rig's arms stand at a sample of a motion, in the rig's order."""
-    stands = {}
+    """Return the postures of a rig's arms at a sample of a motion, in the rig's order."""
+    postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
         dynamics, names = config.dynamics, config.robot.joint_names
-        # An encoder's offset is in the recorded joints.
+        # Recorded joints include the offsets of the encoders.
         off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
-        stands[number] = ArmPosture(arm.joints[sample] - off, opening)
-    return tuple(stands[number] for number in range(len(rig.arms)))
+        postures[number] = ArmPosture(arm.joints[sample] - off, opening)
+    return tuple(postures[number] for number in range(len(rig.arms)))
 
 
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """A photo with its recorded camera and that camera's pose, as far as they were recorded.
+    """Return a photo with the simulated postures, and with the camera and its pose if they were recorded.
 
     Raises:
         DatasetError: the frame cannot be read, or is damaged.
@@ -128,7 +128,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     height, width = image.shape[:2]
     T_base_in_cam = None
     if T_cam_in_base is not None:
-        # Extrinsics are recorded in the base of the only arm, or of the left one.
+        # Recorded extrinsics are relative to the base of the only arm, or of the left arm.
         T_cam_in_world = rig.T_base_in_world(rig.recording_order[0]) @ T_cam_in_base
         T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
     model = None if K is None else pinhole_camera(K, width, height)
@@ -137,19 +137,19 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     )
 
 
-_SHOWN = 2  # pictures on a page
+_SHOWN_PHOTOS = 2  # pictures on a page
 _OPACITY = 0.4  # of the simulated arms in a picture
-_QUALITY = 85  # of the pictures' JPEGs
+_JPEG_QUALITY = 85
 
 
 @dataclass(frozen=True)
 class PhotoRequest:
-    """Which photos of recordings to compare.
+    """The photos of recordings to compare.
 
     Attributes:
-        most: largest number of photos.
-        camera: the camera of all photos; None for the recording's, or else an estimate from the boards.
-        name: the camera's name in the recordings; None for the one that stands still.
+        most: maximum number of photos.
+        camera: the camera of all photos; None for the recorded camera, or else an estimate from the boards.
+        name: the camera's name in the recordings; None for the first that is no wrist camera.
     """
 
     most: int
@@ -159,11 +159,11 @@ class PhotoRequest:
 
 @dataclass(frozen=True)
 class PhotoGap:
-    """The simulated arms compared with a photo.
+    """The comparison of the simulated arms with a photo.
 
     Attributes:
-        outline: median distance of their outline to the photo's edges, px; None where no arm is in sight.
-        measured_outline: the same of the arms at their measured joints: the distance without a gap.
+        outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
+        measured_outline: `outline` for the arms at their measured joints, which is the distance without a gap.
         iou: overlap of the simulated and the measured arms, 0..1.
         picture: the simulated arms over the photo.
     """
@@ -184,13 +184,13 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """The comparison with photos of recordings as plain data, and the worst photos as pictures.
+    """Return the comparison with photos of recordings as plain data, and the worst photos as pictures.
 
     Raises:
-        UsageError: no recording has photos, or none by that camera.
+        UsageError: no recording has photos from that camera in its compared part.
         DatasetError: a frame is damaged.
         ConfigError: the camera is calibrated for another image size.
-        ResourceError: no photo gives the camera's pose, or no OpenGL context can be made.
+        ResourceError: no photo gives the camera's pose, or no OpenGL context is available.
     """
     camera, taken = photos_in_parts(gaps, request.name)
     chosen = select_photos(taken, request.most)
@@ -202,7 +202,7 @@ def compare_photos(
             progress(k, len(chosen))
             if compared := _compared(one, camera, rig, lenses, renderers):
                 figures.append(compared)
-                found = sorted([*found, compared], key=_error_rank, reverse=True)[:_SHOWN]
+                found = sorted([*found, compared], key=_error_rank, reverse=True)[:_SHOWN_PHOTOS]
         progress(len(chosen), len(chosen))
     if not figures:
         raise ResourceError(
@@ -215,7 +215,7 @@ def compare_photos(
 def _compared(
     recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
 ) -> PhotoGap | None:
-    """The comparison of one photo; None where neither its frame nor a board gives the camera's pose."""
+    """Return the comparison of one photo; None if neither its frame nor a board gives the camera's pose."""
     image = read_image(recorded.path)
     photo = make_photo(recorded, camera, rig, image)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)
@@ -281,4 +281,4 @@ def _shown(found: PhotoGap) -> CaptionedJpeg:
         f"Frame {place['frame']} of {place['recording']} at {place['time_s']:.2f} s: the simulated arm over the photo; "
         f"{outline}, overlap {found.iou:.3f}."
     )
-    return CaptionedJpeg(caption, encode_jpeg(found.picture, _QUALITY))
+    return CaptionedJpeg(caption, encode_jpeg(found.picture, _JPEG_QUALITY))

@@ -1,7 +1,6 @@
-"""A board's printed page: its layout, and the page as a PDF of vector shapes or as a PNG with its resolution.
+"""Lay out a board's printed page, and write the page as a PDF of vector shapes or as a PNG with its resolution.
 
-Lengths are millimetres on the page, x right and y down from its top left corner. A `Board`'s metres are converted once,
-in `board_sheet`.
+Lengths are in mm on the page, with x right and y down from the top left corner, except those of `Board`.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ PAPERS: Mapping[str, Paper] = {
 
 @dataclass(frozen=True)
 class PrintedMarker:
-    """A marker of square cells from its top left corner (x, y), each `cell` wide; `black` (k, k) are printed."""
+    """A marker with its top left corner at (x, y), square cells of width `cell`, and printed cells `black` (k, k)."""
 
     x: float
     y: float
@@ -50,7 +49,7 @@ class PrintedMarker:
 
 @dataclass(frozen=True)
 class PageBar:
-    """A filled rectangle from its top left corner (x, y)."""
+    """A filled rectangle with its top left corner at (x, y)."""
 
     x: float
     y: float
@@ -60,7 +59,7 @@ class PageBar:
 
 @dataclass(frozen=True)
 class PageLine:
-    """A thin line."""
+    """A line of width `LINE_WIDTH` from (x0, y0) to (x1, y1)."""
 
     x0: float
     y0: float
@@ -94,26 +93,25 @@ class PrintedPage:
     marks: tuple[Mark, ...]
 
 
-# The page's margin, where most printers cannot print.
-_MARGIN = 12.0
+_MARGIN = 12.0  # of the page, where most printers cannot print
 _TITLE_SIZE = 6.0
 _LINE_STEP = 5.2
 _HEADER = 12.0 + 4 * _LINE_STEP
 _RULER_LENGTH = 100.0
 _RULER_COLUMN = 14.0
 _FOOTER = 40.0
-_QUIET = 5.0
-_CROP_MARK = 6.0
+_QUIET = 5.0  # minimum width of the white zone around the board
+_CROP_MARK = 6.0  # length
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
-    """A page with the board at true size, its description, and two rulers to check the printer's scale.
+    """Return a page with the board at true size, its description, and two rulers to check the printer's scale.
 
-    A zone around the board stays white: 5 mm, or a marker's cell if that is wider. Marks outside it show where to cut,
-    so that part of the white stays on, which detectors need.
+    A zone of 5 mm, or of a marker cell if that is wider, around the board is white. Marks outside this zone show where
+    to cut. The cut leaves part of the white zone, which detectors need.
 
     Args:
-        owner: name of the arm that the board belongs to.
+        owner: name of the arm to which the board belongs.
         paper: one of `PAPERS`.
 
     Raises:
@@ -173,7 +171,7 @@ def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) ->
 
 
 def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[Mark]:
-    border = 0.6 * quiet  # 3 mm for a white zone of 5 mm: the piece then fits the lab's 100 mm plate.
+    border = 0.6 * quiet  # 3 mm for a white zone of 5 mm, so that the cut piece fits the lab's 100 mm plate
     far = quiet + _CROP_MARK
     for x in (left - border, left + width + border):
         yield PageLine(x, top - quiet, x, top - far)
@@ -229,10 +227,10 @@ _PX_PER_MM = 600 / 25.4
 
 
 def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
-    """A PDF with a page for each sheet, which asks viewers to print it unscaled. The same sheets give the same bytes.
+    """Return a PDF with a page for each sheet and the preference for unscaled printing. The bytes are deterministic.
 
     Raises:
-        ResourceError: the package that writes PDF is not installed.
+        ResourceError: the package reportlab is not installed.
     """
     try:
         from reportlab.pdfgen.canvas import Canvas
@@ -242,7 +240,7 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
         ) from error
 
     buffer = io.BytesIO()
-    # `invariant` leaves out the date. Pages are not compressed, so that the bytes do not depend on the zlib version.
+    # `invariant` omits the date. Pages are not compressed, so that the bytes do not depend on the zlib version.
     canvas = Canvas(buffer, invariant=1, pageCompression=0, pdfVersion=(1, 6))
     canvas.setTitle(", ".join(sheet.title for sheet in sheets))
     canvas.setCreator("yamsim")
@@ -250,12 +248,12 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
     for sheet in sheets:
         height = sheet.paper.height
         canvas.setPageSize((sheet.paper.width * _POINTS_PER_MM, height * _POINTS_PER_MM))
-        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # Millimetres from here on, with y up.
+        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # in mm below, with y up
         canvas.setLineWidth(LINE_WIDTH)
         for mark in sheet.marks:
             match mark:
                 case PrintedMarker():
-                    # One path for each marker: viewers smooth each path by itself, so that single cells show seams.
+                    # Viewers antialias each path separately, so separate cells would show seams.
                     path = canvas.beginPath()
                     for x, y, width in _runs(mark):
                         path.rect(x, height - y - mark.cell, width, mark.cell)
@@ -278,18 +276,18 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
 
 
 def png_bytes(sheet: PrintedPage) -> bytes:
-    """A grey PNG of the whole page, at a resolution near 600 dpi at which marker cells are whole pixels.
+    """Return a grey PNG of the whole page, at a resolution near 600 dpi with whole pixels for marker cells.
 
-    The file holds the resolution as a whole number of pixels per metre, so that a print is off by 0.003 % at most.
+    The file holds the resolution as a whole number of pixels per metre, so the scale error is at most 0.003 %.
     """
     image, px_per_mm = _raster(sheet)
     return encode_png(image, px_per_mm * 1000)
 
 
 def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
-    """Runs of black cells side by side, as (left, top, width)."""
+    """Yield runs of adjacent black cells as (left, top, width)."""
     for row, cells in enumerate(marker.black):
-        # +1 where a run begins, -1 behind its end.
+        # +1 at the start of a run, -1 after its end.
         steps = np.diff(cells.astype(np.int8), prepend=0, append=0)
         for start, end in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1), strict=True):
             yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
@@ -322,7 +320,7 @@ def _raster(sheet: PrintedPage) -> tuple[Image, float]:
 
 
 def _cell_px(sheet: PrintedPage) -> int:
-    """Pixels to a marker's cell: near 600 dpi, so that the markers' places are as near to whole pixels as possible."""
+    """Return the pixels per marker cell near 600 dpi that put markers as near to whole pixels as possible."""
     markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
     cell = markers[0].cell
     offsets = np.array([(mark.x - markers[0].x, mark.y - markers[0].y) for mark in markers]) / cell
@@ -336,9 +334,9 @@ def _cell_px(sheet: PrintedPage) -> int:
     return min(choices, key=miss)
 
 
-# Height of capitals: in OpenCV's Hershey fonts, units; in Helvetica, as a share of the font size. Source: both fonts.
-_HERSHEY_UNITS = 21
-_CAPITALS = 0.718
+# Height of capital letters. Source: both fonts.
+_HERSHEY_UNITS = 21  # units of OpenCV's Hershey fonts
+_CAPITALS = 0.718  # share of the font size in Helvetica
 
 
 def _write(image: Image, text: PageText, scale: float) -> None:

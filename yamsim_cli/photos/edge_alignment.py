@@ -1,4 +1,4 @@
-"""Compares the outline of a rendered arm with the edges in a photo, to score a pose and to improve it."""
+"""Compare the outline of a rendered arm with the edges in a photo, to score a pose and to refine it."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from ..core.geometry.se3 import Array, pose, rotation_from_vector
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# Lengths are in grains. A grain is one pixel, or several in a large photo, whose details are several pixels wide.
-_GRAINS_ACROSS = 1000
-REACH = 12.0  # grains from the outline, within which an edge of the photo is searched
-_FINE = 2  # points to a grain on the line along which an edge is searched
+# Lengths are in grains. A grain is one pixel, or several pixels in a large photo, whose details are larger.
+_GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
+REACH = 12.0  # grains, distance from the outline within which an edge of the photo is searched
+_SAMPLES_PER_GRAIN = 2  # sample points per grain on the line along which an edge is searched
 _SPACING = 3  # grains between outline points
-_LEAST_SLOPE = 4.0  # grey levels to a grain, least change of brightness at an edge
-_LEAST_SHARE = 0.4  # of the largest change on the same line, least change at an edge
-_TUKEY = 4.685  # typical residuals, above which a residual does not count (Tukey's biweight, 95 % efficiency)
-_INDEPENDENT = 60.0  # outline points that count as independent
-_BORDER = 3  # grains from the picture's border, within which outlines are left out
+_MIN_SLOPE = 4.0  # grey levels per grain, minimum gradient at an edge
+_MIN_SLOPE_SHARE = 0.4  # minimum gradient at an edge, as a share of the largest gradient on the same line
+_TUKEY_CUTOFF = 4.685  # standard deviations, above which a residual has no weight (Tukey's biweight, 95 % efficiency)
+_INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
+_BORDER = 3  # grains from the picture's border, within which outlines are ignored
 _ROUNDS = 6  # of a refinement
-_NARROWER = 0.62  # ratio of a round's reach to the one before, so that the arm's own edges remain at last
+_REACH_RATIO = 0.62  # of consecutive rounds, so that in the end only the arm's own edges are within reach
 
 
 @dataclass(frozen=True)
 class MaskOutline:
-    """Points of a mask's outline: pixels (n, 2), and unit normals (n, 2) pointing out of the mask."""
+    """Points of a mask's outline: positions (n, 2), px, and unit normals (n, 2) that point out of the mask."""
 
     points: Array
     normals: Array
@@ -38,10 +38,10 @@ class MaskOutline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """The photo's edge at each outline point (n,), as an offset in px along its normal; NaN if none is within `reach`.
+    """The offset (px) of the photo's edge along the normal of each outline point (n,); NaN if none is within `reach`.
 
     Attributes:
-        reach: how far was searched, px.
+        reach: search distance, px.
     """
 
     offsets: Array
@@ -49,31 +49,31 @@ class EdgeOffsets:
 
     @property
     def found(self) -> float:
-        """Share of the outline's points that have an edge within reach."""
+        """The share of outline points with an edge within reach."""
         return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
 
     @property
     def residual(self) -> float | None:
-        """Median distance to the photo's edge, px, where a missing edge counts as `reach`; None without an outline."""
+        """The median distance to the photo's edge, px, with `reach` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
         return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
 
 
 def grain_px(shape: tuple[int, ...]) -> int:
-    """Pixels to a grain in a picture of a shape (height, width, ...)."""
+    """Return the pixels per grain for a picture of shape (height, width, ...)."""
     return max(1, round(max(shape) / _GRAINS_ACROSS))
 
 
 def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
-    """The outline of a mask (height, width), holes included, without the parts along the picture's border.
+    """Return the outline of a mask (height, width), including holes, without the parts near the picture's border.
 
     Args:
-        others: pixels (height, width) of things that may lie in front; the outline next to them is left out.
+        others: mask (height, width) of objects that may lie in front; the outline near these objects is omitted.
     """
     grain = grain_px(mask.shape)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    # Normals are those of the mask's softened edge: steps from pixel to pixel point in eight directions only.
+    # Blur the mask for its normals: steps between neighbouring pixels have only eight directions.
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.0 * grain)
     slope = np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)
     chosen = [contour[:: _SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
@@ -91,21 +91,21 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     length = np.linalg.norm(out, axis=1)
     clear = length > 1e-3 / grain
     normals = out[clear] / length[clear, None]
-    # A contour runs through the centres of the mask's outermost pixels. The edge is half a pixel further out.
+    # A contour passes through the centres of the mask's outermost pixels. The edge is half a pixel further out.
     return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
 def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOffsets:
-    """The photo's edge that is nearest to each outline point, along its normal.
+    """Return the offset of the photo's nearest edge along the normal of each outline point.
 
     Args:
         grey: the photo (height, width).
-        reach: how far to search, grains.
+        reach: search distance, grains.
     """
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
         return EdgeOffsets(np.zeros(0), reach * grain)
-    steps = np.arange(-reach * _FINE - 1, reach * _FINE + 2) / _FINE
+    steps = np.arange(-reach * _SAMPLES_PER_GRAIN - 1, reach * _SAMPLES_PER_GRAIN + 2) / _SAMPLES_PER_GRAIN
     at = line.points[:, None, :] + steps[None, :, None] * grain * line.normals[:, None, :]
     smooth = cv2.GaussianBlur(grey, (0, 0), grain).astype(np.float32)
     profile = cv2.remap(
@@ -115,21 +115,21 @@ def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOff
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _FINE / 2
+    slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _SAMPLES_PER_GRAIN / 2
     inner = steps[1:-1]
     peak = np.zeros_like(slope, dtype=bool)
     peak[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])
-    peak &= slope >= np.maximum(_LEAST_SLOPE, _LEAST_SHARE * slope.max(axis=1, keepdims=True))
+    peak &= slope >= np.maximum(_MIN_SLOPE, _MIN_SLOPE_SHARE * slope.max(axis=1, keepdims=True))
     distance = np.where(peak, np.abs(inner)[None, :], np.inf)
     nearest = distance.argmin(axis=1)
     rows = np.arange(len(nearest))
     found = np.isfinite(distance[rows, nearest])
-    offsets = np.where(found, inner[nearest] + _peak_shift(slope, nearest) / _FINE, np.nan) * grain
+    offsets = np.where(found, inner[nearest] + _peak_shift(slope, nearest) / _SAMPLES_PER_GRAIN, np.nan) * grain
     return EdgeOffsets(offsets, reach * grain)
 
 
 def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
-    """Distance (n,) in steps from each row's peak to the top of the parabola through the peak and its neighbours."""
+    """Return the distance (n,) in samples from each row's peak to the vertex of the parabola through its neighbours."""
     rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
     before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
     bend = np.minimum(before - 2 * here + after, -1e-9)
@@ -139,20 +139,20 @@ def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
 
 @dataclass(frozen=True)
 class PoseCorrection:
-    """A step of a pose: a turn (rad) about `centre` and a shift (m), both along the camera's axes."""
+    """A step (6,) of a pose: a rotation (rad) about `centre` and a shift (m), both along the camera's axes."""
 
     step: Array
     centre: Array
 
     def applied(self, T_in_cam: Array) -> Array:
-        """A pose (4, 4) in the camera's frame, moved by this step."""
+        """Return a pose (4, 4) in the camera frame, moved by this step."""
         turn = rotation_from_vector(self.step[:3])
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
     @property
     def size(self) -> float:
-        """About how far the step moves a thing that is 0.3 m large, m."""
+        """The approximate displacement of an object of 0.3 m by this step, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
@@ -167,14 +167,14 @@ class EdgeEquations:
 def edge_equations(
     line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
 ) -> EdgeEquations:
-    """The normal equations of the step that brings an outline onto the photo's edges.
+    """Return the normal equations of the step that moves an outline onto the photo's edges.
 
     Args:
         line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
-        depth: z (n,) of the surface at each outline point, in the camera's frame, m.
+        depth: z (n,) of the surface at each outline point in the camera frame, m.
         offsets: distance (n,) to the photo's edge along each normal, px; NaN for none.
-        centre: the point (3,) in the camera's frame about which the pose turns.
-        edge_sigma: standard deviation of an edge's place, px.
+        centre: the point (3,) in the camera frame about which the pose rotates, m.
+        edge_sigma: standard deviation of an edge's position, px.
     """
     use = np.isfinite(offsets) & (depth > 0)
     points, normals, off = line.points[use], line.normals[use], offsets[use]
@@ -185,9 +185,9 @@ def edge_equations(
     by_shift = np.column_stack([across, -(across * ray).sum(axis=1)])
     jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
     scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
-    weight = np.clip(1 - (off / (_TUKEY * scale)) ** 2, 0, None) ** 2
-    # Neighbouring outline points see the same edge, so that they count together as a few dozen independent ones.
-    weight *= min(1.0, _INDEPENDENT / max(len(off), 1)) / edge_sigma**2
+    weight = np.clip(1 - (off / (_TUKEY_CUTOFF * scale)) ** 2, 0, None) ** 2
+    # Neighbouring outline points share an edge, so all points count as at most `_INDEPENDENT_POINTS` independent ones.
+    weight *= min(1.0, _INDEPENDENT_POINTS / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]
     return EdgeEquations(weighted.T @ jacobian, weighted.T @ off)
 
@@ -195,12 +195,12 @@ def edge_equations(
 def solve_correction(
     equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array
 ) -> PoseCorrection:
-    """The step that brings a pose's outlines onto the photo's edges, weighed against the pose that the boards give.
+    """Return the step that moves a pose's outlines onto the photo's edges, with the pose from the boards as prior.
 
     Args:
         equations: normal equations of all outlines that move with the pose.
-        centre: the point (3,) in the camera's frame about which the pose turns.
-        information: inverse covariance (6, 6) of the boards' pose: turn about `centre` (rad) and shift (m).
+        centre: the point (3,) in the camera frame about which the pose rotates, m.
+        information: inverse covariance (6, 6) of the boards' pose: rotation about `centre` (rad) and shift (m).
         so_far: sum (6,) of the steps since the boards' pose.
     """
     normal = information + sum(part.normal for part in equations)
@@ -209,5 +209,5 @@ def solve_correction(
 
 
 def search_radii() -> list[float]:
-    """How far edges are searched in each round of a refinement, grains; farthest in the first."""
-    return [REACH * _NARROWER**k for k in range(_ROUNDS)]
+    """Return the search distance of each round of a refinement, grains, in decreasing order."""
+    return [REACH * _REACH_RATIO**k for k in range(_ROUNDS)]

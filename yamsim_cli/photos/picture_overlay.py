@@ -1,4 +1,4 @@
-"""Draws rendered arms, boards and lines of text over a photo."""
+"""Draw rendered arms, boards and lines of text over a photo."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .lens_distortion import project_points
 
 Labels = NDArray[np.uint8]
 
-# RGB of each arm, distinct with red-green blindness, and of the axes.
+# RGB of each arm, distinguishable with red-green blindness, and of the axes.
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_LEAST_SCALE = 0.2  # of letters: smaller ones are unreadable
-_SHIFT = 4  # fractional bits of OpenCV's coordinates
+_MIN_SCALE = 0.2  # font scale below which text is unreadable
+_FRACTION_BITS = 4  # fractional bits of OpenCV's coordinates
 
 
 def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
-    """The photo with rendered arms over it (height, width, 3), each outlined in its own colour.
+    """Return the photo (height, width, 3) with rendered arms over it, each outlined in its own colour.
 
     Args:
-        labels: (height, width): 0 where no arm is, k for the k-th arm.
+        labels: (height, width): 0 for the background, k for the k-th arm.
         opacity: opacity of the rendered arms, 0..1.
     """
     mixed = photo.astype(np.float32)
@@ -50,30 +50,30 @@ def draw_board(image: Image, camera: CameraModel, board: Board, T_board_in_cam: 
     in_cam = np.concatenate([edge, axes]) @ T_board_in_cam[:3, :3].T + T_board_in_cam[:3, 3]
     if (in_cam[:, 2] <= 1e-3).any():
         return
-    pixels = np.round(project_points(camera, in_cam) * 2**_SHIFT).astype(np.int32)
+    pixels = np.round(project_points(camera, in_cam) * 2**_FRACTION_BITS).astype(np.int32)
     thickness = max(1, round(max(image.shape) / 480))
-    cv2.polylines(image, [pixels[:4]], True, (255, 255, 255), thickness, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, [pixels[:4]], True, (255, 255, 255), thickness, cv2.LINE_AA, _FRACTION_BITS)
     for end, colour in zip(pixels[5:], _AXIS_COLOURS, strict=True):
-        cv2.line(image, pixels[4].tolist(), end.tolist(), colour, thickness + 1, cv2.LINE_AA, _SHIFT)
+        cv2.line(image, pixels[4].tolist(), end.tolist(), colour, thickness + 1, cv2.LINE_AA, _FRACTION_BITS)
 
 
 def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> None:
-    """Write lines of text on a dark plate into an image, in place, in the corner where they hide least.
+    """Write lines of text on a dark background into an image, in place, in the corner with the fewest busy pixels.
 
     Args:
-        busy: (height, width), True where hiding the picture should be avoided.
+        busy: (height, width), True for pixels that the text should not cover.
     """
     if not lines:
         return
     height, width = image.shape[:2]
     scale = max(0.38, max(height, width) / 1700)
     thickness = max(1, round(1.2 * scale))
-    # Lines that are too long or too many get smaller letters. Letters have whole pixels, so sizes have to be tried.
+    # Text that does not fit gets a smaller font. OpenCV rounds text sizes to whole pixels, so the loop tries sizes.
     while True:
         widest = max(cv2.getTextSize(line, _FONT, scale, thickness)[0][0] for line in lines)
         row, pad = round(38 * scale), round(12 * scale)
         size = (len(lines) * row + 2 * pad, widest + 2 * pad)
-        if scale < _LEAST_SCALE or (size[0] <= height and size[1] <= width):
+        if scale < _MIN_SCALE or (size[0] <= height and size[1] <= width):
             break
         scale *= 0.9
     top, left = _freest_corner(busy, size)
@@ -85,7 +85,7 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
 
 
 def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
-    """Top and left of the corner area, `size` rows and columns large, with the fewest busy pixels."""
+    """Return top and left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
     rows, columns = min(size[0], busy.shape[0]), min(size[1], busy.shape[1])
     corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]
     return min(corners, key=lambda at: int(busy[at[0] : at[0] + rows, at[1] : at[1] + columns].sum()))

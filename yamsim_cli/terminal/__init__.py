@@ -1,1 +1,1 @@
-"""What a user sees of commands: results, progress, tables; and how Ctrl-C reaches them."""
+"""Terminal output of commands (results, progress, tables) and handling of Ctrl-C."""

@@ -1,4 +1,4 @@
-"""What a user sees: results on stdout, everything else on stderr, a progress bar only on a terminal."""
+"""Print results to stdout and everything else to stderr, with a progress bar only on a terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-_LOG_SECONDS = 30.0  # s between two lines of progress in a log, so that a short job writes none
+_LOG_SECONDS = 30.0  # s before and between lines of progress in a log, so that a short job writes none
 
 _end_notes = list[str]()
 
@@ -26,7 +26,7 @@ class ProgressCallback(Protocol):
     """Reports a job's progress."""
 
     def __call__(self, done: int, total: int, remark: str = "", /) -> None:
-        """Show that `done` of `total` are done, and a remark."""
+        """Show that `done` of `total` items are done, with a remark."""
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -37,7 +37,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType], json: bool) -> None:
-    """Write a result to stdout: as JSON, or as a table for a person."""
+    """Write a result to stdout, as JSON or as a table."""
     if json:
         print_json(report)
     else:
@@ -45,24 +45,24 @@ def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType],
 
 
 def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
-    """Write a result to stdout while the command goes on: as JSON, or as a line for a person."""
+    """Write a result to stdout while the command continues, as JSON or as a line of text."""
     if json:
         print_json(data)
     else:
         print_line(line)
-    # A program that reads a pipe needs the result before the command ends.
+    # A program that reads from a pipe needs the result before the command ends.
     sys.stdout.flush()
 
 
 def print_table(table: RenderableType) -> None:
-    """Write anything that rich can print to stdout, as wide as the terminal, or 80 columns without a terminal."""
+    """Write a rich renderable to stdout, with the width of the terminal, or 80 columns without a terminal."""
     out = Console()
     if out.is_terminal:
         out.print(table)
         return
     with out.capture() as captured:
         out.print(table)
-    # Rich fills every line up to the table's width.
+    # Rich pads every line to the table's width.
     sys.stdout.writelines(f"{line.rstrip()}\n" for line in captured.get().splitlines())
 
 
@@ -72,7 +72,7 @@ def print_line(text: str) -> None:
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write a result to stdout: `marked` in a style of rich where there are colours, and `text` wrapped beside."""
+    """Write a result to stdout: `marked` in a rich style, and the wrapped `text` to its right."""
     from rich.table import Table
     from rich.text import Text
 
@@ -89,19 +89,19 @@ def print_note(text: str) -> None:
 
 
 def note_moved(path: Path, moved: Path | None) -> None:
-    """Say on stderr where an older output was moved to, if there was one."""
+    """Write to stderr where the backup of an older output is, if there is one."""
     if moved:
         print_note(f"What was at {path} is now at {moved}.")
 
 
 def note_at_end(text: str) -> None:
-    """Write a line to stderr once the command has done its work, see `write_end_notes`."""
+    """Queue a line for stderr at the end of the command, see `write_end_notes`. Duplicates are ignored."""
     if text not in _end_notes:
         _end_notes.append(text)
 
 
 def write_end_notes() -> None:
-    """Write the lines of `note_at_end`."""
+    """Write and clear the lines of `note_at_end`."""
     for text in _end_notes:
         print_note(text)
     _end_notes.clear()
@@ -109,12 +109,12 @@ def write_end_notes() -> None:
 
 @contextmanager
 def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[ProgressCallback]:
-    """A function that reports progress on stderr, with rate and time left: as a bar on a terminal, else as plain lines.
+    """Yield a function that reports progress on stderr with rate and time left, as a bar or, without a terminal, lines.
 
     Args:
-        label: the job.
-        unit: the counted things, in the plural.
-        log_seconds: s between two lines, and before the first; `_LOG_SECONDS` unless given.
+        label: name of the job.
+        unit: name of the counted items, in the plural.
+        log_seconds: s before the first line and between lines; None for 30.
     """
     if console.is_terminal:
         with _bar(label, unit) as advance:
@@ -155,12 +155,12 @@ def _bar(label: str, unit: str) -> Iterator[ProgressCallback]:
 
 
 class _ProgressLog:
-    """Writes a line of progress, if enough time has passed since the last line."""
+    """Writes a line of progress if enough time has passed since the last line."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # Time of the first call, and the count by then, which a resumed job's rate leaves out.
+        # Time and count of the first call. The rate of a resumed job excludes this count.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

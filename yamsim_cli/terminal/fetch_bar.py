@@ -1,4 +1,4 @@
-"""A progress bar of meshes that are downloaded and reduced."""
+"""A progress bar for the download and reduction of meshes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class FetchBar(Protocol):
     """Shows the progress of a download or a reduction."""
 
     def __call__(self, label: str, done: int, total: int, /, shown: str = "") -> None:
-        """Show `done` of `total` bytes, or the words of `shown`."""
+        """Show `done` of `total` bytes, or the text `shown` instead."""
 
 
 @contextmanager
 def fetch_bar() -> Iterator[FetchBar]:
-    """A function that moves a progress bar on stderr; without a terminal, nothing is shown."""
+    """Yield a function that updates a progress bar on stderr, or does nothing visible without a terminal."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from .console import console

@@ -1,4 +1,4 @@
-"""The tables of `yamsim gap`, for a terminal of 80 columns."""
+"""Tables of `yamsim gap` for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from yamsim_cli.real.gap.report import display_name
 from .tables import FactTable, ItemTable
 
 _WIDTH = 80  # columns
-_MAX_RECORDINGS = 10  # in the table; --json has them all
+_MAX_RECORDINGS = 10  # rows of the table; --json has all recordings
 
 
 def gap_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Figures of all recordings, by joint, by phase, and by recording if there are several."""
+    """Return the tables of a gap report: total, by joint, by phase, and by recording if the report has several."""
     parts: list[RenderableType] = [_whole(report), _joints(report), _phases(report)]
     if len(report["recordings"]) > 1:
         parts.append(_recordings(report))

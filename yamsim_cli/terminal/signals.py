@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: noted where nothing may be interrupted, raised as KeyboardInterrupt otherwise."""
+"""Handle Ctrl-C and SIGTERM: record them in protected blocks, and raise KeyboardInterrupt elsewhere."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from yamsim_cli.core.workers.stop_request import StopRequest
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2  # file descriptor
-_RETRY_SECONDS = 0.02  # s until a signal during an import is raised again
+_RETRY_SECONDS = 0.02  # s after which a signal during an import is retried
 
 
 @contextmanager
 def defer_signals() -> Iterator[Callable[[], bool]]:
-    """A function that returns whether a signal has come; inside the block, no signal raises."""
+    """Yield a function that returns whether a signal has arrived. Inside the block, signals raise no exception."""
     came = False
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal came
         came = True
 
-    before = {number: signal.signal(number, note) for number in _ENDING}
+    before = {number: signal.signal(number, note) for number in _STOP_SIGNALS}
     try:
         yield lambda: came
     finally:
@@ -36,10 +36,10 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
-    """A stop that is requested by the first signal or a closed terminal; a second signal ends the block at once.
+    """Yield a stop request that the first signal or a closed terminal sets. A second signal ends the block at once.
 
     Args:
-        message: written to stderr on the first signal.
+        message: line for stderr on the first signal.
     """
     from yamsim_cli.core.workers.stop_request import StopRequest
 
@@ -49,12 +49,12 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
         if stop.is_requested:
             _interrupt(number, frame)
         stop.request()
-        # The handler may have interrupted a write to sys.stderr, which must not be entered twice.
+        # The handler may have interrupted a write to sys.stderr, which is not reentrant.
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
-    # Under nohup, the hang-up stays ignored.
-    wanted = [number for number in (*_ENDING, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
+    # Under nohup, SIGHUP stays ignored.
+    wanted = [number for number in (*_STOP_SIGNALS, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, ask) for number in wanted}
     try:
         yield stop
@@ -64,13 +64,13 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 
 
 def raise_signals() -> None:
-    """From now on, a signal raises KeyboardInterrupt: at once, or at the end of an import in progress."""
-    for number in (*_ENDING, signal.SIGALRM):
+    """Make later signals raise KeyboardInterrupt, at once or after an import in progress."""
+    for number in (*_STOP_SIGNALS, signal.SIGALRM):
         signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # An interrupted import of an extension module looks like a missing module, which its library may then do without.
+    # An interrupted import of an extension module looks like a missing module, and its library may continue without it.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

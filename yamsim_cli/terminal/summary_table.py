@@ -1,4 +1,4 @@
-"""The tables of `yamsim summarize`, for a terminal of 80 columns."""
+"""Tables of `yamsim summarize` for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 from .tables import FactTable, ItemTable
 
 _WIDTH = 80  # columns
-_MAX_EXAMPLES = 2  # of each problem's code; --json has them all
-_MAX_LENGTH = 200  # letters of an example
+_MAX_EXAMPLES = 2  # for each problem code; --json has all problems
+_MAX_EXAMPLE_LENGTH = 200  # characters
 _SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
 
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Figures, rates by threshold, workspace, and problems by code."""
+    """Return the tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
     if report["episodes"] and not report["real"]:
         parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]
@@ -99,7 +99,7 @@ def _explained(problems: Sequence[Mapping[str, Any]]) -> Text:
     for problem in problems[:_MAX_EXAMPLES]:
         place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
         line = f"{place}: {problem['problem']}" if place else problem["problem"]
-        text.append(line if len(line) <= _MAX_LENGTH else line[: _MAX_LENGTH - 3] + "...")
+        text.append(line if len(line) <= _MAX_EXAMPLE_LENGTH else line[: _MAX_EXAMPLE_LENGTH - 3] + "...")
         text.append("\n")
     if len(problems) > _MAX_EXAMPLES:
         text.append(f"and {len(problems) - _MAX_EXAMPLES:,} more\n")

@@ -1,4 +1,4 @@
-"""The tables that commands print. Long cells are folded and not cut, so that tables fit any terminal."""
+"""Tables for a terminal of any width. Long cells wrap, and no text is cut off."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-_NARROW = 60  # columns; in a narrower terminal, cells may stand below one another
-_MAX_NAMES = 0.4  # of a narrow terminal's width, up to which names stand beside their values
+_MIN_WIDE_COLUMNS = 60  # columns of a terminal, below which cells may be stacked
+_MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width, up to which names are beside their values
 
 Item = Mapping[str, Any]
 
 
 class FactTable:
-    """One thing's figures: a name and a value a row; in a narrow terminal, values stand under long names."""
+    """A table of one item's properties, one per row. In a narrow terminal, values are below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
         self._rows = [(_plain(name), _plain(value)) for name, value in rows]
@@ -26,7 +26,7 @@ class FactTable:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         widest = max((name.cell_len for name, _ in self._rows), default=0)
-        if options.max_width >= _NARROW or widest <= _MAX_NAMES * options.max_width:
+        if options.max_width >= _MIN_WIDE_COLUMNS or widest <= _MAX_NAME_SHARE * options.max_width:
             yield _side_by_side(self._rows, self._title)
             return
         if self._title:
@@ -37,12 +37,12 @@ class FactTable:
 
 
 class ItemTable:
-    """Many things, one a row; in a narrow terminal whose columns would break words, one below the other.
+    """A table with one item in each row, or a stacked list in a narrow terminal whose columns would break words.
 
     Args:
-        headings: one a column.
-        numbers_from, numbers_to: columns from the first on and before the second are numbers, set flush right.
-        whole: whether the first column is never broken into lines.
+        headings: one for each column.
+        numbers_from, numbers_to: columns from `numbers_from` to before `numbers_to` are numbers, aligned right.
+        whole: whether the first column never wraps.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class ItemTable:
         self._rows: list[list[Text]] = []
 
     def add_row(self, *cells: str | Text) -> None:
-        """Add one thing's cells, one a column."""
+        """Add a row, with one cell for each column."""
         self._rows.append([_plain(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         table = self._table()
-        if options.max_width >= _NARROW or self._narrowest() <= options.max_width:
+        if options.max_width >= _MIN_WIDE_COLUMNS or self._narrowest() <= options.max_width:
             yield table
             return
         if self._title:
@@ -75,7 +75,7 @@ class ItemTable:
             yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
-        """The table's width if lines are broken only between words."""
+        """Return the table's width if lines break only between words."""
         columns = zip(map(_plain, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 
@@ -95,10 +95,10 @@ class ItemTable:
 def print_items(
     items: Sequence[Item], headings: Sequence[str], row: Callable[[Item], Sequence[str]], json: bool
 ) -> None:
-    """Print many things: `{"items": [...]}`, or a table.
+    """Print items as `{"items": [...]}`, or as a table.
 
     Args:
-        row: the cells of an item, one a heading.
+        row: returns the cells of an item, one for each heading.
     """
     from .console import print_json, print_table
 
@@ -112,10 +112,10 @@ def print_items(
 
 
 def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]] | None = None) -> None:
-    """Print one thing: `{"items": [...]}` with one item, or a row for each key that has a value.
+    """Print one item as `{"items": [...]}`, or as a table with a row for each key that has a value.
 
     Args:
-        words: key -> its value in words, in place of `format_value`.
+        words: key -> function that formats the value, instead of `format_value`.
     """
     from .console import print_json, print_table
 
@@ -130,7 +130,7 @@ def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]]
 
 
 def format_value(value: Any) -> str:
-    """A JSON value for a person."""
+    """Return a JSON value as readable text."""
     if isinstance(value, Mapping):
         return "; ".join(f"{key}: {format_value(inner)}" for key, inner in value.items())
     if isinstance(value, list | tuple):
@@ -141,8 +141,8 @@ def format_value(value: Any) -> str:
 def _side_by_side(rows: Iterable[tuple[Text, Text]], title: str | None) -> Table:
     from rich.table import Table
 
-    look: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "pad_edge": False}
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=title, **look)
+    table_style: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "pad_edge": False}
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=title, **table_style)
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
@@ -163,7 +163,7 @@ def _indented(what: Text | FactTable) -> Padding:
 
 
 def _plain(cell: str | Text) -> Text:
-    """The cell as text that is folded where too long, and never read as markup: a path may hold brackets."""
+    """Return the cell as text that wraps and is not parsed as markup, because a path may contain brackets."""
     from rich.text import Text
 
     text = Text(cell) if isinstance(cell, str) else cell.copy()

@@ -1,4 +1,4 @@
-"""Results of trials and evaluations: tables of their figures, and films of trials."""
+"""Tables of the results of trials and evaluations, and videos of trials."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 def trials_table(report: dict[str, Any]) -> FactTable:
-    """The report of `core.episode.trials.run_batch` as a table."""
+    """Return the report of `core.episode.trials.run_batch` as a table."""
     return FactTable([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> FactTable:
-    """The report of `policies.evaluate.evaluation.summary` as a table."""
+    """Return the report of `policies.evaluate.evaluation.evaluation_report` as a table."""
     return FactTable([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
-    """The path of a job's films; a path that cannot be used is refused before any trial runs."""
+    """Return the writer of a job's videos, and raise an error for an unusable path before any trial runs."""
     from yamsim_cli.core.episode.trials import TrialFilms
 
     timing = settings.task.timing
@@ -34,7 +34,7 @@ def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialF
 
 
 def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
-    """Make films while progress is shown, and return the entries of a report."""
+    """Record videos with a progress bar, and return their entries for a report."""
     with progress_bar("filming", "trials") as advance:
         filmed = make(advance)
     note_moved(films.path, films.moved_aside)
@@ -42,7 +42,7 @@ def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[Filmed
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Rows on the counts of `core.episode.trials.tally`."""
+    """Yield rows for the counts of `core.episode.trials.count_outcomes`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

@@ -1,4 +1,4 @@
-"""A board in a photo: its pose with its uncertainty, or why there is none and what would help."""
+"""Judge a board in a photo: its pose with uncertainty, or the reason for no pose and advice."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from .fitting.print_view import whole_board_piece
 
 Grey = NDArray[np.uint8]
 
-# Markers that are left out of the fit, but are whole and displaced, lie beyond a crease. Covered markers correlate less
-# or are not shifted. Source: 14 half-covered prints and 3 creased ones.
-_LEAST_DISPLACED = 2  # markers
-_STILL_ALIKE = 0.5  # correlation of drawing and photo
-_DISPLACED_PX = 0.7  # px
-_CREASED_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_WITH_LENS = 4 / 3  # of the largest turn, allowed with the uncertainty of the lens and of the print's scale
-_FLAT = 0.5  # probability, below which a message names the print's shape as the cause
+# Markers that the fit excludes, but that are whole and displaced, lie beyond a crease. Covered markers have a lower
+# correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
+_MIN_DISPLACED = 2  # displaced markers that indicate a crease
+_MIN_DISPLACED_CORRELATION = 0.5  # correlation of rendering and photo, above which a marker is whole
+_DISPLACED_PX = 0.7  # px, shift above which a marker is displaced
+_CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
+_SHARED_ERROR_FACTOR = 4 / 3  # on `PoseLimits.turn`, if the errors of the lens and of the print's scale are included
+_MIN_FLAT_PROBABILITY = 0.5  # probability of a flat print, up to which a message names the print's shape as the cause
 
 PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
-_MOTION = 3.0  # px
-_BLUR = 1.5  # px, sigma
-_CONTRAST = 8.0  # times the noise
-_CELL = 0.8  # px
-_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
-_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
-_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
-_ENDS = (0.5, 99.5)  # percentiles of a photo's range
+_MAX_MOTION_PX = 3.0  # px
+_MAX_BLUR_PX = 1.5  # px, sigma
+_MIN_CONTRAST_RATIO = 8.0  # times the noise
+_MIN_CELL_PX = 0.8  # px
+_MIN_GREY_RANGE = 60.0  # grey levels, range below which a photo is dark or has low contrast
+_MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge, above which a photo is blurred
+_SMOOTHING_SIGMA = 1.5  # px, sigma of the smoothing against noise before edges are measured
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
 
 
 class BoardStatus(StrEnum):
-    """The result for a board; UNCERTAIN: there is a pose, but its uncertainty is beyond the limits."""
+    """The result for a board. UNCERTAIN: the board has a pose, but its uncertainty exceeds the limits."""
 
     OK = "ok"
     NOT_FOUND = "not_found"
@@ -63,17 +63,17 @@ class BoardDetection:
     """A board in a photo.
 
     Attributes:
-        markers: ids of the markers that were read or, once the pose was known, recognized by their print.
-        reason: why the status is not OK, for users; else empty.
+        markers: ids of the markers that were read, or whose print agrees with the pose.
+        reason: why the status is not OK, for users; empty for OK.
         T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper); None if refused.
         covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
-            camera's axes: from noise, the print's shape, the lens and the print's scale.
-        shared_errors: (6, k) errors that all boards of a photo share: the change of the pose by one standard deviation of
-            each. The first is the focal length's, the last the print scale's.
-        reprojection_rms: root mean square distance (px) of the markers from where the pose puts them.
+            camera's axes. Sources: noise, the print's shape, the lens and the print's scale.
+        shared_errors: (6, k) change of the pose per standard deviation of each error that all boards of a photo share.
+            The first error is that of the focal length, and the last that of the print's scale.
+        reprojection_rms: root mean square reprojection error of the markers, px.
         blur: approximate blur and motion of the photo, px; an upper bound for a board that fills the photo.
-        is_duplicated: whether the print is in the photo more than once.
-        advice: what would help, for a board that is not located.
+        is_duplicated: whether the photo shows the print more than once.
+        advice: how to improve the photo, if the board is not located.
     """
 
     board: Board
@@ -90,17 +90,17 @@ class BoardDetection:
 
     @property
     def explanation(self) -> str:
-        """The reason and the advice, for users; empty with a pose."""
+        """The reason and the advice, for users; empty for OK."""
         return f"{self.reason}; would help: {', '.join(self.advice)}" if self.advice else self.reason
 
     @property
     def position_sigma(self) -> float | None:
-        """Standard deviation of the centre's position, all axes together, m."""
+        """The standard deviation of the centre's position, all axes together, m."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
 
     @property
     def own_position_sigma(self) -> float | None:
-        """Standard deviation of the centre's position, m, without the errors that all boards of a photo share."""
+        """The standard deviation of the centre's position, m, without the errors that all boards of a photo share."""
         if self.covariance is None or self.shared_errors is None:
             return None
         return math.sqrt(
@@ -109,19 +109,17 @@ class BoardDetection:
 
     @property
     def rotation_sigma(self) -> float | None:
-        """Standard deviation of the orientation, all axes together, rad."""
+        """The standard deviation of the orientation, all axes together, rad."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """The uncertainty up to which a pose counts as located.
+    """The uncertainty up to which a board counts as located, without the errors that all boards of a photo share.
 
     Attributes:
-        turn: standard deviation of the orientation, rad, without the errors of the focal length and of the print's
-            scale; with these, a third more is allowed.
-        shift: standard deviation of the centre's position, m, without the errors of the focal length and of the
-            print's scale, which all photos share.
+        turn: standard deviation of the orientation, rad. With the shared errors, a third more is allowed.
+        shift: standard deviation of the centre's position, m.
     """
 
     turn: float = math.radians(1.5)
@@ -140,18 +138,19 @@ def judge_detection(
     predicted_poses: Sequence[Array] = (),
     limits: PoseLimits = USUAL_LIMITS,
 ) -> BoardDetection:
-    """The sighting of a board with fitted poses: the pose with its uncertainty, or why there is none.
+    """Return the detection of a board with fitted poses: the pose with its uncertainty, or the reason for no pose.
 
     Args:
         photo: grey levels (height, width).
         fit: the best fit.
         fits: all fits.
-        predicted_poses: the board's approximate poses (4, 4), one by each other board: they decide between two poses.
+        predicted_poses: approximate poses (4, 4) of the board, one from each other board, to resolve an ambiguity.
+        limits: the uncertainty up to which the pose is accepted.
     """
     fit = without_outliers(photo, camera, board, fit)
     rival = find_competing_fit(photo, camera, board, fit, fits, predicted_poses)
     if rival is not None and is_clearly_better(rival, fit):
-        # The fit started at the wrong one of a flat board's two poses.
+        # A flat board allows two poses, and the fit started at the wrong one.
         fit, rival = rival, find_competing_fit(photo, camera, board, rival, [*fits, fit], predicted_poses)
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = marker_shift_rms(fit.alignment.tiles[0])
@@ -162,72 +161,71 @@ def judge_detection(
             f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
             "from nearer by or from a slant"
         )
-        smear = fit.alignment.blur
+        kernel = fit.alignment.blur
         return BoardDetection(
-            board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=smear, advice=advice
+            board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=kernel, advice=advice
         )
-    creased = _CREASED_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASED_SHARE
+    creased = _CREASED_SHARE_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASED_SHARE
     shaped = marginalize_shape(photo, camera, [whole_board_piece(board, fit.agreeing)], fit.alignment, creased=creased)
     covariance, shared = pose_covariance(shaped, camera, np.zeros(3))
-    sighting = BoardDetection(board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.blur)
-    turn, shift = sighting.rotation_sigma, sighting.own_position_sigma
+    detection = BoardDetection(
+        board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.blur
+    )
+    turn, shift = detection.rotation_sigma, detection.own_position_sigma
     assert turn is not None and shift is not None
     own_turn = math.sqrt(float(np.trace((covariance - shared @ shared.T)[:3, :3])))
-    if own_turn <= limits.turn and turn <= _WITH_LENS * limits.turn and shift <= limits.shift:
-        return sighting
+    if own_turn <= limits.turn and turn <= _SHARED_ERROR_FACTOR * limits.turn and shift <= limits.shift:
+        return detection
     why = (
         "too few, too small or too blurred markers"
-        if shaped.flat > _FLAT
+        if shaped.flat > _MIN_FLAT_PROBABILITY
         else (
             f"its markers lie {rms:.2f} px off a flat print's: a crease, a bent plate, another lens, or other "
             "measures than the rig's"
         )
     )
     reason = f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: {why}"
-    return replace(sighting, status=BoardStatus.UNCERTAIN, reason=reason, advice=advice)
+    return replace(detection, status=BoardStatus.UNCERTAIN, reason=reason, advice=advice)
 
 
 def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> bool:
-    """Whether several markers that the fit left out are whole but displaced, as beyond a crease."""
-    if fit.contradicting < _LEAST_DISPLACED:
+    if fit.contradicting < _MIN_DISPLACED:
         return False
     check = measure_agreement(photo, camera, [whole_board_piece(board)], fit.T, fit.alignment.blur, fit.alignment.noise)
     if check is None:
         return False
     left_out = [tile for k, tile in check.tiles[0].items() if k not in fit.agreeing]
-    displaced = [t for t in left_out if t.correlation > _STILL_ALIKE and math.hypot(*t.shift) > _DISPLACED_PX]
-    return len(displaced) >= _LEAST_DISPLACED
+    displaced = [
+        t for t in left_out if t.correlation > _MIN_DISPLACED_CORRELATION and math.hypot(*t.shift) > _DISPLACED_PX
+    ]
+    return len(displaced) >= _MIN_DISPLACED
 
 
 def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
-    """Root mean square distance (px) of markers in the photo from the drawn ones."""
+    """Return the root mean square distance (px) between markers in the photo and rendered markers."""
     shifts = np.array([tile.shift for tile in tiles.values()])
     return float(np.sqrt((shifts**2).sum(axis=1).mean()))
 
 
 def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift, and `BoardDetection.shared`.
-
-    Args:
-        alignment: of `marginalize_shape`.
-    """
+    """Return `covariance` and `shared_errors` of a `BoardDetection` about a point (3,) of the reference frame, m."""
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
-    # A turn w about the centre moves the point by w x r.
+    # A rotation w about the centre moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    mistakes = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
-    shared: Array = moved @ np.column_stack(mistakes)
+    error_columns = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(error_columns)
     covariance: Array = moved @ alignment.covariance @ moved.T + shared @ shared.T
     return covariance, shared
 
 
 @dataclass(frozen=True)
 class BoardAppearance:
-    """A board's appearance in a photo.
+    """The image quality of a board in a photo.
 
     Attributes:
-        cell: the shorter side of a cell of the print, px.
-        blur, motion: sigma and length, px.
+        cell: shorter side of a marker cell, px.
+        blur, motion: sigma of the blur and length of the motion, px.
         contrast: grey levels from black to white.
         noise: standard deviation, grey levels.
     """
@@ -242,7 +240,7 @@ class BoardAppearance:
 def measure_appearance(
     board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment
 ) -> BoardAppearance:
-    """A board's appearance at a fitted pose in a photo (height, width)."""
+    """Return a board's image quality at a fitted pose in a photo (height, width)."""
     T = fit.T_ref_in_cam
     corners = project_points(camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
     area = cv2.contourArea(corners.astype(np.float32))
@@ -251,21 +249,21 @@ def measure_appearance(
     left, top = np.maximum(corners.min(axis=0), 0).astype(int)
     right, bottom = np.ceil(corners.max(axis=0)).astype(int)
     part = photo[top : bottom + 1, left : right + 1]
-    low, high = np.percentile(part, _ENDS) if part.size else (0.0, 0.0)
+    low, high = np.percentile(part, _RANGE_PERCENTILES) if part.size else (0.0, 0.0)
     shorter = area / max(longer, 1.0)
     return BoardAppearance(shorter / across, fit.blur.blur, fit.blur.length, float(high - low), fit.noise)
 
 
 def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
-    """What would help a board with this appearance; empty if all measures are within the limits."""
+    """Return advice for better photos of a board; empty if all measures are within the limits."""
     found = []
-    if looks.motion > _MOTION:
+    if looks.motion > _MAX_MOTION_PX:
         found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
-    if looks.blur > _BLUR:
+    if looks.blur > _MAX_BLUR_PX:
         found.append(f"focus (its blur is {looks.blur:.1f} px)")
-    if looks.contrast < _CONTRAST * looks.noise:
+    if looks.contrast < _MIN_CONTRAST_RATIO * looks.noise:
         found.append(f"more light (its contrast is {looks.contrast:.0f} of 255, the noise {looks.noise:.0f})")
-    if looks.cell < _CELL:
+    if looks.cell < _MIN_CELL_PX:
         found.append(
             f"come closer, look from less of a slant or use a higher resolution (a cell is {looks.cell:.1f} px)"
         )
@@ -273,20 +271,20 @@ def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
 
 
 def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
-    """What would help in a photo (height, width) in which nothing looks like a board."""
-    low, high = np.percentile(grey[::2, ::2], _ENDS)
+    """Return advice for a photo (height, width) in which nothing resembles a board."""
+    low, high = np.percentile(grey[::2, ::2], _RANGE_PERCENTILES)
     found = []
-    if high - low < _RANGE:
+    if high - low < _MIN_GREY_RANGE:
         found.append(f"more light or contrast (grey levels are {low:.0f} to {high:.0f} of 255)")
-    if (blur := _least_blur(grey, float(high - low))) > _SOFT:
+    if (blur := _least_blur(grey, float(high - low))) > _MAX_EDGE_SIGMA:
         found.append(f"focus or hold still (no edge is sharper than {blur:.1f} px)")
     return tuple(found) or ("bring the whole board into the photo, or come closer",)
 
 
 def _least_blur(grey: Grey, contrast: float) -> float:
-    """The approximate sigma (px) of a photo's sharpest edges, from their slope."""
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHED)
+    """Return the approximate sigma (px) of a photo's sharpest edges, from their gradient."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
     steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))
     blur = contrast / (math.sqrt(2 * math.pi) * max(steepest, 0.1))
-    return math.sqrt(max(blur**2 - _SMOOTHED**2, 0.0))
+    return math.sqrt(max(blur**2 - _SMOOTHING_SIGMA**2, 0.0))

@@ -1,8 +1,8 @@
-"""From a photo to the pose of each board, or to the reason why there is none.
+"""Locate boards in a photo: the pose of each board, or the reason for no pose.
 
-Markers are found, and every pose that their corners allow is fitted to the whole print (`align`). The best pose is
-accepted only where no other pose explains the photo nearly as well: a flat board seen from afar has two poses. A board
-of which too few markers can be read is recognized as a whole (`recognition`).
+Every pose that the corners of the detected markers allow is fitted to the whole print (`fitting.pose_alignment`). The
+best pose is accepted only if no other pose explains the photo nearly as well: a distant flat board allows two poses. A
+board with too few readable markers is recognized as a whole (`recognition`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .recognition.board_recognizer import BoardRecognizer
 
 Grey = NDArray[np.uint8]
 
-_MOST_GROWTH = 3 * PRINT_SIGMA  # log of a print's size, above which the boards do not lie as the rig says
+_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log scale of a print, above which the boards contradict the poses in the rig
 
 
 def locate_boards(
@@ -55,16 +55,17 @@ def locate_boards(
     before: Sequence[Array | None] = (),
     limits: PoseLimits = USUAL_LIMITS,
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
-    """Look for boards in a photo (height, width) that `camera` took.
+    """Locate boards in a photo.
 
     Args:
-        T_boards_in_ref: approximate pose (4, 4) of each board in one frame. A board that cannot be read is searched
-            beside one that can, and a located board decides between two poses of another. Poses are not fitted to it.
-        before: pose (4, 4) of each board in the camera's frame in a photo just before; None where not known.
+        grey: the photo (height, width).
+        T_boards_in_ref: approximate pose (4, 4) of each board in one frame, which predicts a board's pose from another
+            board. A prediction starts the search and resolves ambiguities; the fitted pose does not depend on it.
+        before: pose (4, 4) of each board in the camera frame in the previous photo; None if not known.
         limits: the uncertainty up to which a pose counts as located.
 
     Returns:
-        One sighting for each board, and by dictionary all markers that were read, also those of other boards.
+        One detection for each board, and by dictionary all detected markers, including those of other boards.
 
     Raises:
         ConfigError: a board's dictionary does not exist.
@@ -80,7 +81,7 @@ def locate_boards(
             sightings[k] = recognizer.sighting(
                 seen, _poses_by_other_boards(k, sightings, T_boards_in_ref), was, anywhere=True
             )
-    # Boards that were just recognized say where boards before them in the list are.
+    # Boards recognized in the first pass predict the poses of boards before them in the list.
     for k, seen in enumerate(sightings):
         if seen.status is not BoardStatus.OK and not seen.is_duplicated:
             new = [
@@ -94,7 +95,7 @@ def locate_boards(
 def _poses_by_other_boards(
     k: int, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[Array]:
-    """The k-th board's pose (4, 4) in the camera's frame, one by each other board that is located."""
+    """Return the k-th board's pose (4, 4) in the camera frame as predicted by each other located board."""
     if not T_boards_in_ref:
         return []
     return [
@@ -107,11 +108,11 @@ def _poses_by_other_boards(
 def boards_without_pose(
     grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
-    """The boards seen in a photo (height, width) whose camera is not known well enough for any pose, as from `locate`.
+    """Return detections without poses, for a photo (height, width) with unknown focal length, as `locate_boards` does.
 
     Args:
         camera: any camera, to group markers.
-        reason: why no pose is given, for users.
+        reason: why the boards have no pose, for users.
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     sightings = []
@@ -145,7 +146,7 @@ def _locate_read_board(
     for T in initial_poses(best, board, camera):
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
-            # The other start could at most be a rival of this fit, and `judge` looks for rivals.
+            # The other start could only give a competing fit, which `judge_detection` searches.
             if fit.contradicting == 0 or fit.explains_well:
                 break
     if not fits:
@@ -157,7 +158,7 @@ def _locate_read_board(
 
 
 def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
-    """A sighting with another pose, and its reprojection error there in the photo (height, width)."""
+    """Return a detection with another pose (4, 4) and its reprojection error in the photo (height, width)."""
     piece = whole_board_piece(seen.board, [seen.board.ids.index(number) for number in seen.markers])
     check = measure_agreement(
         grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
@@ -169,34 +170,33 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
 def locate_together(
     grey: Grey, camera: CameraModel, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
-    """Boards with known poses in one frame, located as one board: far apart, they determine each other's tilt.
+    """Locate boards with known relative poses as one rigid body. Distant boards determine their tilt better together.
 
     Args:
         sightings: at least one, each with a pose.
         T_boards_in_ref: pose (4, 4) of each board in the shared frame.
 
     Returns:
-        New sightings; None where the boards do not lie so for any size of print.
+        New detections; None if no print size within the limits explains the relative poses.
     """
     pieces = [
         PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
         for seen, T in zip(sightings, T_boards_in_ref, strict=True)
     ]
-    # The search starts at the shared frame by the most certain board.
+    # The most certain board gives the start pose of the shared frame.
     best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
-    T_board_in_cam, smear = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
+    T_board_in_cam, kernel = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
-    # The print's size is found too: an error of a quarter of a percent in a fixed size would tilt the boards by 0.2
-    # degrees.
-    growth = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
+    # The scale is fitted too: an error of a quarter of a percent in a fixed scale would tilt the boards by 0.2 degrees.
+    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
-    T_start[:3, 3] *= math.exp(growth.start)
+    T_start[:3, 3] *= math.exp(scale_prior.start)
     T_start = T_start @ inverse(T_boards_in_ref[best])
     photo = grey.astype(np.float32)
-    alignment = align_pose(photo, camera, pieces, T_start, smear, log_scale_prior=growth)
-    if alignment is None or abs(alignment.log_scale) > _MOST_GROWTH:
+    alignment = align_pose(photo, camera, pieces, T_start, kernel, log_scale_prior=scale_prior)
+    if alignment is None or abs(alignment.log_scale) > _MAX_LOG_SCALE:
         return None
-    alignment = marginalize_shape(photo, camera, pieces, alignment, growth)
+    alignment = marginalize_shape(photo, camera, pieces, alignment, scale_prior)
     T_ref, joint = alignment.T_ref_in_cam, []
     for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
         covariance, shared = pose_covariance(alignment, camera, T[:3, 3])
@@ -210,10 +210,10 @@ def locate_together(
 
 
 def _common_log_scale(sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
-    """The log of the prints' size over the board's, at which the boards lie as far apart as they are known to."""
+    """Return the prints' log scale at which the distances between the boards match the known ones."""
     logs = []
     for (one, T_one), (two, T_two) in itertools.combinations(zip(sightings, T_boards_in_ref, strict=True), 2):
         assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
         seen = float(np.linalg.norm(two.T_board_in_cam[:3, 3] - one.T_board_in_cam[:3, 3]))
         logs.append(math.log(float(np.linalg.norm(T_two[:3, 3] - T_one[:3, 3])) / seen))
-    return float(np.clip(np.mean(logs), -2 * _MOST_GROWTH, 2 * _MOST_GROWTH)) if logs else 0.0
+    return float(np.clip(np.mean(logs), -2 * _MAX_LOG_SCALE, 2 * _MAX_LOG_SCALE)) if logs else 0.0

@@ -1,4 +1,4 @@
-"""Find a board's markers in a photo, and keep those that can belong to one board."""
+"""Detect markers in a photo, and group those that can belong to one board."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from ..lens_distortion import viewing_rays
 Grey = NDArray[np.uint8]
 
 # The detector's thresholds suit markers of 30 px and more.
-_ENLARGE_TO = 1920  # px, longer side to which smaller photos are enlarged
+_ENLARGED_SIDE = 1920  # px, approximate longer side to which smaller photos are enlarged
 _MAX_ENLARGEMENT = 3
-# px, longer side to which larger photos are reduced. The detector leaves out markers with an edge below 0.0075 of the
-# longer side (`minMarkerPerimeterRate`), so those that remain have 30 px after the reduction.
-_SHRINK_TO = 4096
+# px, longer side to which larger photos are reduced. The detector ignores markers with an edge below 0.0075 of the
+# longer side (`minMarkerPerimeterRate`), which is 30 px after the reduction.
+_REDUCED_SIDE = 4096
 # The detector's thresholds suit photos that use all grey levels.
-_ENDS = (0.1, 99.9)  # percentiles that are stretched to the whole range
-_WIDEST = 128.0  # grey levels between these, from which a photo is not stretched
-_SAME_BOARD = 0.8  # marker edges, distance of the board centres that two markers of one board predict
+_STRETCHED_PERCENTILES = (0.1, 99.9)  # percentiles that are stretched to the whole range
+_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels between these percentiles, from which a photo is not stretched
+_MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers of one board predict
 
 
 @dataclass(frozen=True)
 class DetectedMarker:
-    """A marker's id, and its corners (4, 2) in pixels, clockwise from the marker's own top left."""
+    """A marker's id, and its corners (4, 2), px, clockwise from the marker's own top left."""
 
     id: int
     corners: Array
@@ -40,21 +40,21 @@ class DetectedMarker:
 
 @dataclass(frozen=True)
 class MarkerGroup:
-    """Markers that lie as on one board: indices into `board.ids`, and corners (k, 4, 2) in pixels."""
+    """Markers that can belong to one board: indices into `board.ids`, and corners (k, 4, 2), px."""
 
     places: tuple[int, ...]
     corners: Array
 
 
 def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[DetectedMarker]]:
-    """All markers of some dictionaries in a photo (height, width), duplicates included.
+    """Return, by dictionary, all markers in a photo (height, width), duplicates included.
 
     Raises:
         ConfigError: OpenCV has no such dictionary.
     """
     sized, factor = _resize_for_detector(grey)
     parameters = cv2.aruco.DetectorParameters()
-    # Poses only start from the corners. Refining corners takes six times as long as finding them.
+    # The corners only give start poses, and their refinement would take six times as long as the detection.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
@@ -70,13 +70,13 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 
 def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
-    """The photo in a size that suits the detector, and the factors (2,) of its width and height."""
+    """Return the photo in a size that suits the detector, and the scale factors (2,) of width and height."""
     longer = max(grey.shape)
-    if longer > _SHRINK_TO:
-        size = tuple(round(side * _SHRINK_TO / longer) for side in grey.shape[::-1])
+    if longer > _REDUCED_SIDE:
+        size = tuple(round(side * _REDUCED_SIDE / longer) for side in grey.shape[::-1])
         shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         return _stretch_contrast(shrunk), np.array(size) / grey.shape[::-1]
-    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / longer)))
+    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGED_SIDE / longer)))
     grey = _stretch_contrast(grey)
     if factor > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
@@ -84,17 +84,17 @@ def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
 
 
 def _stretch_contrast(grey: Grey) -> Grey:
-    low, high = np.percentile(grey, _ENDS)
-    if high - low >= _WIDEST or high - low < 1:
+    low, high = np.percentile(grey, _STRETCHED_PERCENTILES)
+    if high - low >= _MIN_UNSTRETCHED_RANGE or high - low < 1:
         return grey
     stretched: Grey = np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
     return stretched
 
 
 def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[MarkerGroup]:
-    """Markers of a board, grouped by the board centre that each predicts; the largest group first.
+    """Return a board's markers, grouped by the board centre that each predicts, with the largest group first.
 
-    A second print of the same board, or a marker that was misread, is in another group.
+    A second print of the same board, or a misread marker, forms another group.
     """
     place = {number: k for k, number in enumerate(board.ids)}
     ours = [marker for marker in markers if marker.id in place]
@@ -105,7 +105,7 @@ def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: Camer
         for cluster in clusters:
             centre = np.mean([middles[j][0] for j in cluster], axis=0)
             taken = {ours[j].id for j in cluster}
-            if marker.id not in taken and np.linalg.norm(middle - centre) < _SAME_BOARD * edge:
+            if marker.id not in taken and np.linalg.norm(middle - centre) < _MAX_CENTRE_DISTANCE * edge:
                 cluster.append(k)
                 break
         else:
@@ -118,9 +118,9 @@ def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: Camer
 
 
 def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
-    """The viewing ray of the board's centre that a marker predicts, and the marker's edge in the same unit."""
+    """Return the viewing ray (2,) of the board centre that a marker predicts, and the marker's edge in ray units."""
     seen = viewing_rays(camera, marker.corners)
-    # The perspective of one small marker is mostly noise: far from the marker, an affine map errs less.
+    # The perspective of one small marker is mostly noise, so an affine map extrapolates better.
     known = np.column_stack([corners[:, :2], np.ones(4)])
     affine, *_ = np.linalg.lstsq(known, seen, rcond=None)
     edge = float(np.linalg.norm(np.diff(seen, axis=0), axis=1).max())
@@ -128,5 +128,5 @@ def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tupl
 
 
 def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
-    """The ids of all markers, sorted, each once."""
+    """Return the sorted ids of all markers without duplicates."""
     return sorted({marker.id for found in markers.values() for marker in found})

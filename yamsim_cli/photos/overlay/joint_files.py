@@ -1,4 +1,4 @@
-"""Reads the joints that photos were taken with, from the kinds of files that people have."""
+"""Read the joints of the arms in photos from .npy, YAML and .pkl files."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
-_SLACK = math.radians(3.0)  # rad, how far beyond its stop a joint may be: encoders and calibrations are slightly off
-_MOST_OPENING = 1.1  # of the full opening, which no finger exceeds: a file with larger numbers gives shares, not m
+_LIMIT_TOLERANCE = math.radians(3.0)  # rad, beyond a joint limit, for errors of encoders and calibrations
+_MAX_OPENING_SHARE = 1.1  # full openings; larger values in a file, read as m, are shares of the full opening instead
 
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
 
-# How every arm of a rig stands, in the rig's order.
+# The postures of a rig's arms, in the rig's order.
 ArmPostures = tuple[ArmPosture, ...]
 
 
 def home_postures(rig: RigConfig) -> ArmPostures:
-    """Every arm at home, grippers closed."""
+    """Return the postures of a rig's arms at home with closed grippers."""
     return tuple(ArmPosture(np.array(arm.robot.home), 0.0) for arm in rig.arms)
 
 
 def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
-    """How every arm stands, in one row, or in a row for each photo.
+    """Return the postures of a rig's arms, one row for all photos or a row for each.
 
-    An `.npy` holds an array of one row, or of a row for each photo. A `.pkl` is a recorded frame's lowdim. YAML holds
-    either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for an arm with
-    fingers, the opening of one finger in m; the left arm comes first. For a rig of one arm a row may leave out the
-    opening, or hold two such arms. If any opening is more than a tenth above the full one, all are shares of it.
+    An `.npy` file holds an array of one row, or of a row for each photo. A `.pkl` file is a recorded frame's lowdim. A
+    YAML file holds either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for
+    an arm with fingers, the opening of one finger in m. The left arm comes first. For a rig of one arm, a row may omit
+    the opening, or hold two such arms. If any opening is more than a tenth above the full one, all are shares of it.
 
     Raises:
-        ConfigError: the file is unreadable, of another shape, not finite, or outside the joints' ranges.
+        ConfigError: the file is unreadable, has the wrong shape, or has values that are not finite or out of range.
     """
     kind = path.suffix.lower()
     if kind not in _KINDS:
@@ -50,18 +50,18 @@ def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
     if not all(np.isfinite(rows).all() for rows in values):
         raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
     for arm, rows in zip(rig.arms, values, strict=True):
-        if fault := describe_limit_violation(arm.name, arm.robot, rows, _SLACK):
+        if fault := describe_limit_violation(arm.name, arm.robot, rows, _LIMIT_TOLERANCE):
             raise ConfigError(f"--joints {path}: {fault}")
-    return _stands(_in_metres(values, rig, path), rig)
+    return _arm_postures(_in_metres(values, rig, path), rig)
 
 
 def recorded_postures(joints: Array, rig: RigConfig, source: Path) -> ArmPostures:
-    """How every arm stands in a recorded frame. Raises as `load_postures`."""
-    return _stands(_split_by_arm(joints, rig, source), rig)[0]
+    """Return the postures of a rig's arms in a recorded frame. Raises as `load_postures`."""
+    return _arm_postures(_split_by_arm(joints, rig, source), rig)[0]
 
 
-def _stands(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
-    """How every arm stands, row by row, from each arm's rows of joints and, with fingers, opening."""
+def _arm_postures(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
+    """Return the postures of all arms, row by row, from each arm's rows of joints and, with fingers, opening."""
     dofs = [arm.robot.dof for arm in rig.arms]
     return [
         tuple(
@@ -74,12 +74,12 @@ def _stands(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
 
 def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
     fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
-    are_shares = any((values[k][:, -1] > _MOST_OPENING * full).any() for full, k in fingers)
+    are_shares = any((values[k][:, -1] > _MAX_OPENING_SHARE * full).any() for full, k in fingers)
     for full, k in fingers:
         given = values[k][:, -1]
         shares = given if are_shares else given / full
-        # Drives report values slightly beyond both ends, and some grippers close beyond 0 to squeeze.
-        if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
+        # Drives report values slightly beyond both limits, and some grippers close beyond 0 to apply force.
+        if shares.min() < -0.15 or shares.max() > _MAX_OPENING_SHARE:
             worst = given[np.abs(shares - 0.5).argmax()]
             raise ConfigError(
                 f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
@@ -92,7 +92,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
 def _numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
-            # `np.load` would open archives, too.
+            # `np.load` would also open archives.
             with path.open("rb") as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
         except (ValueError, TypeError, EOFError, MemoryError) as error:
@@ -136,7 +136,7 @@ def _array(value: object, path: Path) -> Array:
 
 
 def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
-    """Each arm's columns of rows that hold all arms', in the rig's order."""
+    """Return each arm's columns of rows for all arms, in the rig's order."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")
@@ -145,7 +145,7 @@ def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     if alone and count in (dof, each):
         return [_padded(rows, each)]
     if count == 2 * each:
-        # A file for one arm may hold two such arms, as the recorder of a real station writes them.
+        # A file for one arm may hold two such arms, in the format of the recorder of a real station.
         return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
     valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _describe_columns(rig)
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
@@ -158,7 +158,7 @@ def _padded(rows: Array, width: int) -> Array:
 
 
 def _describe_columns(rig: RigConfig) -> str:
-    """Such as "14 (left 6, left gripper, right 6, right gripper)"."""
+    """Return text such as "14 (left 6, left gripper, right 6, right gripper)"."""
     arms = [rig.arms[k] for k in rig.recording_order]
     parts = []
     for arm in arms:

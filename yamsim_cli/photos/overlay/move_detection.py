@@ -1,6 +1,6 @@
-"""When a camera or an arm's base was moved, from a series of photos by one camera.
+"""Detect moves of the camera or of an arm's base in a series of photos from one camera.
 
-Each board's pose in the camera's frame is a series of vectors (6,). Where the level of a series steps, something moved.
+Each board's pose in the camera frame gives a series of vectors (6,). A step in the level of a series indicates a move.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from ..fiducials.board_detection import BoardStatus
 from .photo_arm_poses import ArmPose, RigInPhoto
 
-# Smallest reported move. An arm in front of its board shifts the board's pose by some of that.
-_LEAST_SHIFT = 5e-4  # m
-_LEAST_TURN = math.radians(0.1)  # rad
-# Smallest standard deviation of a pose. Photos that are equal to the last grey level would have none.
+# Smallest reported move. An arm in front of its board shifts the estimated pose by part of this amount.
+_MIN_SHIFT = 5e-4  # m
+_MIN_TURN = math.radians(0.1)  # rad
+# Smallest standard deviation of a pose. Identical photos would have none.
 _NOISE_SHIFT = 5e-5  # m
 _NOISE_TURN = math.radians(0.01)  # rad
-_TOGETHER = 3  # photos, largest distance between steps of two boards that are one event
-_IN_A_HAND = 8.0  # ratio of the poses' noise to that of the photos, above which a person holds the camera
-_PHOTOS_A_STEP = 12  # photos for each of several steps, below which a person holds the camera
+_MAX_EVENT_SPAN = 3  # photos, largest distance between steps of two boards that count as one event
+_HANDHELD_NOISE_RATIO = 8.0  # ratio of pose noise to photo noise, above which a person holds the camera
+_MIN_PHOTOS_PER_STEP = 12  # photos for each of several steps, below which a person holds the camera
 
-_FEWEST = 4  # samples of a level: with fewer, one outlier is half of the level
-# Squared distance of two levels, in standard deviations, above which a step counts. By chance six independent axes
-# exceed the limit once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
-_SURE = 45.0
-_CLIP = 6.0  # standard deviations that a sample counts for at most, so that one wrong pose is no step
-_FROM_MEDIAN = 1.4826  # from a median absolute deviation to a standard deviation, of normal noise
-_MEDIAN_SPREAD = np.pi / 2  # variance of a median of n normal samples, over the variance of their mean
+_MIN_SAMPLES = 4  # samples of a level; with fewer, one outlier dominates the level
+# Squared distance of two levels, in variances, above which a step counts. Six independent axes exceed this limit by
+# chance once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
+_MIN_STRENGTH = 45.0
+_MAX_SAMPLE_COST = 6.0  # standard deviations that a sample counts for at most, so that one wrong pose is no step
+_SIGMA_PER_MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation, of normal noise
+_MEDIAN_VARIANCE_RATIO = np.pi / 2  # ratio of the variance of a median of normal samples to that of their mean
 
 
 class MovedBody(StrEnum):
-    """What was moved."""
+    """The body that moved."""
 
     CAMERA = "camera"
     BASE = "base"
-    EITHER = "camera or base"  # with one board in sight, a move of the base and one of the camera look alike
+    EITHER = "camera or base"  # one visible board does not distinguish a move of the base from a move of the camera
     SEVERAL = "several"
 
 
@@ -52,14 +52,15 @@ class DetectedMove:
     """A move between two photos.
 
     Attributes:
-        photo: number of the first photo after the move, among all.
-        path: that photo.
-        time: when that photo was taken, s; None if not known.
-        arm: the arm whose base was moved, or whose board shows the move.
-        shift: distance that the base's origin or the camera was moved, m.
-        turn: angle, rad.
-        shift_sigma, turn_sigma: their standard deviations.
-        shift_in_base: (3,) the shift along the axes of the arm's base before the move, m.
+        photo: number of the first photo after the move, among all photos.
+        path: path of the first photo after the move.
+        time: time of the first photo after the move, s; None if not known.
+        what: the body that moved.
+        arm: the arm whose base moved, or whose board shows the move.
+        shift: displacement of the base's origin or of the camera, m.
+        turn: rotation angle, rad.
+        shift_sigma, turn_sigma: standard deviations of `shift` (m) and `turn` (rad).
+        shift_in_base: (3,) displacement along the axes of the arm's base before the move, m.
     """
 
     photo: int
@@ -76,11 +77,11 @@ class DetectedMove:
 
 @dataclass(frozen=True)
 class MoveReport:
-    """Whether camera and bases stayed where they were.
+    """The moves of the camera and of the bases in a series of photos.
 
     Attributes:
-        moves: in order.
-        unknown: why nothing is known; empty otherwise.
+        moves: in the order of the photos.
+        unknown: why moves cannot be detected; empty otherwise.
     """
 
     moves: tuple[DetectedMove, ...] = ()
@@ -88,7 +89,7 @@ class MoveReport:
 
 
 def describe_move(move: DetectedMove) -> str:
-    """A line on a move: the photo, what was moved, and by how much."""
+    """Return a line that describes a move: the photo, the body, and the displacement."""
     by = (
         f"{move.shift * 1000:.1f} mm (sigma {move.shift_sigma * 1000:.2f}) and "
         f"{math.degrees(move.turn):.2f} degrees (sigma {math.degrees(move.turn_sigma):.3f})"
@@ -104,14 +105,14 @@ def describe_move(move: DetectedMove) -> str:
 
 
 def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
-    """The moves in a series of photos by a camera on a stand.
+    """Return the moves in a series of photos from a camera on a tripod or stand.
 
-    The camera moved where all boards moved by the same motion. A base moved where its board did and another did not.
+    If all boards moved by the same motion, the camera moved. If one board moved and another did not, its base moved.
     """
     arms = range(len(results[0].arms)) if results else range(0)
     tracks = [track for k in arms if (track := _track(results, k)) is not None]
     if not tracks:
-        return MoveReport(unknown=f"fewer than {2 * _FEWEST} photos have a pose from a board")
+        return MoveReport(unknown=f"fewer than {2 * _MIN_SAMPLES} photos have a pose from a board")
     if any(track.camera_never_rests for track in tracks):
         return MoveReport(unknown="the camera is not on a stand: it moves all along")
     moves: list[DetectedMove] = []
@@ -125,10 +126,10 @@ class _PoseStep:
     """A step of a series.
 
     Attributes:
-        at: the first sample after the step.
+        at: index of the first sample after the step.
         before, after: the levels (d,) on both sides, up to the neighbouring steps.
         sigma: standard deviation (d,) of the difference between the levels.
-        strength: the squared difference in standard deviations, all axes together.
+        strength: squared difference in variances, summed over all axes.
     """
 
     at: int
@@ -142,9 +143,9 @@ class _BoardTrack:
     """A board's pose over time, as motions from its pose in the middle photo.
 
     Attributes:
-        arm: number of the arm.
-        photos: numbers (n,) of the photos that have the pose.
-        motions: (n, 6): turns, rad, and shifts, m, along the camera's axes.
+        arm: index of the arm.
+        photos: numbers (n,) of the photos with a pose.
+        motions: (n, 6): rotations, rad, and shifts, m, along the camera's axes.
     """
 
     def __init__(self, arm: int, photos: list[int], boards: list[Array], bases: list[Array], minimum: Array) -> None:
@@ -156,33 +157,33 @@ class _BoardTrack:
 
     @cached_property
     def steps(self) -> list[_PoseStep]:
-        """Where the board's pose steps by enough to be reported."""
+        """The steps of the board's pose that are large enough for the report."""
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
-        """The difference between the levels on both sides of a photo, up to the neighbouring steps; None if too few."""
+        """Return the step between the levels on both sides of a photo; None if either side has too few samples."""
         cut = int(np.searchsorted(self.photos, photo))
-        edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _TOGETHER), len(self.photos)]
+        edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
         high = min(edge for edge in edges if edge >= cut)
-        if cut - low < _FEWEST or high - cut < _FEWEST:
+        if cut - low < _MIN_SAMPLES or high - cut < _MIN_SAMPLES:
             return None
         return _step_at(self.motions[low:high], cut - low, _noise_of(self.motions, self._least))
 
     @property
     def camera_never_rests(self) -> bool:
-        """Whether the camera hardly rests."""
+        """Whether the camera moves almost all the time, as in a hand."""
         shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
         steps = len(self.steps)
-        return shaken > _IN_A_HAND or (steps > 1 and steps * _PHOTOS_A_STEP > len(self.photos))
+        return shaken > _HANDHELD_NOISE_RATIO or (steps > 1 and steps * _MIN_PHOTOS_PER_STEP > len(self.photos))
 
     def base(self, motion: Array) -> Array:
-        """The base's pose (4, 4) in the camera's frame where the board is moved (6,) from the middle photo's pose."""
+        """Return the base's pose (4, 4) in the camera frame for a motion (6,) of the board from the middle photo."""
         turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
         return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
     def sigma(self, step: _PoseStep) -> tuple[float, float]:
-        """Standard deviations of the base's shift (m) and turn (rad) in a step, all axes together."""
+        """Return the standard deviations of the base's shift (m) and rotation (rad) in a step, all axes together."""
         turn = float(np.linalg.norm(step.sigma[:3]))
         lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
         return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
@@ -199,16 +200,13 @@ def _track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
         boards.append(board)
         bases.append(arm.T_base_in_cam)
         noise.append(_photo_noise(arm))
-    if len(photos) < 2 * _FEWEST:
+    if len(photos) < 2 * _MIN_SAMPLES:
         return None
     return _BoardTrack(k, photos, boards, bases, np.median(noise, axis=0))
 
 
 def _photo_noise(arm: ArmPose) -> Array:
-    """Standard deviations (6,) of a board's pose, rad and m, by the photo's own noise.
-
-    The errors of the lens and of the print's scale are the same in all photos of a series.
-    """
+    """Return the standard deviations (6,) of a board's pose, rad and m, without errors that all photos share."""
     seen = arm.sighting
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)
     if seen is None or seen.covariance is None or seen.shared_errors is None:
@@ -219,24 +217,24 @@ def _photo_noise(arm: ArmPose) -> Array:
 
 
 def _relative_motion(T: Array, start: Array) -> Array:
-    """The motion (6,) from a start pose: a turn about its origin, rad, and a shift, m, along the axes outside."""
+    """Return the motion (6,) from a start pose: a rotation vector, rad, and a shift, m, in the parent frame."""
     return np.concatenate([rotation_vector(T[:3, :3] @ start[:3, :3].T), T[:3, 3] - start[:3, 3]])
 
 
 def _is_significant(step: _PoseStep) -> bool:
     turn, shift = np.linalg.norm((step.after - step.before).reshape(2, 3), axis=1)
-    return bool(turn >= _LEAST_TURN or shift >= _LEAST_SHIFT)
+    return bool(turn >= _MIN_TURN or shift >= _MIN_SHIFT)
 
 
 _TrackStep = tuple[_BoardTrack, _PoseStep]
 
 
 def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
-    """Steps, grouped where several boards step at about the same photo."""
+    """Group steps of several boards at about the same photo."""
     events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
-        near = last and track.photos[step.at] - last[0][0].photos[last[0][1].at] <= _TOGETHER
+        near = last and track.photos[step.at] - last[0][0].photos[last[0][1].at] <= _MAX_EVENT_SPAN
         if near and all(other.arm != track.arm for other, _ in last):
             last.append((track, step))
         else:
@@ -247,7 +245,7 @@ def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
 def _classify_event(
     results: Sequence[RigInPhoto], tracks: list[_BoardTrack], event: list[_TrackStep]
 ) -> list[DetectedMove]:
-    """What was moved in an event, from the boards that stepped and those that did not."""
+    """Return the moves of an event, from the boards with a step and those without."""
     track, step = max(event, key=lambda one: one[1].strength)
     photo = int(track.photos[step.at])
     others = [(other, its) for other in tracks if other is not track and (its := other.step_before(photo)) is not None]
@@ -262,7 +260,7 @@ def _classify_event(
 
 
 def _same_relative_pose(one: _TrackStep, other: _TrackStep) -> bool:
-    """Whether the pose of two bases to each other is the same before and after an event."""
+    """Return whether the relative pose of two bases is the same before and after an event."""
     (track_one, step_one), (track_two, step_two) = one, other
     before = inverse(track_one.base(step_one.before)) @ track_two.base(step_two.before)
     after = inverse(track_one.base(step_one.after)) @ track_two.base(step_two.after)
@@ -271,8 +269,8 @@ def _same_relative_pose(one: _TrackStep, other: _TrackStep) -> bool:
     turn, shift = math.hypot(turn_one, turn_two), math.hypot(shift_one, shift_two)
     reach = float(np.linalg.norm(before[:3, 3]))
     return bool(
-        np.linalg.norm(motion[:3]) <= max(4 * turn, _LEAST_TURN)
-        and np.linalg.norm(motion[3:]) <= max(4 * (shift + reach * turn), _LEAST_SHIFT + reach * _LEAST_TURN)
+        np.linalg.norm(motion[:3]) <= max(4 * turn, _MIN_TURN)
+        and np.linalg.norm(motion[3:]) <= max(4 * (shift + reach * turn), _MIN_SHIFT + reach * _MIN_TURN)
     )
 
 
@@ -301,51 +299,48 @@ def _move(
 
 
 def _noise_of(series: Array, minimum: Array) -> Array:
-    """Standard deviations (d,) of a series (n, d) from one sample to the next, at least `minimum` (d,).
-
-    A few steps do not change them.
-    """
+    """Return the noise (d,) of a series (n, d), at least `minimum` (d,). The estimate is robust to a few steps."""
     jumps = np.abs(np.diff(series, axis=0))
-    sigma: Array = np.maximum(_FROM_MEDIAN * np.median(jumps, axis=0) / np.sqrt(2), minimum)
+    sigma: Array = np.maximum(_SIGMA_PER_MAD * np.median(jumps, axis=0) / np.sqrt(2), minimum)
     return sigma
 
 
 def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
-    """The steps of a series (n, d), in order.
+    """Return the steps of a series (n, d), in order.
 
-    Between two steps the series stays at a level, the median of at least four samples. A single outlier is no step.
+    Between two steps, the level is the median of at least four samples. A single outlier is no step.
 
     Args:
-        minimum: standard deviations (d,) that the noise has at least.
+        minimum: minimum standard deviation (d,) of the noise.
     """
     sigma = _noise_of(series, minimum)
     edges = [0, *sorted(_split(series / sigma, 0)), len(series)]
     steps = []
     for low, at, high in zip(edges, edges[1:], edges[2:], strict=False):
         step = _step_at(series[low:high], at - low, sigma)
-        if step.strength > _SURE:
+        if step.strength > _MIN_STRENGTH:
             steps.append(replace(step, at=at))
     return steps
 
 
 def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
-    """The step before sample `at` of a series (n, d) whose noise has standard deviations `sigma` (d,)."""
+    """Return the step before sample `at` of a series (n, d) whose noise has standard deviations `sigma` (d,)."""
     before, after = np.median(series[:at], axis=0), np.median(series[at:], axis=0)
-    spread = sigma * np.sqrt(_MEDIAN_SPREAD * (1 / at + 1 / (len(series) - at)))
+    spread = sigma * np.sqrt(_MEDIAN_VARIANCE_RATIO * (1 / at + 1 / (len(series) - at)))
     return _PoseStep(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
 
 
 def _split(series: Array, start: int) -> list[int]:
-    """The samples before which a whitened series steps, found by splitting the series where two levels fit best."""
+    """Return the samples before which a whitened series steps, by recursive splits into two levels of best fit."""
     n = len(series)
-    if n < 2 * _FEWEST:
+    if n < 2 * _MIN_SAMPLES:
         return []
-    costs = [_cost(series[:k]) + _cost(series[k:]) for k in range(_FEWEST, n - _FEWEST + 1)]
-    at = _FEWEST + int(np.argmin(costs))
-    if _step_at(series, at, np.ones(series.shape[1])).strength <= _SURE:
+    costs = [_cost(series[:k]) + _cost(series[k:]) for k in range(_MIN_SAMPLES, n - _MIN_SAMPLES + 1)]
+    at = _MIN_SAMPLES + int(np.argmin(costs))
+    if _step_at(series, at, np.ones(series.shape[1])).strength <= _MIN_STRENGTH:
         return []
     return [*_split(series[:at], start), start + at, *_split(series[at:], start + at)]
 
 
 def _cost(series: Array) -> float:
-    return float(np.minimum(np.abs(series - np.median(series, axis=0)), _CLIP).sum())
+    return float(np.minimum(np.abs(series - np.median(series, axis=0)), _MAX_SAMPLE_COST).sum())

@@ -1,4 +1,4 @@
-"""Scores rendered arms by a photo's edges and by a mask of the robot, and improves their poses by the edges."""
+"""Score rendered arms by a photo's edges and by a mask of the robot, and refine their poses by the edges."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from .joint_files import ArmPostures
 from .photo_arm_poses import ArmPose, RigInPhoto
 from .rendered_arms import ArmRenderer, PinholeArms
 
-_LEAST_POINTS = 20  # fewest points of an outline that moves a pose
+_MIN_POINTS = 20  # points of an outline, below which the outline does not move a pose
 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """The result with its edge residuals: outlines as posed in `renderer` against the photo (height, width)."""
+    """Return the result with edge residuals between the outlines of `renderer`'s arms and the photo (height, width)."""
     flat_grey = renderer.flattened(grey)
     labels = renderer.flat_labels()
     offsets = {
@@ -53,10 +53,10 @@ def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
 def refine_poses(
     result: RigInPhoto, renderer: ArmRenderer, postures: ArmPostures, grey: NDArray[np.uint8], together: bool
 ) -> RigInPhoto:
-    """The result with poses moved onto the edges of the photo (height, width), weighed against the boards' poses.
+    """Return the result with poses fitted to the edges of the photo (height, width), with the boards' poses as prior.
 
     Args:
-        together: whether the arms move as one and keep their distance.
+        together: whether the arms move as one rigid body.
     """
     flat_grey = renderer.flattened(grey)
     start = result.bases
@@ -82,9 +82,9 @@ def refine_poses(
 def _equations(
     flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> EdgeEquations | None:
-    """The normal equations that move the k-th arm onto the photo's edges; None if too little of it is visible."""
+    """Return the equations that move the k-th arm onto the photo's edges; None if too little of the arm is visible."""
     line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
-    if len(line.points) < _LEAST_POINTS:
+    if len(line.points) < _MIN_POINTS:
         return None
     inside = np.round(line.points - line.normals).astype(int)
     depth = flat.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
@@ -102,18 +102,18 @@ def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: 
 
 
 def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
-    """A point (3,) and the inverse covariance (6, 6) of the arms' pose about that point, before edges are used."""
+    """Return a point (3,) in the camera frame and the inverse covariance (6, 6) of the arms' pose about that point."""
     for arm in arms:
         seen = arm.sighting
         if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
             information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
             return seen.T_board_in_cam[:3, 3], information
-    # Recordings hold no uncertainty of a pose. One degree and one centimetre are assumed.
+    # Recordings hold no uncertainty of a pose. Assume one degree and one centimetre.
     assert arms[0].T_base_in_cam is not None
     return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
 
 def mask_iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks (height, width); 1 if both are empty."""
+    """Return the intersection over union of two masks (height, width); 1 if both are empty."""
     union = int((one | other).sum())
     return int((one & other).sum()) / union if union else 1.0

@@ -1,4 +1,4 @@
-"""The report on photos that a rig was laid over: captions, results as plain data, and whether they pass."""
+"""Report the results of an overlay run: captions, plain data for JSON, and checks."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ class OverlayReport:
 
     Attributes:
         results: a result for each photo that could be read.
-        files: the files that were written.
-        failures: a message for each limit that a photo does not keep.
+        files: the written files.
+        failures: a message for each limit that a photo violates.
         unreadable: a message for each photo that could not be read.
+        stillness: the moves of the camera and of the bases.
     """
 
     rig: RigConfig
@@ -38,7 +39,7 @@ class OverlayReport:
     stillness: MoveReport = field(default_factory=MoveReport)
 
     def to_json_data(self) -> dict[str, Any]:
-        """The report as plain data, for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
+        """Return the report as plain data for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
         return {
             "images": [_plain_result(result, self.rig) for result in self.results],
             "files": [str(path) for path in self.files],
@@ -50,15 +51,15 @@ class OverlayReport:
         }
 
     def write(self, out: Path) -> None:
-        """Write the report into a folder as JSON."""
+        """Write the report as JSON to the folder `out`."""
         self.files.append(out / REPORT_NAME)
         write_output(out / REPORT_NAME, json_text(self.to_json_data()).encode())
 
     def check(self) -> None:
-        """Refuse photos without a pose and results that do not pass.
+        """Raise an error for photos without a pose and for violated limits.
 
         Raises:
-            ResourceError: no photo gives a pose, or a photo does not keep a limit.
+            ResourceError: no photo gives a pose, or a photo violates a limit.
             PartialJobError: some photos give a pose, and others give none or cannot be read.
         """
         without = [result for result in self.results if not result.bases]
@@ -76,7 +77,7 @@ class OverlayReport:
 
 
 def captions(result: RigInPhoto) -> list[str]:
-    """The lines that are written into a photo's picture: one for each arm, and some for the photo."""
+    """Return the lines of text for a photo's picture: one for each arm, then those for the photo."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
@@ -106,14 +107,13 @@ def _first_message(messages: Sequence[str]) -> str:
 
 
 def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
-    """A message on photos without a pose: the marker ids that were searched and those that were read."""
     first = results[0]
     boards = [arm.board for arm in rig.arms if arm.board]
     wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
     seen = ", ".join(map(str, first.ids)) or "none"
     focal = first.lens.focal.reason
     refused = [f"{arm.name}: {arm.sighting.explanation}" for arm in first.arms if arm.sighting and arm.sighting.reason]
-    # The lens is the same for all arms, so its fault is named once.
+    # All arms share the lens, so the message names its problem once.
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"

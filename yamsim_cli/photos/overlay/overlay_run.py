@@ -1,4 +1,4 @@
-"""Lays a rig's arms over photos, and writes pictures, masks, video and report."""
+"""Overlay a rig's arms on photos, and write pictures, masks, video and report."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from .rendered_arms import ArmRenderers
 
 @dataclass(frozen=True)
 class PhotoJob:
-    """A photo to lay the arms over.
+    """A photo on which to overlay the arms.
 
     Attributes:
-        mask: the user's mask of the robot; None without one.
-        outputs: the picture to write and, if wanted, the mask.
+        mask: file with the user's mask of the robot; None without one.
+        outputs: paths of the picture to write and, optionally, of the mask.
     """
 
     photo: Photo
@@ -51,20 +51,20 @@ class PhotoJob:
 
 @dataclass(frozen=True)
 class OverlayRequest:
-    """What to do with photos.
+    """The settings of an overlay run.
 
     Attributes:
         jobs: the photos, see `photo_jobs`.
         out: folder for the pictures and the report.
-        camera: the camera of all photos; None for each photo's own, or else an estimate from the boards.
-        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose.
-        refine: whether each pose is moved until the arms' outline meets the photo's edges.
+        camera: the camera of all photos. None for each photo's own camera, or an estimate from the boards without one.
+        trust_margin: whether the rig's relative poses of the arms are exact, so that all boards give one pose.
+        refine: whether to move each pose until the arms' outline matches the photo's edges.
         opacity: opacity of the rendered arms, 0..1.
-        limits: the uncertainty up to which a board's pose counts as located.
-        video: an MP4 of all pictures to write; an older one is replaced.
+        limits: the uncertainty up to which a board counts as located.
+        video: MP4 file of all pictures, which replaces an existing file; None for no video.
         frame_period: time from one picture to the next in the video, s.
-        max_reprojection, min_iou: limits that each photo has to keep, px and 0..1.
-        fail_if_moved: whether a camera or base that was moved between photos counts as a failure.
+        max_reprojection, min_iou: limits for each photo, px and 0..1; None for no limit.
+        fail_if_moved: whether a move of the camera or of a base between photos counts as a failure.
     """
 
     jobs: Sequence[PhotoJob]
@@ -82,7 +82,7 @@ class OverlayRequest:
 
     @property
     def files(self) -> list[Path]:
-        """The pictures, the masks and the report that `run_overlays` writes."""
+        """The files that `run_overlays` writes: pictures, masks and the report, without the video."""
         return [*(path for job in self.jobs for path in job.outputs), self.out / REPORT_NAME]
 
 
@@ -94,18 +94,18 @@ def photo_jobs(
     write_masks: bool = False,
     mask_images: Path | None = None,
 ) -> list[PhotoJob]:
-    """The photos with their joints, their masks and the files to write.
+    """Return the photos with their arm postures, their masks and the files to write.
 
     Args:
         out: folder for the pictures.
-        postures: how every arm stands, one row for all photos or a row for each; None for what each photo knows.
-        write_masks: whether a mask of each photo is written: 0 where no arm is, k for the k-th arm.
-        mask_images: the user's own mask of the photos, or a folder with masks of the photos' names.
+        postures: postures of all arms, one row for all photos or a row for each; None for those recorded with a photo.
+        write_masks: whether to write a mask of each photo: 0 for the background, k for the k-th arm.
+        mask_images: the user's own mask of the photos, or a folder with masks named after the photos.
 
     Raises:
-        ConfigError: the number of rows does not fit the photos.
+        ConfigError: the number of rows does not match the photos.
         UsageError: an output would replace a photo or a mask.
-        ResourceError: a photo has no mask among those that were given.
+        ResourceError: the folder of masks has none for a photo.
     """
     if postures is not None and len(postures) not in (1, len(photos)):
         raise ConfigError(f"--joints has {len(postures)} rows for {len(photos)} photos; give one row, or one for each")
@@ -124,7 +124,7 @@ def photo_jobs(
 
 
 def _result_names(photos: Sequence[Photo]) -> list[str]:
-    """A name for each photo's results: the photo's, with its ending and its place in the list if names are equal."""
+    """Return a distinct name for each photo's results, with suffix or list position if the plain names are not."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]
@@ -141,12 +141,12 @@ def run_overlays(
     locations: Locations,
     progress: Progress,
 ) -> OverlayReport:
-    """Lay the rig over every photo that can be read, and return the report.
+    """Overlay the rig on every photo that can be read, and return the report.
 
     Raises:
-        ConfigError: a mask or the camera does not fit the photos.
-        UsageError: photos of several sizes are to make one video.
-        ResourceError: no photo can be read, a mask cannot, or the output cannot be written.
+        ConfigError: a mask or the camera does not match the photos.
+        UsageError: a video is requested for photos of several sizes.
+        ResourceError: no photo can be read, a mask cannot be read, or the output cannot be written.
     """
     jobs = request.jobs
     try:
@@ -201,19 +201,19 @@ def _overlay(
     result: RigInPhoto,
     renderers: ArmRenderers,
 ) -> tuple[RigInPhoto, Image, NDArray[np.uint8]]:
-    """The scored result of a photo, the photo with the arms over it, and labels (height, width): k for the k-th arm.
+    """Return the scored result of a photo, the picture with the arms, and labels (height, width): k for the k-th arm.
 
     Args:
         image, grey: the photo, RGB (height, width, 3) and grey.
-        result: the arms that were found.
+        result: the located arms.
     """
-    stands, camera = job.photo.postures or home_postures(rig), result.lens.camera
+    postures, camera = job.photo.postures or home_postures(rig), result.lens.camera
     picture, labels = image.copy(), np.zeros(image.shape[:2], np.uint8)
     if result.bases:
         renderer = renderers.renderer_for(camera)
         if request.refine:
-            result = refine_poses(result, renderer, stands, grey, request.trust_margin)
-        renderer.pose(result.bases, stands)
+            result = refine_poses(result, renderer, postures, grey, request.trust_margin)
+        renderer.pose(result.bases, postures)
         result = score_outlines(result, renderer, grey)
         arms = renderer.render()
         labels = arms.labels
@@ -237,8 +237,7 @@ def _mask_overlap(labels: NDArray[np.uint8], mask: Mask, path: Path) -> float:
 
 
 def _changed_pixels(picture: Image, image: Image) -> NDArray[np.bool_]:
-    """Which pixels (height, width) of a picture differ from the photo's."""
-    # Channel by channel, which is much faster.
+    # A comparison channel by channel is much faster.
     changed = np.zeros(image.shape[:2], dtype=np.bool_)
     for k in range(3):
         changed |= picture[..., k] != image[..., k]

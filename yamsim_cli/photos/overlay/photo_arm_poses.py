@@ -1,4 +1,4 @@
-"""Each arm's base pose in a photo, from its own board, from all boards together, or from a recording."""
+"""Find each arm's base pose in a photo, from its own board, from all boards together, or from a recording."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from ..fiducials.markers import seen_ids
 from .photo_cameras import PhotoCamera
 from .photos import Photo
 
-# Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
-INFERRED = "inferred"
-RECORDED = "recorded"
+INFERRED = "inferred"  # status of an arm whose pose follows from the other board and the rig
+RECORDED = "recorded"  # status of an arm whose pose is that of the recording
 NO_BOARD = "no_board"
 
-_PRINT_TOLERANCE = 0.5  # px, reprojection error above which a note is made
-_MARGIN_TOLERANCE = 0.002  # m, difference of the measured margin from the rig's, above which a note is made
+_MAX_REPROJECTION_PX = 0.5  # px, reprojection error above which the result has a note
+_MARGIN_TOLERANCE = 0.002  # m, difference of the measured margin from the rig's, above which the result has a note
 
-# Whether two prints have the sizes of the rig is tested by a chi squared of how the boards lie to each other.
-_MARGIN_SIGMA = 0.005  # m, standard deviation of the arms' distance along the margin from the rig's
-_PLACE_SIGMA = 0.002  # m, standard deviation of the arms' places in any direction
-_SIZE_EXPLAINS = 25.0  # chi squared that another size of print has to explain
-_SIZE_LEAVES = 14.0  # chi squared that another size of print may leave
-_LEAST_GROWTH = 0.01  # smallest difference of size that is reported
+# A chi-squared test of the boards' relative pose decides whether two prints have the sizes in the rig.
+_MARGIN_SIGMA = 0.005  # m, standard deviation of the real margin between the arms from the rig's
+_POSITION_SIGMA = 0.002  # m, standard deviation of the real arm positions from the rig's, along each axis
+_MIN_EXPLAINED = 25.0  # chi squared that another print size has to explain
+_MAX_UNEXPLAINED = 14.0  # chi squared that may remain with another print size
+_MIN_SIZE_DIFFERENCE = 0.01  # smallest relative difference of size that is reported
 
 
 @dataclass(frozen=True)
 class ArmPose:
-    """What a photo shows of one arm.
+    """The pose of one arm in a photo.
 
     Attributes:
-        board: the board's name; None for an arm without one.
-        status: a `BoardStatus` of the board; INFERRED or RECORDED if the pose has another source; NO_BOARD.
-        T_base_in_cam: pose (4, 4) of the arm's base; None if there is none.
-        edge_residual: median distance (px) of the rendered outline to the photo's edges.
+        board: the board's name; None for an arm without a board.
+        status: the board's `BoardStatus`, INFERRED or RECORDED for a pose from another source, or NO_BOARD.
+        sighting: the detection of the arm's board; None without a board.
+        T_base_in_cam: pose (4, 4) of the arm's base; None if unknown.
+        edge_residual: median distance of the rendered outline to the photo's edges, px; None if not measured.
     """
 
     name: str
@@ -56,23 +56,25 @@ class ArmPose:
 
     @property
     def located(self) -> bool:
-        """Whether there is a pose of the base that is not uncertain."""
+        """Whether the base has a pose within the limits of uncertainty."""
         return self.T_base_in_cam is not None and self.status != BoardStatus.UNCERTAIN
 
 
 @dataclass(frozen=True)
 class RigInPhoto:
-    """What a photo shows of a rig.
+    """The poses of a rig's arms in a photo.
 
     Attributes:
-        joints_source: where the joints come from: "home", "file" or "episode".
-        ids: ids of all markers that were read, also of those that belong to no board of the rig.
-        T_arm2_in_arm1: measured pose (4, 4), with each arm's pose from its own board; None unless both were found.
-        margin, margin_sigma: the distance between the arms by that pose, and its standard deviation, m.
-        edge_residual: median distance (px) of all rendered outlines to the photo's edges.
-        iou: overlap with the user's mask, 0..1.
+        lens: the camera of the photo.
+        joints_source: source of the joints: "home", "file" or "episode".
+        arms: one pose for each arm of the rig.
+        ids: ids of all detected markers, including those that belong to no board of the rig.
+        T_arm2_in_arm1: measured pose (4, 4), with each arm's pose from its own board; None unless both are located.
+        margin, margin_sigma: distance between the arms according to `T_arm2_in_arm1`, and its standard deviation, m.
+        edge_residual: median distance of all rendered outlines to the photo's edges, px; None if not measured.
+        iou: overlap with the user's mask, 0..1; None without a mask.
         notes: sentences for users.
-        time: when the photo was taken, s; None if not known.
+        time: time of the photo, s; None if not known.
     """
 
     path: Path
@@ -90,7 +92,7 @@ class RigInPhoto:
 
     @property
     def bases(self) -> dict[int, Array]:
-        """Index of an arm -> pose (4, 4) of its base in the camera's frame, for all arms that are located."""
+        """Index of an arm -> pose (4, 4) of its base in the camera frame, for all located arms."""
         return {
             k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.located and arm.T_base_in_cam is not None
         }
@@ -105,14 +107,14 @@ def find_arms(
     before: RigInPhoto | None = None,
     limits: PoseLimits = USUAL_LIMITS,
 ) -> RigInPhoto:
-    """Each arm's pose from its board, or else from the other board or from the recording.
+    """Return each arm's pose from its board, with `trust_margin` from any board, or else from the recording.
 
     Args:
         grey: the photo (height, width).
         lens: the camera. If its focal length is too uncertain, no board gives a pose.
-        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose of the rig.
-        before: the result of the previous photo of a series: boards are searched at their places there too.
-        limits: the uncertainty up to which a board's pose counts as located.
+        trust_margin: whether the rig's relative poses of the arms are exact, so that all boards give one pose.
+        before: the result of the previous photo of a series, whose board poses are start poses too.
+        limits: the uncertainty up to which a board counts as located.
     """
     boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
@@ -147,12 +149,12 @@ def _T_board_in_world(rig: RigConfig, k: int) -> Array:
 
 
 def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]:
-    """Number and sighting of each arm whose own board is located."""
+    """Return the index and the board detection of each arm whose own board is located."""
     return [(k, arm.sighting) for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is BoardStatus.OK]
 
 
 def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
-    """The arms without the poses of two boards whose prints cannot both be of the sizes that the rig says."""
+    """Return the arms without the poses of two boards whose prints cannot both have the sizes in the rig."""
     for (k, one), (j, two) in itertools.combinations(_located_boards(arms), 2):
         ratio = _size_ratio(one, two, _T_board_in_world(rig, k), _T_board_in_world(rig, j))
         if ratio is None:
@@ -169,24 +171,24 @@ def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPos
 
 
 def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: Array) -> float | None:
-    """The size of the second print over the rig's, beside the first print.
+    """Return the ratio of the second print's size to its size in the rig, relative to the first print.
 
-    A print that is smaller than the rig says looks farther away: the board lies off along the line of sight, and
-    nothing else moves a board so.
+    A print smaller than in the rig appears farther away, so its board is displaced along the line of sight. No other
+    error displaces a board in this way.
 
     Args:
         one, two: boards with a pose.
-        T_one, T_two: the boards' poses (4, 4) in `world`, by the rig.
+        T_one, T_two: the boards' poses (4, 4) in `world` according to the rig.
 
     Returns:
-        None where the prints agree, or sizes do not explain how the boards lie to each other.
+        None if the print sizes agree, or do not explain the boards' relative pose.
     """
     assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
     assert one.covariance is not None and two.covariance is not None
     assert one.shared_errors is not None and two.shared_errors is not None
     expected = one.T_board_in_cam @ (inverse(T_one) @ T_two)
     lever = expected[:3, 3] - one.T_board_in_cam[:3, 3]
-    # A small turn w of the first board moves the second by w x lever.
+    # A small rotation w of the first board moves the second by w x lever.
     x, y, z = lever
     swung = np.column_stack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
     own_one: Array = one.covariance - one.shared_errors @ one.shared_errors.T
@@ -195,17 +197,17 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     noise = swung @ own_one @ swung.T + own_two[3:, 3:] + shared @ shared.T
     # The margin is along world y.
     along = one.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
-    noise = noise + _PLACE_SIGMA**2 * np.eye(3) + _MARGIN_SIGMA**2 * np.outer(along, along)
+    noise = noise + _POSITION_SIGMA**2 * np.eye(3) + _MARGIN_SIGMA**2 * np.outer(along, along)
     off = two.T_board_in_cam[:3, 3] - expected[:3, 3]
-    # Another size scales the whole way from the camera.
+    # Another size scales the vector from the camera to the board.
     way = two.T_board_in_cam[:3, 3]
     weighted = np.linalg.solve(noise, np.column_stack([off, way]))
-    growth = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
+    size_change = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
     before = float(off @ weighted[:, 0])
-    left = before - growth**2 * float(way @ weighted[:, 1])
-    if before - left < _SIZE_EXPLAINS or left > _SIZE_LEAVES or abs(growth) < _LEAST_GROWTH:
+    left = before - size_change**2 * float(way @ weighted[:, 1])
+    if before - left < _MIN_EXPLAINED or left > _MAX_UNEXPLAINED or abs(size_change) < _MIN_SIZE_DIFFERENCE:
         return None
-    return 1.0 + growth
+    return 1.0 + size_change
 
 
 def _without_pose(sighting: BoardDetection) -> BoardDetection:
@@ -218,7 +220,7 @@ def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose
 
 
 def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
-    """The result with the recorded poses of the arms for which no board gave one."""
+    """Return the result with the recorded pose for each arm without a pose from a board."""
     T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
     arms = tuple(
         arm if arm.located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
@@ -233,19 +235,19 @@ def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
         "rig's marker_length_mm and gap_mm against the print"
         for arm in arms
         if arm.located and arm.sighting
-        if (rms := arm.sighting.reprojection_rms) is not None and rms > _PRINT_TOLERANCE
+        if (rms := arm.sighting.reprojection_rms) is not None and rms > _MAX_REPROJECTION_PX
     )
 
 
 def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
-    """The result with the measured distance of the arms, and a note if it differs from the rig's."""
+    """Return the result with the measured margin of the arms, and a note if it differs from the rig's."""
     if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
     assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
     measured = inverse(one.T_base_in_cam) @ two.T_base_in_cam
     expected = inverse(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
-    # The margin is along world y, which is this direction in the first arm's frame.
+    # The margin is along world y, here in the first arm's frame.
     along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
     sigma = _margin_sigma(one, two, one.T_base_in_cam[:3, :3] @ along)
@@ -259,26 +261,26 @@ def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
 
 
 def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
-    """Standard deviation of two boards' distance along a direction (3,) of the camera's frame."""
+    """Return the standard deviation (m) of two bases' distance along a direction (3,) of the camera frame."""
     variance, scales = 0.0, []
     for arm in (one, two):
         assert (
             arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared_errors is not None
         )
         assert arm.sighting.T_board_in_cam is not None and arm.T_base_in_cam is not None
-        # A turn of the board about its centre moves the base.
+        # A rotation of the board about its centre moves the base.
         lever = arm.T_base_in_cam[:3, 3] - arm.sighting.T_board_in_cam[:3, 3]
         along = np.concatenate([np.cross(lever, direction), direction])
         shared = along @ arm.sighting.shared_errors
         variance += float(along @ arm.sighting.covariance @ along - shared @ shared)
         scales.append(shared)
-    # Errors of the lens and of the printer are the same for both boards: their difference counts, not their sum.
+    # Errors of the lens and of the printer are the same for both boards, so only their difference counts.
     apart = scales[1] - scales[0]
     return math.sqrt(max(0.0, variance) + float(apart @ apart))
 
 
 def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """The result with all arms posed by one pose of the whole rig, which all found boards give together."""
+    """Return the result with all arms at one pose of the whole rig, fitted to all located boards together."""
     seen = dict(_located_boards(result.arms))
     T_boards = [_T_board_in_world(rig, k) for k in seen]
     joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)

@@ -1,4 +1,4 @@
-"""The camera that took a photo: from a calibration file, from a recording, or estimated from the boards."""
+"""Determine the camera of a photo: from a calibration file, from a recording, or by an estimate from the boards."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from yamsim_cli.core.images.image_files import read_image, to_grey
 from ..fiducials.focal_length.focal_estimate import FocalEstimate, estimate_focal, find_outlines, known_focal
 from .photos import Photo
 
-_PHOTOS_TO_SEARCH = 40  # photos at most in which boards are searched to estimate a focal length
-_PHOTOS_FOR_FOCAL = 8  # photos with a board after which the search ends
+_MAX_SEARCHED_PHOTOS = 40  # photos in which boards are searched to estimate a focal length
+_SUFFICIENT_PHOTOS = 8  # photos with a board, after which the search ends
 
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera's focal length and model, and where they come from: "file", "episode" or "estimated"."""
+    """A camera's focal length and model, and their source: "file", "episode" or "estimated"."""
 
     focal: FocalEstimate
     source: str
 
     @classmethod
     def from_calibration(cls, camera: CameraModel, source: str) -> PhotoCamera:
-        """The lens of a calibrated camera."""
+        """Return a calibrated camera."""
         return cls(known_focal(camera), source)
 
     @property
@@ -39,11 +39,11 @@ class PhotoCamera:
 
 
 class PhotoCameras:
-    """The lenses of photos. Photos of one size by an unknown camera share one estimate.
+    """The cameras of photos. Photos of one size from an unknown camera share one estimate.
 
     Args:
         paths: all photos from which a focal length may be estimated.
-        camera: the calibrated camera of all photos; None to take each photo's own, or else an estimate.
+        camera: the calibrated camera of all photos; None for each photo's own camera, or else an estimate.
     """
 
     def __init__(self, rig: RigConfig, paths: Sequence[Path], camera: CameraModel | None) -> None:
@@ -51,7 +51,7 @@ class PhotoCameras:
         self._estimated: dict[tuple[int, ...], PhotoCamera] = {}
 
     def camera_of(self, photo: Photo, image: Image) -> PhotoCamera:
-        """The lens of a photo, whose RGB image is (height, width, 3).
+        """Return the camera of a photo, whose RGB image is (height, width, 3).
 
         Raises:
             ConfigError: the camera is calibrated for another image size.
@@ -81,19 +81,19 @@ class PhotoCameras:
 
 
 def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> PhotoCamera:
-    """The lens of an unknown camera, estimated from the boards in its photos.
+    """Estimate an unknown camera from the boards in its photos.
 
     Args:
         images: RGB, all of one size.
-        size: their height and width, px.
+        size: height and width of the images, px.
     """
     boards = [arm.board.board for arm in rig.arms if arm.board]
     outlines, with_board = [], 0
-    for image in itertools.islice(images, _PHOTOS_TO_SEARCH):
+    for image in itertools.islice(images, _MAX_SEARCHED_PHOTOS):
         found = find_outlines(to_grey(image), boards)
         outlines += found
         with_board += bool(found)
-        if with_board == _PHOTOS_FOR_FOCAL:
+        if with_board == _SUFFICIENT_PHOTOS:
             break
     height, width = size
     return PhotoCamera(estimate_focal(outlines, (width, height)), "estimated")

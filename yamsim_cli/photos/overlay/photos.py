@@ -1,4 +1,4 @@
-"""The photos to lay a rig over, from files, folders or recorded episodes, with what is known of each."""
+"""Find the photos for an overlay in files, folders or recorded episodes, with their recorded cameras and joints."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from .joint_files import ArmPostures, recorded_postures
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
-# Endings of the pictures that yamsim writes for photos. Files with such names are not photos.
+# Suffixes of the pictures that yamsim writes for photos. Files with these suffixes are not photos.
 OVERLAY_ENDING = "_overlay.png"
 MASK_ENDING = "_mask.png"
 
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo and what is known of it.
+    """One photo with its known camera, postures and pose.
 
     Attributes:
-        camera: the camera that took the photo; None if not known.
-        postures: how every arm stands; None if not known, which counts as home.
-        joints_source: where the joints come from: "home", "file" or "episode".
-        T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame; None if not recorded.
-        time: when the photo was taken, s; None if not known.
+        camera: the camera of the photo; None if not known.
+        postures: the postures of a rig's arms; None if not known, which counts as home.
+        joints_source: source of the joints: "home", "file" or "episode".
+        T_base_in_cam: pose (4, 4) of the first arm's base in the camera frame; None if not recorded.
+        time: time of the photo, s; None if not known.
     """
 
     path: Path
@@ -47,7 +47,7 @@ class Photo:
 
 
 def find_photos(paths: Sequence[Path]) -> list[Path]:
-    """The photos that files and folders name, in order, each once; overlays and masks in a folder are left out.
+    """Return the photos at files and in folders, in order and once each, except overlays and masks in folders.
 
     Raises:
         ResourceError: a path does not exist, is no PNG or JPEG, or a folder has none.
@@ -70,16 +70,16 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
 
 
 def _may_be_photo(path: Path) -> bool:
-    """Whether a file in a folder is a photo. Hidden files, and overlays and masks of earlier runs, are not."""
+    """Return whether a file in a folder is a photo, and not a hidden file or the output of an earlier run."""
     written = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
 
 
 def find_mask(masks: Path, photo: Path) -> Path:
-    """The mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
+    """Return the mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
 
     Raises:
-        ResourceError: the folder has none.
+        ResourceError: the folder has no mask for the photo.
     """
     if not masks.is_dir():
         return masks
@@ -90,7 +90,7 @@ def find_mask(masks: Path, photo: Path) -> Path:
 
 
 def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
-    """The frames of episodes, and of all episodes of datasets, in order, see `episode_photos`."""
+    """Return the frames of episodes, and of all episodes of datasets, in order, see `episode_photos`."""
     episodes: list[Path] = []
     for path in recordings:
         within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
@@ -99,18 +99,18 @@ def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConf
 
 
 def chosen_camera(cameras: Sequence[str], camera: str | None) -> str:
-    """The named camera; without a name, the first one that is no wrist camera."""
+    """Return `camera` or, without a name, the first of `cameras` that is no wrist camera, or else the first."""
     return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
 
 
 def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
-    """A recorded episode's frames of one camera, with their intrinsics, pose and joints.
+    """Return a recorded episode's frames of one camera, with intrinsics, pose and joints.
 
     Args:
         camera: name of the camera, see `chosen_camera`.
 
     Raises:
-        DatasetError: the directory is no episode, or a frame is damaged.
+        DatasetError: the directory is no episode or has no pictures, or a frame is damaged.
         UsageError: the episode has no such camera.
     """
     if (episode / "lowdim").is_dir() and not (episode / "rgb").is_dir():
@@ -137,7 +137,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
         K = camera_matrix(frame, "intrinsics", camera)
         T_cam_in_base = camera_matrix(frame, "extrinsics", camera)
         time = float(frame["timestamp"]) if "timestamp" in frame else None
-        stands = recorded_postures(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
+        frame_postures = recorded_postures(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
     except OSError as error:
         raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
     except KeyError as error:
@@ -148,18 +148,18 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
     except (TypeError, ValueError, DatasetError) as error:
         raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
     if len(rig.arms) > 1:
-        # Extrinsics are recorded in the left arm's base. Photos have those in the base of the rig's first arm.
+        # Recorded extrinsics are relative to the left arm's base. `Photo` needs the base of the rig's first arm.
         T_left_in_world = rig.T_base_in_world(rig.recording_order[0])
         T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
     height, width = read_image(path).shape[:2]
-    return Photo(path, pinhole_camera(K, width, height), stands, "episode", inverse(T_cam_in_base), time)
+    return Photo(path, pinhole_camera(K, width, height), frame_postures, "episode", inverse(T_cam_in_base), time)
 
 
 def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
-    """A camera's "intrinsics" (3, 3) or "extrinsics" (4, 4) in a recorded frame.
+    """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4), the pose in a base frame, from a recorded frame.
 
     Raises:
-        KeyError: the frame has none.
+        KeyError: the frame has no such matrix.
         ValueError: the matrix has another shape or is not finite.
     """
     side = {"intrinsics": 3, "extrinsics": 4}[key]
@@ -170,6 +170,6 @@ def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
 
 
 def pinhole_camera(K: Array, width: int, height: int) -> CameraModel:
-    """A camera without distortion, from its matrix (3, 3) and image size, px."""
+    """Return a camera without distortion, from its matrix (3, 3) and image size, px."""
     (a, b, c), (d, e, f), _ = K.tolist()
     return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)))

@@ -1,4 +1,4 @@
-"""Renders a rig's arms as a camera sees them, each at its own base pose in the camera's frame."""
+"""Render a rig's arms as a camera sees them, each at its own base pose in the camera frame."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from ..lens_distortion import LensWarp
 
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5  # geom group that is not rendered
-_SMOOTHED = 1400  # px, largest photo side whose arms are rendered twice as fine, for smooth edges in any OpenGL
-_MAX_PX = 8192  # px, largest side of a rendered picture
+_MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which arms are rendered at double resolution: smooth edges in any OpenGL
+_MAX_SIDE = 8192  # px, largest side of a rendered picture
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class ArmPicture:
     """Rendered arms as the real camera sees them.
 
     Attributes:
-        colour: RGB (height, width, 3), distorted as the photo is.
-        labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
+        colour: RGB (height, width, 3), with the lens distortion of the photo.
+        labels: (height, width): 0 for the background, k for the rig's k-th arm.
     """
 
     colour: NDArray[np.uint8]
@@ -52,8 +52,9 @@ class PinholeArms:
     """Rendered arms in an ideal pinhole picture, for geometry.
 
     Attributes:
-        labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
-        depth: z (height, width) of the surface, m.
+        labels: (height, width): 0 for the background, k for the rig's k-th arm.
+        depth: z (height, width) of the surface in the camera frame, m.
+        intrinsics: the camera of `labels` and `depth`.
     """
 
     labels: NDArray[np.uint8]
@@ -64,21 +65,23 @@ class PinholeArms:
 class ArmRenderer(Closable):
     """Renders arms for photos of one camera. Close the renderer, or use it as a context manager.
 
-    The world of the rendered scene is the camera's frame, and the arms' bases are moved in that frame.
+    The world frame of the rendered scene is the camera frame.
 
     Raises:
         ConfigError: the camera's pictures are too large or too wide to render.
-        ResourceError: no OpenGL context can be made.
+        ResourceError: no OpenGL context is available.
     """
 
     def __init__(
         self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
     ) -> None:
         self._rig = rig
-        self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _SMOOTHED else 1)
+        self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _MAX_SUPERSAMPLED_SIDE else 1)
         size = (self._warp.ideal.width, self._warp.ideal.height)
-        if max(size) > _MAX_PX:
-            raise ConfigError(f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_PX}")
+        if max(size) > _MAX_SIDE:
+            raise ConfigError(
+                f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_SIDE}"
+            )
         view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
         blueprint = Blueprint(
             rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
@@ -86,7 +89,7 @@ class ArmRenderer(Closable):
         spec = compose(blueprint, locations)
         for light in list(spec.lights):
             spec.delete(light)
-        # The photo's light is unknown. Light from the camera casts no shadow that could be a false one.
+        # The photo's light is unknown. Light from the camera avoids wrong shadows, since it casts no visible ones.
         spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
         spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
         self._model = compile_spec(spec)
@@ -100,11 +103,11 @@ class ArmRenderer(Closable):
         self._renderer = SceneRenderer(self._model, size)
 
     def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
-        """Move the arms.
+        """Set the base poses and the joints of the arms.
 
         Args:
-            T_base_in_cam: arm's index -> pose (4, 4). Arms that are left out are hidden.
-            postures: how every arm stands.
+            T_base_in_cam: arm's index -> pose (4, 4). Other arms are hidden.
+            postures: the posture of every arm of the rig.
         """
         model, data = self._model, self._data
         for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
@@ -123,17 +126,17 @@ class ArmRenderer(Closable):
         self._labels = None
 
     def render(self) -> ArmPicture:
-        """The arms as the real camera sees them."""
+        """Render the arms as the real camera sees them."""
         colour = self._warp.image(self._renderer.render(self._data, _CAMERA))
         return ArmPicture(colour, self._warp.image(self._ideal_labels(), nearest=True))
 
     def flat_labels(self) -> NDArray[np.uint8]:
-        """The labels of `flat` alone, in half the time."""
+        """Render only the labels of `pinhole_arms`, in half the time."""
         step = self._warp.supersample
         return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
 
     def pinhole_arms(self) -> PinholeArms:
-        """The arms in an ideal pinhole picture."""
+        """Render the arms in an ideal pinhole picture."""
         step = self._warp.supersample
         depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
         return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
@@ -144,7 +147,7 @@ class ArmRenderer(Closable):
         return self._labels
 
     def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A photo of the camera without its distortion, which can be compared with `flat`."""
+        """Return a photo of the camera without distortion, with the intrinsics of `pinhole_arms`."""
         return self._warp.flattened(photo)
 
     def close(self) -> None:
@@ -160,7 +163,7 @@ class ArmRenderers(Closable):
         self._last: tuple[CameraModel, ArmRenderer] | None = None
 
     def renderer_for(self, camera: CameraModel) -> ArmRenderer:
-        """The renderer of a camera."""
+        """Return the renderer of a camera."""
         if self._last is None or self._last[0] != camera:
             self.close()
             rig, scene, quality, locations = self._parts

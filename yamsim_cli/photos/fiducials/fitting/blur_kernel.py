@@ -1,4 +1,4 @@
-"""Blur by a lens out of focus and by a camera that moves."""
+"""Blur from a defocused lens and from camera motion."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.float32]
 
-_POINTS_A_PX, _LEAST_POINTS = 4, 9  # points of a straight motion, for each px of its length and at least
-_BLUR_STEP = 0.03  # of the blur, step of the numeric derivative by blur
-# Slopes take two pixels on each side: with one, the slopes of a sharp picture would be a third too flat.
-_SLOPE = np.array([1, -8, 0, 8, -1], np.float32) / 12
+_POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points of a motion per px of its length, and their minimum number
+_BLUR_STEP = 0.03  # share of the blur, step of the numeric derivative with respect to blur
+# With one pixel on each side instead of two, the derivatives of a sharp picture would be a third too small.
+_DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
 _IDENTITY = np.ones(1, np.float32)
 _BORDER = cv2.BORDER_REPLICATE
 
 
 @dataclass(frozen=True)
 class BlurKernel:
-    """The blur and motion of a picture.
+    """The defocus blur and motion blur of a picture.
 
     Attributes:
-        blur: sigma of the lens's blur, px.
-        motion: even motion (right, down; px) during the exposure; both signs are the same.
+        blur: sigma of the defocus blur, px.
+        motion: uniform motion (right, down; px) during the exposure; opposite motions are equivalent.
     """
 
     blur: float
@@ -38,22 +38,22 @@ class BlurKernel:
 
     @property
     def radius(self) -> float:
-        """The distance (px) within which most of a point is smeared."""
+        """The radius (px) that contains most of a blurred point."""
         return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
 
     def in_larger_pixels(self, coarser: int) -> BlurKernel:
-        """The same in a picture of larger pixels."""
+        """Return the same blur in a picture whose pixels are `coarser` times as large."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
     def blurred(self, picture: Grey) -> Grey:
-        """A picture (rows, columns[, channels]), smeared."""
+        """Return a picture (rows, columns[, channels]) with this blur."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         if self.length:
             blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BORDER)
         return np.asarray(blurred, dtype=np.float32)
 
     def by_motion(self, picture: Grey) -> tuple[Grey, Grey]:
-        """Derivatives of the smeared picture (rows, columns) by the motion, right and down."""
+        """Return the derivatives (rows, columns) of the blurred picture with respect to the motion right and down."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         line = self._line(slope=True)
         across, down = (
@@ -63,18 +63,18 @@ class BlurKernel:
         return across, down
 
     def by_blur(self, picture: Grey, smeared: Grey) -> Grey:
-        """Derivative of the smeared picture (rows, columns[, channels]) by the blur."""
+        """Return the derivative (rows, columns[, channels]) of the blurred picture `smeared` with respect to `blur`."""
         more = _BLUR_STEP * self.blur
         by_blur: Grey = (BlurKernel(self.blur + more, self.motion).blurred(picture) - smeared) / np.float32(more)
         return by_blur
 
     def _line(self, slope: bool) -> Grey:
-        """The kernel (k, k) of the motion; with `slope`, each point weighted by its place along the motion."""
+        """Return the kernel (k, k) of the motion; `slope` weights each point by its position along the motion."""
         x, y = self.motion
         side = math.ceil(self.length / 2 + 1)
         kernel = np.zeros((2 * side + 1, 2 * side + 1), np.float32)
-        along = np.linspace(-0.5, 0.5, max(_LEAST_POINTS, math.ceil(self.length * _POINTS_A_PX)) + 1)
-        # The first and the last point stand for half a step only.
+        along = np.linspace(-0.5, 0.5, max(_MIN_POINTS, math.ceil(self.length * _POINTS_PER_PX)) + 1)
+        # The first and the last point cover only half a step.
         weight = np.full(len(along), 1.0)
         weight[[0, -1]] = 0.5
         weight /= weight.sum()
@@ -90,7 +90,7 @@ class BlurKernel:
 
 
 def picture_gradients(picture: Grey) -> tuple[Grey, Grey]:
-    """Slopes of a picture (rows, columns), right and down, per px."""
-    across = cv2.sepFilter2D(picture, cv2.CV_32F, _SLOPE, _IDENTITY, borderType=_BORDER)
-    down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY, _SLOPE, borderType=_BORDER)
+    """Return the derivatives of a picture (rows, columns) to the right and down, per px."""
+    across = cv2.sepFilter2D(picture, cv2.CV_32F, _DERIVATIVE_KERNEL, _IDENTITY, borderType=_BORDER)
+    down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY, _DERIVATIVE_KERNEL, borderType=_BORDER)
     return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)

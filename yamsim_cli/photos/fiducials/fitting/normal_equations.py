@@ -1,4 +1,4 @@
-"""Residuals of a drawn print against the photo, their Jacobian, and robust least squares over all pixels."""
+"""Compute residuals of a rendered print against the photo, their Jacobian, and robust normal equations."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from yamsim_cli.core.geometry.se3 import Array
 from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, draw_print
 
-_MIN_TILE_PIXELS = 12  # fewest pixels of a tile that is compared
-_LEAST_BESIDE = 1e-4  # sum of squared shares smeared in from beside the print, below which a tile is unaffected
-_LEAST_CONTRAST = 1.0  # grey levels, contrast below which a tile shows no print
+_MIN_TILE_PIXELS = 12  # pixels of a tile, below which the tile is not compared
+_MIN_SURROUNDINGS_POWER = 1e-4  # sum of squared surroundings shares, below which the surroundings of a tile are ignored
+_MIN_CONTRAST = 1.0  # grey levels, contrast below which a tile shows no print
 
-_HUBER = 1.345  # standard deviations, beyond which residuals count less (Huber's 95 % efficiency)
-_LEAST_NOISE = 0.3  # grey levels: rounding alone makes as much
-_MOST_STEPS = 30
-# Steps below either limit end a fit: shift of the print in the picture, px, and standard deviations of the noise.
+_HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have less weight (95 % efficiency)
+_MIN_NOISE = 0.3  # grey levels, from rounding alone
+_MAX_STEPS = 30
+# A step below either limit ends a fit: shift of the print in the picture, px, and standard deviations of the noise.
 _CONVERGED = (4e-3, 0.1)
-_NEARLY = (2e-2, 0.4)  # the same where only the cost is wanted
-_NOT_WORTH_A_TRY = 1.0  # standard deviations: where only the cost is wanted, a failed step below this is not retried
+_COARSELY_CONVERGED = (2e-2, 0.4)  # the same limits for a coarse fit, which needs only the cost
+_MIN_RETRIED_STEP = 1.0  # standard deviations, below which a coarse fit ends at a failed step
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class MarkerTile:
     """A marker and half the gap around it.
 
     Attributes:
-        correlation: of drawing and photo, -1..1.
-        shift: offset (px, right and down) of the photo from the drawing.
+        correlation: of the rendered print and the photo, -1..1.
+        shift: offset (px, right and down) of the photo from the rendered print.
         residual_variance: mean squared residual after that shift, grey levels squared.
     """
 
@@ -47,12 +47,12 @@ class MarkerTile:
 
 @dataclass(frozen=True)
 class PixelDerivatives:
-    """The compared pixels, and the derivatives of the drawn print there.
+    """The compared pixels and the derivatives of the rendered print there.
 
     Attributes:
-        at: places on the board (n, 2), m.
+        at: positions on the board (n, 2), m.
         rays: viewing rays (n, 2).
-        by_ray, by_shift: derivatives (n, 2) by a shift of the print along the rays, and by a shift in px.
+        by_ray, by_shift: derivatives (n, 2) with respect to a shift of the print in ray units, and in px.
     """
 
     at: Array
@@ -64,15 +64,15 @@ class PixelDerivatives:
 def linearize_print(
     view: PhotoRegion, plane: Array, blur: BlurKernel, columns: Callable[[PixelDerivatives], Array]
 ) -> tuple[Array, Array, dict[int, MarkerTile]] | None:
-    """Residuals and their Jacobian without each tile's brightness and contrast, and the tiles.
+    """Return residuals and their Jacobian, both with each tile's brightness and contrast projected out, and the tiles.
 
     Args:
-        plane: where the print lies, as for `draw_print`.
+        plane: (3, 3) from the board to the camera frame, as for `draw_print`.
         blur: in the photo's pixels.
-        columns: the drawing's derivatives (n, k) by the parameters that move the print.
+        columns: returns the print's derivatives (n, k) with respect to the parameters that move the print.
 
     Returns:
-        Residuals (n,), Jacobian (n, 3 + k) by blur, motion and these parameters, and marker -> tile; None where too few
+        Residuals (n,), Jacobian (n, 3 + k) by blur, motion and the k parameters, and marker -> tile. None if too few
         pixels show the print.
     """
     blur = blur.in_larger_pixels(view.coarser)
@@ -86,7 +86,7 @@ def linearize_print(
     slopes, by_blur, by_motion = _picture_derivatives(drawing.sharp, drawing.grey, blur, use)
     if drawing.beside is not None and drawing.outside is not None:
         beside = drawing.beside.reshape(-1, 2)[use]
-        # The surroundings are smeared into the print by the same lens, and move with the print.
+        # The same blur mixes the surroundings into the print, and the surroundings move with the print.
         for side, strength in enumerate(_surroundings_brightness(seen, drawn, beside, tile[use]).T):
             outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
             more = _picture_derivatives(outside, smeared, blur, use)
@@ -103,7 +103,7 @@ def linearize_print(
 def _picture_derivatives(
     sharp: NDArray[np.float32], smeared: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Derivatives of a picture's used pixels: slopes (n, 2), by the blur (n,) and by the motion (n, 2)."""
+    """Return derivatives at the used pixels by position (n, 2), blur (n,) and motion (n, 2)."""
     slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(smeared)], axis=-1).astype(np.float64)
     by_blur = blur.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
@@ -115,7 +115,10 @@ def _picture_derivatives(
 def _surroundings_brightness(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], predicted_poses: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Brightness (n, sides) of the surroundings at each pixel's tile, in units of the print's contrast."""
+    """Return the brightness (n, sides) of the surroundings, whose pixel shares are `predicted_poses` (n, sides).
+
+    The unit is the print's contrast.
+    """
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
     every = np.column_stack([drawn, predicted_poses, photo])[order].astype(np.float64)
@@ -125,21 +128,21 @@ def _surroundings_brightness(
     products = np.zeros((len(starts), shapes + 1, shapes + 1))
     products[:, first, second] = np.add.reduceat(every[:, first] * every[:, second], starts)
     products[:, second, first] = products[:, first, second]
-    # Sides that hardly affect a tile are left out of its equations.
+    # Exclude sides that hardly affect a tile from its equations.
     power = np.einsum("tkk->tk", products[:, 1:shapes, 1:shapes])
-    touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _LEAST_BESIDE])
+    touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _MIN_SURROUNDINGS_POWER])
     normal = products[:, :shapes, :shapes] * touched[:, :, None] * touched[:, None, :]
     normal += np.eye(shapes) * np.where(touched, 1e-9, 1.0)[:, None, :]
     found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
     contrast = found[:, :1]
-    of_tile = np.where(contrast > _LEAST_CONTRAST, found[:, 1:] / np.maximum(contrast, _LEAST_CONTRAST), 0.0)
+    of_tile = np.where(contrast > _MIN_CONTRAST, found[:, 1:] / np.maximum(contrast, _MIN_CONTRAST), 0.0)
     strengths = np.empty(predicted_poses.shape)
     strengths[order] = of_tile[which]
     return strengths
 
 
 def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
-    """The marker (n,) at each pixel, -1 for none and for markers of too few pixels."""
+    """Return the marker (n,) at each pixel, -1 for none and for markers with too few pixels."""
     board, marker = view.piece.board, drawing.marker.copy()
     counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
     marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
@@ -153,10 +156,11 @@ def _project_out_light(
     columns: Array,
     tile: NDArray[np.int_],
 ) -> tuple[Array, Array, dict[int, MarkerTile]]:
-    """Residuals and Jacobian with each tile's light projected out (variable projection).
+    """Return residuals and Jacobian with each tile's light projected out (variable projection), and the tiles.
 
-    The light is the tile's brightness, its contrast, and what is smeared in from beside the print. The last two columns
-    are by a shift in the picture: they give each tile's shift, and are left out of the Jacobian.
+    The light is the tile's brightness, its contrast, and the surroundings, with shares `predicted_poses` (n, sides).
+    The last two `columns` are derivatives by a shift in the picture. They give each tile's shift, and the returned
+    Jacobian omits them.
     """
     order = np.argsort(tile, kind="stable")
     numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
@@ -165,16 +169,16 @@ def _project_out_light(
         """Sums (t, ...) over each tile's pixels."""
         return np.add.reduceat(values, starts, axis=0)
 
-    # Photo, drawing and derivatives, less each tile's mean and the surroundings.
+    # Subtract each tile's mean and the surroundings from photo, rendered print and derivatives.
     every = np.column_stack([predicted_poses, photo, drawn, columns])[order].astype(np.float64)
     every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
     sides = predicted_poses.shape[1]
     for side in range(sides):
-        strange = every[:, side].copy()
-        power = of_tiles(strange**2)
-        share = of_tiles(every * strange[:, None]) / np.maximum(power, _LEAST_BESIDE)[:, None]
-        share[power < _LEAST_BESIDE] = 0.0
-        every -= strange[:, None] * share[which]
+        outside_share = every[:, side].copy()
+        power = of_tiles(outside_share**2)
+        share = of_tiles(every * outside_share[:, None]) / np.maximum(power, _MIN_SURROUNDINGS_POWER)[:, None]
+        share[power < _MIN_SURROUNDINGS_POWER] = 0.0
+        every -= outside_share[:, None] * share[which]
     every = every[:, sides:]
     seen, shape, slopes = every[:, 0], every[:, 1], every[:, 2:]
     along = of_tiles(every * shape[:, None])
@@ -202,13 +206,15 @@ S = TypeVar("S")
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations over all parameters, and measures of the residuals.
+    """Normal equations over all parameters, and statistics of the residuals.
 
     Attributes:
-        every_normal, every_gradient: (k, k) and (k,), by all parameters.
-        misfit: weighted sum of squared residuals, grey levels squared, over `pixels` pixels of the summed `weight`.
-        noise: standard deviation that the residuals are weighted for, or that they show; grey levels.
-        free: indices of the parameters that are fitted.
+        every_normal, every_gradient: (k, k) and (k,), over all parameters.
+        misfit: weighted sum of squared residuals, grey levels squared.
+        weight, pixels: sum of the weights, and number of pixels.
+        noise: standard deviation of the residuals, grey levels: assumed for the weights, or estimated.
+        tiles: for each piece, marker -> tile.
+        free: indices of the fitted parameters.
     """
 
     every_normal: Array
@@ -222,61 +228,61 @@ class NormalEquations:
 
     @property
     def normal(self) -> Array:
-        """Normal equations (f, f) of the fitted parameters."""
+        """The matrix (f, f) of the normal equations of the fitted parameters."""
         return self.every_normal[np.ix_(self.free, self.free)]
 
     @property
     def gradient(self) -> Array:
-        """Their right-hand side (f,)."""
+        """The right-hand side (f,) of the normal equations of the fitted parameters."""
         return self.every_gradient[list(self.free)]
 
     @property
     def cost(self) -> float:
-        """The weighted mean of squared residuals, so that a pose with fewer pixels has no advantage."""
+        """The weighted mean of squared residuals. A mean gives no advantage to a pose with fewer pixels."""
         return self.misfit / self.weight
 
 
 class PrintProblem(LeastSquares[S, NormalEquations]):
-    """Least squares over the pixels of prints; `roughly` where only the cost is wanted."""
+    """Least squares over the pixels of prints. With `roughly`, the fit stops early, as it needs only the cost."""
 
     def __init__(self, roughly: bool = False) -> None:
         self._roughly = roughly
 
     @abstractmethod
     def system(self, state: S, noise: float | None) -> NormalEquations | None:
-        """Normal equations at a state; residuals are weighted for a given noise, or for the noise found."""
+        """Return the normal equations at a state, with weights for the given noise or, if None, for its estimate."""
 
     @abstractmethod
     def moved_px(self, state: S, step: Array) -> float:
-        """The approximate shift of the print in the picture by a step (f,), px."""
+        """Return the approximate shift of the print in the picture by a step (f,), px."""
 
     def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
-        """The system at a state, weighted for the noise known before."""
+        """Return the normal equations at a state, with weights for the noise of the state before."""
         if before is None:
             return self.system(state, None)
         found = self.system(state, before.noise)
         if found is None:
             return None
-        # Weights change only with the next state, so that both costs of a step are weighted alike.
+        # The new noise changes the weights only at the next state, so that both costs of a step use the same weights.
         return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
 
     def is_converged(self, state: S, known: NormalEquations, step: Array, gain: Array) -> bool:
-        """Whether the last step hardly moved the print."""
-        px, sigmas = _NEARLY if self._roughly else _CONVERGED
-        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _LEAST_NOISE)
-        if self._roughly and gain < 0 and of_noise < _NOT_WORTH_A_TRY:
+        """Return whether the last step hardly moved the print."""
+        px, sigmas = _COARSELY_CONVERGED if self._roughly else _CONVERGED
+        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _MIN_NOISE)
+        if self._roughly and gain < 0 and of_noise < _MIN_RETRIED_STEP:
             return True
         return of_noise < sigmas or self.moved_px(state, step) < px
 
     def solve(self, start: S) -> tuple[S, NormalEquations] | None:
-        """The best state near a start, and the equations there; None where the photo does not show the print."""
-        return solve_least_squares(self, start, _MOST_STEPS)
+        """Return the best state near a start and its equations; None if the photo does not show the print."""
+        return solve_least_squares(self, start, _MAX_STEPS)
 
 
 def combine_equations(
     parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]
 ) -> NormalEquations | None:
-    """Normal equations of all parts together; None where a part shows nothing."""
+    """Return the normal equations of all pieces together; None if a piece is not visible."""
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None
@@ -284,8 +290,8 @@ def combine_equations(
     jacobian = np.concatenate([part[1] for part in whole])
     if noise is None:
         noise = float(1.4826 * np.median(np.abs(residual)))
-    noise = max(noise, _LEAST_NOISE)
-    weight = np.minimum(1.0, _HUBER * noise / np.maximum(np.abs(residual), 1e-9))
+    noise = max(noise, _MIN_NOISE)
+    weight = np.minimum(1.0, _HUBER_THRESHOLD * noise / np.maximum(np.abs(residual), 1e-9))
     weighted = jacobian * weight[:, None]
     return NormalEquations(
         weighted.T @ jacobian + 1e-12 * np.eye(jacobian.shape[1]),

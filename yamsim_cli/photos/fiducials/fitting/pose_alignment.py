@@ -1,9 +1,8 @@
-"""Refine a pose by the boards' whole picture rather than by a few corners.
+"""Refine a pose by the whole image of the boards instead of a few corners.
 
-The boards' print is drawn as the camera would see it from a supposed pose, with the lens's blur. Pose and blur are
-moved until drawing and photo agree best: robust least squares over all pixels, with free brightness and contrast for
-each marker. Corners that are found one by one lie on blurred edges and are displaced by neighbouring cells; here
-neighbours and blur are part of the model.
+A fit renders the boards' print as the camera would see it from an assumed pose, with blur. Robust least squares over
+all pixels adjusts pose and blur until rendering and photo agree. Each marker has its own brightness and contrast.
+Neighbouring cells and blur displace corners that are detected one by one, but the rendering includes both effects.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ from .print_view import PhotoRegion, PrintPiece, print_plane, view_print
 
 Grey = NDArray[np.float32]
 
-BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur does not show, and more hides a marker
-_MOST_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
-USUAL_BLUR = BlurKernel(0.9)  # start of a fit where the smear is not known
+BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur is not visible, and more hides a marker
+_MAX_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
+USUAL_BLUR = BlurKernel(0.9)  # px, start of a fit if the blur is not known
 
-# Standard deviations with the print's shape and placement marginalized, over those from noise alone. At 1.3, 95 %
-# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tools.bench.print_shape`, seeds
-# below 200, and `tools.bench.filament`); 1.4 leaves a margin.
+# Ratio of the standard deviations with marginalized shape and placement to those from noise alone. At 1.3, the 95 %
+# intervals hold at least 95 % of the poses in each of six sets of 40 to 120. 1.4 leaves a margin. Source:
+# `python -m tools.bench.print_shape` with seeds below 200, and `tools.bench.filament`.
 INFLATION = 1.4
 
-_GROWTH_PX = 4.0  # px, shift of the print for a log of its size of 1, after the distance has compensated most of it
+_PX_PER_LOG_SCALE = 4.0  # px, shift of the print per unit of log scale; the distance compensates the rest
 
 
 @dataclass(frozen=True)
@@ -50,18 +49,17 @@ class Alignment:
 
     Attributes:
         T_ref_in_cam: pose (4, 4).
-        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
-            `centre` (m, along them), from the photo's noise and, of `marginalize_shape`, from what the print's shape leaves
-            open.
-        by_lens: (6, k) derivatives of the pose, in the same units, by the lens parameters of `CameraModel.mistakes`.
-        by_print: (6,) derivative by the natural logarithm of the print's size; 0 if the size was fitted too, since the
-            covariance then includes it.
-        centre: the point (3,) of the reference frame that these are about: the mean of the pieces' origins.
+        covariance: (6, 6) of a small rotation about `centre` (rad) and of the shift of `centre` (m), both along the
+            camera's axes, from the photo's noise. `marginalize_shape` adds the uncertainty from the print's shape.
+        by_lens: (6, k) derivatives of the pose, in the same units, with respect to the lens parameters of
+            `CameraModel.intrinsics_cholesky`.
+        by_print: (6,) derivative with respect to the print's log scale; 0 if `covariance` includes a fitted scale.
+        centre: the mean (3,) of the pieces' origins in the reference frame, m.
         blur: blur and motion, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
-        tiles: for each piece, marker -> agreement of drawing and photo.
-        log_scale: natural logarithm of the print's size over the board's; 0 if not fitted.
+        tiles: for each piece, marker -> agreement of rendering and photo.
+        log_scale: natural logarithm of the print's size over the nominal size; 0 if not fitted.
         flat: probability that the print is flat, as on a rigid plate; 1 if not estimated.
     """
 
@@ -81,7 +79,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class LogScalePrior:
-    """The prior of the natural logarithm of a scale that is fitted too, and where to start."""
+    """A Gaussian prior of a fitted log scale, and the start value of the fit."""
 
     mean: float
     sigma: float
@@ -97,17 +95,17 @@ def align_pose(
     log_scale_prior: LogScalePrior | None = None,
     coarse: bool = False,
 ) -> Alignment | None:
-    """Move a pose until the boards' print agrees best with the photo.
+    """Fit a pose to the photo, starting from an approximate pose.
 
     Args:
         photo: grey levels (height, width).
-        T_ref_in_cam: where to start, right to about a marker's cell.
-        blur: where to start; motion is fitted only if the start has some.
-        log_scale_prior: prior of the print's size, to fit it too; None for the boards' size.
-        coarse: stop sooner, when the cost is known but the pose is less exact.
+        T_ref_in_cam: start pose (4, 4), with an error of at most about one marker cell.
+        blur: start value; the fit includes motion only if this value has motion.
+        log_scale_prior: prior of the print's log scale, which is then fitted too; None for the nominal size.
+        coarse: stop early, when the cost is known but the pose is less exact.
 
     Returns:
-        None where a piece is not in the picture, or the fit breaks down.
+        None if a piece is not in the picture, or the fit fails.
     """
     fit = _problem(photo, camera, pieces, T_ref_in_cam, blur.length > 0, log_scale_prior, coarse)
     if fit is None:
@@ -119,7 +117,7 @@ def align_pose(
 def measure_agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
 ) -> Alignment | None:
-    """The agreement of print and photo at a given pose, which is not moved; residuals are weighted for `noise`."""
+    """Return the agreement of print and photo at a fixed pose; `noise` (grey levels) determines the weights."""
     fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
     if fit is None:
         return None
@@ -135,11 +133,11 @@ def marginalize_shape(
     log_scale_prior: LogScalePrior | None = None,
     creased: float = CREASED_SHARE,
 ) -> Alignment:
-    """An alignment with the print's bow, twist and crease marginalized: another pose and a wider covariance.
+    """Return an alignment with the print's bow, twist and crease marginalized: a new pose and a wider covariance.
 
     Args:
         photo: grey levels (height, width).
-        pieces, log_scale_prior: those of `found`.
+        pieces, log_scale_prior: the arguments that gave `found`.
         creased: prior probability of a creased print.
     """
     fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.blur.length > 0, log_scale_prior)
@@ -157,7 +155,7 @@ def _problem(
     log_scale_prior: LogScalePrior | None = None,
     roughly: bool = False,
 ) -> _PoseProblem | None:
-    """The least squares of some pieces near a pose; None where a piece is not in the picture."""
+    """Return the least-squares problem of pieces near a pose; None if a piece is not in the picture."""
     views = [view for piece in pieces if (view := view_print(photo, camera, piece, print_plane(piece, T))) is not None]
     if not views or len(views) < len(pieces):
         return None
@@ -172,15 +170,15 @@ class _PoseState:
     log_scale: float = 0.0
 
 
-# Indices of the parameters: blur, motion, turn and shift, the print's growth, and the uncertain lens parameters.
-_BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
+# Indices of the parameters: blur, motion, rotation and shift, the print's log scale, and the uncertain lens parameters.
+_BLUR, _MOTION, _POSE, _LOG_SCALE, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
 _Columns = Callable[[PixelDerivatives, PrintPiece, Array, float], Array]
 
 
 class _PoseProblem(PrintProblem[_PoseState]):
-    """Least squares over the pose's six parameters, the blur, and, if wanted, motion and the print's size."""
+    """Least squares over the pose's six parameters, the blur, and optionally motion and the print's log scale."""
 
     def __init__(
         self,
@@ -197,7 +195,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         self._centre = centre
         self._log_scale = log_scale_prior
         motion = range(_MOTION.start, _MOTION.stop) if moving else ()
-        self._free = (_BLUR, *motion, *range(_POSE.start, _POSE.stop), *((_GROWTH,) if log_scale_prior else ()))
+        self._free = (_BLUR, *motion, *range(_POSE.start, _POSE.stop), *((_LOG_SCALE,) if log_scale_prior else ()))
         coarser = [view.coarser for view in views]
         self._coarsest = max(coarser)
         self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
@@ -224,13 +222,13 @@ class _PoseProblem(PrintProblem[_PoseState]):
             return system
         strength, missing = (system.noise / self._log_scale.sigma) ** 2, self._log_scale.mean - state.log_scale
         normal, gradient = system.every_normal.copy(), system.every_gradient.copy()
-        normal[_GROWTH, _GROWTH] += strength
-        gradient[_GROWTH] += strength * missing
+        normal[_LOG_SCALE, _LOG_SCALE] += strength
+        gradient[_LOG_SCALE] += strength * missing
         misfit = system.misfit + strength * missing**2
         return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
 
     def _columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and the uncertain lens parameters."""
+        """Return derivatives (n, 7 + k) of the print by rotation, shift, log scale, and the k lens parameters."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
         from_centre = on_board + R @ (T_board[:3, 3] - self._centre)
@@ -239,22 +237,21 @@ class _PoseProblem(PrintProblem[_PoseState]):
         by_ray = pixels.by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
-        # A longer lens mostly changes the distance. That part is left out here and added in `alignment`, since the
-        # rest is small beside it.
+        # A longer focal length mostly changes the distance. This derivative omits that part, and `alignment` adds it.
         by_focal = along + by_shift[:, 2] * self._depth(T)
         by_lens = [by_focal]
         if self._camera.intrinsics_covariance:
             by_lens += [*(pixels.by_shift * self._camera.focal).T, along * (pixels.rays**2).sum(axis=1)]
         by_size = (by_shift * on_board).sum(axis=1)
         (x, y, z), (a, b, c) = from_centre.T, by_shift.T
-        # The cross product, several times faster than numpy's.
+        # This cross product is several times faster than numpy's.
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape and placement modes."""
+        """Return derivatives (n, 7 + k + m) by the parameters of `_columns`, then by each piece's modes."""
         columns = self._columns(pixels, piece, T, larger)
-        # A shift of the print along the axes of its board, at each pixel.
+        # Derivatives of each pixel with respect to a shift of the print along the axes of its board.
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
         by_x, by_y = placement_modes(piece.board, pixels.at)
         own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
@@ -263,7 +260,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([columns, *of_pieces])
 
     def shaped(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
-        """`found` with the print's shape marginalized; unchanged where that breaks down."""
+        """Return `found` with the print's shape marginalized, or unchanged if that fails."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
             return found
@@ -283,13 +280,13 @@ class _PoseProblem(PrintProblem[_PoseState]):
         # A fold moves the print by the distance from the crease.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
         neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
-        growth = held.index(_GROWTH) if _GROWTH in held else None
+        scale_index = held.index(_LOG_SCALE) if _LOG_SCALE in held else None
         return replace(
             found,
             T_ref_in_cam=self.apply_step(state, pose_of.step).T,
             covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
             by_lens=by_lens,
-            by_print=found.by_print if growth is None else pose_of.moves[turns, growth],
+            by_print=found.by_print if scale_index is None else pose_of.moves[turns, scale_index],
             flat=pose_of.flat,
         )
 
@@ -303,25 +300,27 @@ class _PoseProblem(PrintProblem[_PoseState]):
         at = state.T[:3, :3] @ self._centre + state.T[:3, 3] + shift
         blur = float(np.clip(state.blur.blur + every[_BLUR], *self._blur_range))
         motion = np.array(state.blur.motion) + every[_MOTION]
-        motion *= min(1.0, _MOST_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
-        smear = BlurKernel(blur, (float(motion[0]), float(motion[1])))
-        return _PoseState(pose(at - R @ self._centre, R), smear, state.log_scale + float(every[_GROWTH]))
+        motion *= min(1.0, _MAX_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
+        kernel = BlurKernel(blur, (float(motion[0]), float(motion[1])))
+        return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
     def _every(self, step: Array) -> Array:
-        """A step of all parameters before the lens's, 0 for those that are not fitted."""
+        """Return the step of all parameters except the lens, with 0 for parameters that are not fitted."""
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every
 
     def moved_px(self, state: _PoseState, step: Array) -> float:
-        """By the shift, by the turn of a print of 0.1 m, and by the size."""
+        # The rotation counts for a print of 0.1 m.
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
-        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(every[_GROWTH]))
+        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _PX_PER_LOG_SCALE * abs(
+            float(every[_LOG_SCALE])
+        )
 
     def alignment(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
-        """The alignment at a state; None where the pixels do not determine the pose."""
+        """Return the alignment at a state; None if the pixels do not determine the pose."""
         normal, free = system.normal, list(system.free)
         held = [k for k in range(len(system.every_gradient)) if k not in free]
         moves = np.zeros((len(free), len(system.every_gradient)))
@@ -339,7 +338,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
             state.T,
             covariance[np.ix_(turns, turns)],
             by_lens,
-            moves[turns, _GROWTH],
+            moves[turns, _LOG_SCALE],
             self._centre,
             state.blur,
             system.noise,

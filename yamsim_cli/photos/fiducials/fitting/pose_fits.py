@@ -1,4 +1,4 @@
-"""Poses that a board's print allows: starts from corners, fits to the print, and rivals that fit as well."""
+"""Find the poses that a board's print allows: start poses from corners, fits to the print, and competing fits."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from .pose_alignment import Alignment, align_pose, measure_agreement
 from .print_view import whole_board_piece
 
 SAME_PRINT = 0.75  # correlation of print and photo, below which a marker is hidden, moved or something else
-EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other smear and no other start
-# An outlier is a marker of which more stays unexplained than of most others, and that correlates badly. Source: photos
-# of whole boards have at most 2.5 times as much unexplained, creased ones 4, half covered ones 40 and more.
-_OUTLIER_RATIO = 5.0  # of the median of what stays unexplained
+EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other blur and no other start pose
+# An outlier is a marker with a much larger residual variance than most others and with a low correlation. The ratio to
+# the median is at most 2.5 in photos of whole boards, 4 with creases, and 40 or more with half-covered markers.
+_OUTLIER_RATIO = 5.0  # ratio of the residual variance to the median, above which a marker may be an outlier
 _OUTLIER_CORRELATION = 0.9  # correlation above which no marker is an outlier
-_MOST_ROUNDS = 3  # an outlier pulls the pose off the other markers, so outliers are searched again without it
-_MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes its rival
-_CORRELATED = 4.0  # neighbouring pixels to one independent pixel
-_SAME_POSE = math.radians(4.0)  # rad, turn between poses below which they are the same
-_BESIDE_TURN = 0.25  # of the turn between two poses, within which the pose by another board decides for one of them
-_WORST_RIVAL = 4.0  # ratio of mean squared residuals before fitting, above which a rival cannot win
+_MAX_ROUNDS = 3  # searches for outliers: each one pulls the pose off the other markers and hides further outliers
+_MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes a competing pose
+_PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one independent sample
+_SAME_POSE = math.radians(4.0)  # rad, angle below which two poses are the same
+_DECIDING_SHARE = 0.25  # of the angle between two poses, within which a prediction from another board selects one
+_MAX_RIVAL_RATIO = 4.0  # ratio of mean squared residuals before the fit, above which a competing fit cannot win
 
 
 @dataclass(frozen=True)
 class PoseFit:
-    """A pose fitted to a board's print: the markers that agree with the pose, and how many seen ones do not."""
+    """A pose fitted to a board's print, the markers that agree with it, and the number of visible ones that do not."""
 
     alignment: Alignment
     agreeing: tuple[int, ...]
@@ -44,31 +44,31 @@ class PoseFit:
 
     @property
     def T(self) -> Array:
-        """Pose (4, 4) of the board in the camera's frame."""
+        """The pose (4, 4) of the board in the camera frame."""
         return self.alignment.T_ref_in_cam
 
     @property
     def explains_well(self) -> bool:
-        """Whether drawing and photo agree at most of the agreeing markers."""
+        """Whether rendering and photo agree well at most of the agreeing markers."""
         return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
 
     @property
     def mean_square(self) -> float:
-        """Mean squared residual, grey levels squared."""
+        """The mean squared residual, grey levels squared."""
         return self.alignment.cost / self.alignment.pixels
 
 
 def planar_poses(points: Array, seen: Array) -> list[Array]:
-    """Poses (4, 4) at which points (n, 3) of a plane are seen along viewing rays (n, 2), by OpenCV's IPPE."""
+    """Return the poses (4, 4) at which coplanar points (n, 3) have the viewing rays (n, 2), by OpenCV's IPPE."""
     count, turns, shifts, _ = cv2.solvePnPGeneric(points, seen, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
     return [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
 
 
 def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list[Array]:
-    """Poses (4, 4) that a planar board's corners allow, the likelier one first. Unlikely ones are left out."""
+    """Return the poses (4, 4) in front of the camera that a group's corners allow, by increasing reprojection error."""
     points = board.corners()[list(group.places)].reshape(-1, 3)
     pixels = group.corners.reshape(-1, 2)
-    # IPPE has no distortion model and takes viewing rays.
+    # IPPE has no distortion model, so it gets viewing rays.
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         points, viewing_rays(camera, pixels), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )
@@ -86,7 +86,7 @@ def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list
 
 
 def faces_camera(T_board_in_cam: Array) -> bool:
-    """Whether the board is in front of the camera with its printed side towards it."""
+    """Return whether the board is in front of the camera and its printed side faces the camera."""
     return bool(T_board_in_cam[2, 3] > 0 and T_board_in_cam[:3, 2] @ T_board_in_cam[:3, 3] < 0)
 
 
@@ -98,10 +98,14 @@ def fit_pose(
     T: Array,
     known: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
-    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it.
+    """Fit a pose to the detected markers, then to all markers whose print agrees with that pose.
+
+    Args:
+        places: indices of the detected markers.
+        T: start pose (4, 4) of the board in the camera frame.
 
     Returns:
-        None where nothing fits, or only a pose that is `known`.
+        None if no pose fits, or the fitted pose is already `known`.
     """
     first = align_pose(photo, camera, [whole_board_piece(board, places)], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
@@ -124,15 +128,15 @@ def fit_pose(
 
 
 def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
-    """The fit without outliers, such as markers that are covered in part and pull the pose."""
+    """Return the fit without outliers, such as partly covered markers, which would pull the pose."""
     candidates = whole_board_piece(board, fit.agreeing)
     tiles = fit.alignment.tiles[0]
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         kept = tuple(k for k in candidates.markers if k in tiles and k not in _outliers(tiles))
         if kept == fit.agreeing:
             break
-        smear, noise = fit.alignment.blur, fit.alignment.noise
-        again = align_pose(photo, camera, [whole_board_piece(board, kept)], fit.T, smear)
+        kernel, noise = fit.alignment.blur, fit.alignment.noise
+        again = align_pose(photo, camera, [whole_board_piece(board, kept)], fit.T, kernel)
         if again is None or not faces_camera(again.T_ref_in_cam):
             break
         fit = PoseFit(again, kept, fit.contradicting + len(fit.agreeing) - len(kept))
@@ -144,7 +148,7 @@ def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Boa
 
 
 def _outliers(tiles: Mapping[int, MarkerTile]) -> set[int]:
-    """Markers of which the drawing, even shifted, explains far less than of most."""
+    """Return the markers whose residual variance after a shift is far above the median."""
     left = np.array([tile.residual_variance for tile in tiles.values()])
     least = _OUTLIER_RATIO * max(float(np.median(left)), 1e-9)
     return {
@@ -160,10 +164,10 @@ def find_competing_fit(
     fits: Sequence[PoseFit],
     predicted_poses: Sequence[Array] = (),
 ) -> PoseFit | None:
-    """Another pose that explains the same markers nearly as well; None where there is none.
+    """Return another pose that explains the same markers nearly as well; None if there is none.
 
     Args:
-        predicted_poses: the board's approximate poses (4, 4), one by each other board.
+        predicted_poses: approximate poses (4, 4) of the board in the camera frame, one from each other board.
     """
     piece = whole_board_piece(board, fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
@@ -174,7 +178,7 @@ def find_competing_fit(
             continue
         alignment = fit.alignment
         before = measure_agreement(photo, camera, [piece], T, alignment.blur, alignment.noise)
-        if before is None or before.cost / before.pixels > _WORST_RIVAL * fit.mean_square:
+        if before is None or before.cost / before.pixels > _MAX_RIVAL_RATIO * fit.mean_square:
             continue
         after = align_pose(photo, camera, [piece], T, alignment.blur, coarse=True)
         if (
@@ -190,8 +194,7 @@ def find_competing_fit(
 
 
 def _other_boards_agree(fit: PoseFit, rival: PoseFit, predicted_poses: Sequence[Array]) -> bool:
-    """Whether all other boards agree that a fit is likelier than its rival."""
-    near = _BESIDE_TURN * angle_between(fit.T, rival.T)
+    near = _DECIDING_SHARE * angle_between(fit.T, rival.T)
     return (
         bool(predicted_poses)
         and fit.mean_square < rival.mean_square
@@ -200,11 +203,11 @@ def _other_boards_agree(fit: PoseFit, rival: PoseFit, predicted_poses: Sequence[
 
 
 def is_clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
-    """Whether the photo is so much likelier under one pose that the rival is excluded."""
-    evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
+    """Return whether the photo's likelihood under `fit` excludes `rival`."""
+    evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(rival.mean_square / fit.mean_square)
     return evidence >= _MIN_EVIDENCE
 
 
 def angle_between(T_a: Array, T_b: Array) -> float:
-    """The angle in radians between two poses' orientations."""
+    """Return the angle (rad) between the orientations of two poses (4, 4)."""
     return float(np.linalg.norm(rotation_vector(T_a[:3, :3].T @ T_b[:3, :3])))

@@ -1,9 +1,9 @@
-"""The uncertainty of a pose from a print that is not flat and whose markers are misplaced.
+"""Estimate the pose uncertainty that results from a print that is not flat and from misplaced markers.
 
-The print's shape is linearized in the same least squares as the pose: bow along x and y, twist, and a crease. Each
-shape hypothesis has a Gaussian prior on its modes, and a mixture of hypotheses makes the prior's tail broad. Their
-evidence comes from the residuals, and each one's modes are marginalized with a Schur complement. So are the places of
-the markers' columns and rows in the print's plane and the markers' size, under every hypothesis.
+The least squares of the pose include linear modes of the print's shape: bow along x and y, twist, and a crease. Each
+shape hypothesis has a Gaussian prior on its modes. The mixture of all hypotheses gives the prior a heavy tail. The
+residuals give the evidence of each hypothesis, and a Schur complement marginalizes its modes. Every hypothesis also
+marginalizes the in-plane positions of the marker columns and rows, and the marker size.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array
 
 _BOW_MODES = 3  # bow along x, bow along y, twist
-_PLATE_SAG = 1e-4  # m, sigma of a bow or twist at the print's edge: paper glued to a rigid plate
-_BENT_SAG = 1e-3  # m, sigma of the same where the plate is bent or the paper lies loose
-_FOLD = math.radians(4.0)  # rad, sigma of a crease's fold angle: larger folds are obvious to users
-_BENT_SHARE = 0.02  # prior probability of a bent print
+_PLATE_SAG = 1e-4  # m, sigma of the bow or twist at the print's edge, for paper glued to a rigid plate
+_BENT_SAG = 1e-3  # m, sigma of the bow or twist at the print's edge, for a bent plate or loose paper
+_FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users notice larger folds
+_BENT_PROBABILITY = 0.02  # prior probability of a bent print
 CREASED_SHARE = 0.08  # prior probability of a creased print
-_NEGLECTED = 0.15  # of the fold angle, sigma of what linear modes neglect: 180 creased photos stay in their intervals
-_CREASE_ANGLES = 8  # directions of the folded side, over a whole turn: either side of a crease may lie on the plate
-_CREASE_PLACES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of half the print's width, from its centre
-_HEIGHT_MODES = _BOW_MODES + _CREASE_ANGLES * len(_CREASE_PLACES)
-# Rounding is uniform over a pixel: at 600 dots per inch, the sigma is 0.042 mm / sqrt(12) = 0.012 mm, and at the 244 of
-# a board of 94 mm drawn 900 pixels wide 0.030 mm.
-_PLACEMENT = 3e-5  # m, sigma of the place of a column or a row of markers in the print's plane, and of their half edge
+# With this value, the poses of 180 creased photos stay within their intervals.
+_NONLINEAR_FOLD_SHARE = 0.15  # sigma of the error of the linear crease modes, as a share of the fold angle
+_CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
+_CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # crease positions from the centre, in half widths of the print
+_HEIGHT_MODES = _BOW_MODES + _CREASE_DIRECTIONS * len(_CREASE_OFFSETS)
+# Rounding to a pixel has a uniform error. At 600 dpi, its sigma is 0.042 mm / sqrt(12) = 0.012 mm. A 94 mm board drawn
+# 900 pixels wide has 244 dpi and a sigma of 0.030 mm.
+_PLACEMENT_SIGMA = 3e-5  # m, sigma of the in-plane position of a marker column or row, and of half the marker edge
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,10 @@ class ShapedPose:
     """A pose with the print's shape marginalized.
 
     Attributes:
-        step: (p,) from the flat print's parameters to the expected ones.
+        step: (p,) from the parameters of the flat print to the expected parameters.
         covariance: (p, p) of the parameters.
-        moves: (p, h) derivatives of the parameters by the held ones.
-        neglected: variance of the turn, rad^2 about each axis, that linear modes of a crease neglect.
+        moves: (p, h) derivatives of the fitted parameters with respect to the held parameters.
+        neglected: variance of the rotation, rad^2 about each axis, that the linear modes of a crease neglect.
         flat: probability that the print lies on a rigid plate.
     """
 
@@ -53,21 +54,21 @@ class ShapedPose:
 
 
 def shape_modes(board: Board, at: Array) -> Array:
-    """Heights (n, m) above the plane of points (n, 2) on a board, m, for each mode: bows in m, creases in rad."""
+    """Return the height (n, m) of points (n, 2) on a board, m, per unit of each mode: bows in m, creases in rad."""
     half = max(board.width, board.height) / 2
     u, v = (at / half).T
     modes = [u**2 - 1 / 3, v**2 - 1 / 3, u * v]
-    for angle in np.arange(_CREASE_ANGLES) * 2 * math.pi / _CREASE_ANGLES:
+    for angle in np.arange(_CREASE_DIRECTIONS) * 2 * math.pi / _CREASE_DIRECTIONS:
         along = u * math.cos(angle) + v * math.sin(angle)
-        modes += [half * np.maximum(0.0, along - place) for place in _CREASE_PLACES]
+        modes += [half * np.maximum(0.0, along - place) for place in _CREASE_OFFSETS]
     return np.column_stack(modes)
 
 
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
-    """How far points (n, 2) on a board move along x (n, m) and along y (n, m) with each mode, per metre.
+    """Return the shift of points (n, 2) on a board along x (n, m) and along y (n, m), per metre of each mode.
 
-    A printer or a drawing program rounds alike the places of all markers of a column, those of a row, and the half edge
-    of all markers. Without the latter, the markers' size would decide the print's scale, which places show better.
+    Rounding in a printer or drawing program is equal for the markers of a column, for those of a row, and for all half
+    edges. Without the last mode, the marker size would determine the scale, which the positions determine better.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])
@@ -82,21 +83,21 @@ def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
 
 
 def mode_count(board: Board) -> int:
-    """The number of a print's modes: of its height, then of its markers' placement."""
+    """Return the number of shape modes plus placement modes of a print."""
     return _HEIGHT_MODES + board.columns + board.rows + 1
 
 
 def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> list[tuple[list[int], list[float], float]]:
-    """For each hypothesis, its modes' indices among all parameters, their sigmas, and its prior probability."""
+    """Return the parameter indices of each hypothesis's modes, their sigmas, and its prior probability."""
     counts = [mode_count(board) for board in boards]
     firsts = [parameters - sum(counts[piece:]) for piece in range(len(boards))]
     bows = [first + k for first in firsts for k in range(_BOW_MODES)]
     creases = [first + k for first in firsts for k in range(_BOW_MODES, _HEIGHT_MODES)]
     places = [first + k for first, modes in zip(firsts, counts, strict=True) for k in range(_HEIGHT_MODES, modes)]
-    always, placement = [*places, *bows], [_PLACEMENT] * len(places)
+    always, placement = [*places, *bows], [_PLACEMENT_SIGMA] * len(places)
     flat, bent = ([*placement, *[sag] * len(bows)] for sag in (_PLATE_SAG, _BENT_SAG))
-    folded = [([*always, crease], [*flat, _FOLD], creased / len(creases)) for crease in creases]
-    return [(always, flat, 1 - _BENT_SHARE - creased), (always, bent, _BENT_SHARE), *folded]
+    folded = [([*always, crease], [*flat, _FOLD_SIGMA], creased / len(creases)) for crease in creases]
+    return [(always, flat, 1 - _BENT_PROBABILITY - creased), (always, bent, _BENT_PROBABILITY), *folded]
 
 
 def marginalize_modes(
@@ -108,13 +109,14 @@ def marginalize_modes(
     boards: Sequence[Board],
     creased: float,
 ) -> ShapedPose:
-    """Marginalize the shape and placement modes, which are the last of all parameters, out of normal equations.
+    """Marginalize the shape and placement modes, which are the last parameters, out of the normal equations.
 
     Args:
-        normal, gradient: (k, k) and (k,), of residuals that are not yet divided by their `variance`.
-        free: indices of the parameters that are fitted.
-        held: indices of the others.
-        boards: of the prints, each with all modes.
+        normal, gradient: (k, k) and (k,), from residuals that are not divided by their standard deviation.
+        variance: of the residuals.
+        free: indices of the fitted parameters.
+        held: indices of the parameters before the modes that are not fitted.
+        boards: the boards of the prints, in the order of their modes.
         creased: prior probability of a creased print.
 
     Raises:
@@ -134,7 +136,7 @@ def marginalize_modes(
         fit = 0.5 * float(gradient[every] @ step) / variance
         evidence.append(math.log(share) + fit - 0.5 * log_determinant - np.log(prior[count:]).sum())
         steps.append(step[:count])
-        of_fold = prior == _FOLD
+        of_fold = prior == _FOLD_SIGMA
         folds.append(float((step[of_fold] ** 2).sum() + np.diag(inverse)[of_fold].sum()))
         covariances.append(inverse[:count, :count])
         moves.append((-inverse @ normal[np.ix_(every, held)] / variance)[:count])
@@ -143,5 +145,5 @@ def marginalize_modes(
     mean = np.einsum("h,hp->p", weights, steps)
     off = np.array(steps) - mean
     covariance = np.einsum("h,hpq->pq", weights, covariances) + np.einsum("h,hp,hq->pq", weights, off, off)
-    neglected = _NEGLECTED**2 * float(weights @ folds)
+    neglected = _NONLINEAR_FOLD_SHARE**2 * float(weights @ folds)
     return ShapedPose(mean, covariance, np.einsum("h,hpk->pk", weights, moves), neglected, float(weights[0]))

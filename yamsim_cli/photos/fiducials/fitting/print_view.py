@@ -1,4 +1,4 @@
-"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, and smeared."""
+"""Render a board's print as a camera sees it from a given pose: supersampled, averaged to pixels, and blurred."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]
 
-_FINE = 3  # points along a pixel's edge at which the print is drawn before averaging
-_ENOUGH_PX_A_CELL = 2.7  # px a cell: a finer picture only costs time
-_SHARP_REACH = 0.9  # px, reach of a smear below which nothing beside the print affects the compared pixels
-_MARGIN_PX = 3  # px around the board, by which a fit may move the print
-_LEAST_PX = 8  # px, smallest side of a view
+_SUBSAMPLES = 3  # sample points per pixel along each axis, averaged to one pixel
+_TARGET_PX_PER_CELL = 2.7  # px per marker cell that a reduced photo has at least; a finer picture only costs time
+_MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which the surroundings of the print affect compared pixels
+_MARGIN_PX = 3  # px around the board, by which a fit can move the print
+_MIN_VIEW_PX = 8  # px, smallest side of a view
 
 
 @dataclass(frozen=True)
 class PrintPiece:
-    """A board, and where it lies in the reference frame whose pose is sought.
+    """A board and its pose in the reference frame `ref` whose pose is estimated.
 
     Attributes:
         T_board_in_ref: pose (4, 4).
@@ -42,20 +42,20 @@ class PrintPiece:
 
 
 def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
-    """A board alone, in its own frame, with some or all of its markers."""
+    """Return a piece whose reference frame is the board frame, with the given markers or all markers."""
     return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
 class PhotoRegion:
-    """The part of the photo that shows a piece, and what stays the same while the pose moves.
+    """The region of the photo that shows a piece, with all values that do not depend on the pose.
 
     Attributes:
-        photo: grey levels (rows, columns) of the part, reduced by the factor `coarser`.
-        centre_rays: viewing rays (n, 2) of the part's pixels, row by row.
-        px_per_ray: derivative (n, 2, 2) of the pixels by the rays.
+        photo: grey levels (rows, columns) of the region, reduced by the factor `coarser`.
+        centre_rays: viewing rays (n, 2) of the region's pixels, row by row.
+        px_per_ray: derivative (n, 2, 2) of the pixels with respect to the rays.
         pattern, px_per_metre: the board's print, 0 black to 1 white, and its scale.
-        field: rays (rows, columns, 2) of the points at which the print is drawn, `_FINE` x `_FINE` a pixel.
+        field: rays (rows, columns, 2) of the sample points of the print, `_SUBSAMPLES` x `_SUBSAMPLES` per pixel.
     """
 
     piece: PrintPiece
@@ -73,14 +73,13 @@ class RenderedPrint:
     """The print as the camera sees it.
 
     Attributes:
-        sharp: (rows, columns), 0 black to 1 white.
-        grey: the same, smeared.
-        outside: (rows, columns, 2), share of each pixel that lies beside the print: left or right, and above or below;
-            None if too little is smeared into the compared pixels. The unknown surroundings are drawn as a continuation
-            of the outer markers' black.
-        beside: `outside`, smeared.
-        at: each pixel's place on the board (n, 2), m.
-        marker: the marker (n,) that the pixel shows, with half the gap around the marker; -1 for none.
+        sharp: print without blur (rows, columns), 0 black to 1 white. Unknown surroundings are black, as the border.
+        grey: `sharp` with blur.
+        outside: fraction (rows, columns, 2) of each pixel outside the print: left or right, and above or below. None
+            if the blur is too small to mix the surroundings into compared pixels.
+        beside: `outside` with blur.
+        at: position (n, 2) of each pixel on the board, m.
+        marker: number (n,) of the marker at each pixel, including half the gap around the marker; -1 for none.
     """
 
     sharp: Grey
@@ -92,19 +91,19 @@ class RenderedPrint:
 
 
 def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
-    """The matrix (3, 3) from a piece's print, (x, y, 1) in m, to the camera's frame, at a pose and a size of print."""
+    """Return the matrix (3, 3) from (x, y, 1), m, on a print `larger` times its nominal size to the camera frame."""
     plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
     return plane
 
 
 def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
-    """The part of a photo (height, width) in which a piece lies.
+    """Return the region of a photo (height, width) that shows a piece.
 
     Args:
-        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
 
     Returns:
-        None where it lies outside the photo.
+        None if the piece is not in front of the camera or the region is smaller than `_MIN_VIEW_PX`.
     """
     board = piece.board
     half = np.array([board.width / 2, board.height / 2])
@@ -115,25 +114,25 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
     pixels = project_points(camera, in_cam)
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX, 0)
     high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1, [camera.width, camera.height])
-    if (high - low < _LEAST_PX).any():
+    if (high - low < _MIN_VIEW_PX).any():
         return None
     crop = photo[low[1] : high[1], low[0] : high[0]]
     px_per_metre = float((pixels.max(axis=0) - pixels.min(axis=0)).max()) / max(board.width, board.height)
     cell = board.marker_length / marker_cells(board).shape[1]
-    coarser = max(1, int(px_per_metre * cell / _ENOUGH_PX_A_CELL))
+    coarser = max(1, int(px_per_metre * cell / _TARGET_PX_PER_CELL))
     if coarser > 1:
         rows, columns = (side // coarser * coarser for side in crop.shape)
         size = (columns // coarser, rows // coarser)
         crop = np.asarray(cv2.resize(crop[:rows, :columns], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     rows, columns = crop.shape
-    x = low[0] + (np.arange(columns * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
-    y = low[1] + (np.arange(rows * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
+    x = low[0] + (np.arange(columns * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
+    y = low[1] + (np.arange(rows * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
     field = viewing_ray_grid(camera, x, y)
-    pattern, pattern_px_per_metre = _pattern(board, px_per_metre / coarser * cell * _FINE)
-    middle = slice(_FINE // 2, None, _FINE)
-    span = (_FINE - 1) / _FINE
-    by_x = (field[middle, _FINE - 1 :: _FINE] - field[middle, ::_FINE]) / span
-    by_y = (field[_FINE - 1 :: _FINE, middle] - field[::_FINE, middle]) / span
+    pattern, pattern_px_per_metre = _pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES)
+    middle = slice(_SUBSAMPLES // 2, None, _SUBSAMPLES)
+    span = (_SUBSAMPLES - 1) / _SUBSAMPLES
+    by_x = (field[middle, _SUBSAMPLES - 1 :: _SUBSAMPLES] - field[middle, ::_SUBSAMPLES]) / span
+    by_y = (field[_SUBSAMPLES - 1 :: _SUBSAMPLES, middle] - field[::_SUBSAMPLES, middle]) / span
     ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
     return PhotoRegion(
         piece,
@@ -148,23 +147,22 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
 
 
 def _inverse_2x2(matrices: Array) -> Array:
-    """Inverses of (n, 2, 2), several times faster than numpy's general ones."""
+    """Invert matrices (n, 2, 2), several times faster than `np.linalg.inv`."""
     (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     inverses: Array = adjugate / (a * d - b * c)[:, None, None]
     return inverses
 
 
-def _pattern(board: Board, points_a_cell: float) -> tuple[Grey, float]:
-    """The print and its scale in px a metre, about as fine as the points at which the print is sampled."""
+def _pattern(board: Board, points_per_cell: float) -> tuple[Grey, float]:
     fine, px_per_metre = _fine_pattern(board)
-    coarser = 4 if points_a_cell <= 5 else 2 if points_a_cell <= 10 else 1
+    coarser = 4 if points_per_cell <= 5 else 2 if points_per_cell <= 10 else 1
     return _reduced(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
 
 
 @functools.lru_cache(maxsize=32)
 def _fine_pattern(board: Board) -> tuple[Grey, float]:
-    """The print and its scale in px a metre. Markers are whole pixels, and gaps are rounded as little as possible."""
+    """Return the print and its scale in px/m. Markers are whole pixels, and rounding of gaps is minimal."""
     step = (board.marker_length + board.gap) / board.marker_length
 
     def rounding(cell_px: int) -> float:
@@ -181,7 +179,7 @@ def _fine_pattern(board: Board) -> tuple[Grey, float]:
 def _reduced(board: Board, coarser: int) -> Grey:
     fine, _ = _fine_pattern(board)
     rows, columns = (-(-side // coarser) for side in fine.shape)
-    # Padded with what is at the edge, so that every reduced pixel stands for a whole block.
+    # Repeat the edge pixels, so that every reduced pixel covers a whole block.
     padded = cv2.copyMakeBorder(
         fine, 0, rows * coarser - fine.shape[0], 0, columns * coarser - fine.shape[1], cv2.BORDER_REPLICATE
     )
@@ -189,10 +187,10 @@ def _reduced(board: Board, coarser: int) -> Grey:
 
 
 def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
-    """Draw a piece.
+    """Render the print of a piece.
 
     Args:
-        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
         blur: in the view's pixels.
     """
     onto_board: Array = np.linalg.inv(plane).astype(np.float64)
@@ -204,32 +202,32 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
     fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (view.photo.shape[1], view.photo.shape[0])
     outside = beside = None
-    if blur.radius < _SHARP_REACH:
+    if blur.radius < _MIN_SURROUNDINGS_RADIUS:
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
         grey = blur.blurred(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
-        # Past a corner, each side has half of the pixel.
+        # Beyond a corner, each of the two sides gets half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
-        smeared = blur.blurred(every)
-        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(smeared[..., 0])
-        outside, beside = every[..., 1:], smeared[..., 1:]
+        blurred = blur.blurred(every)
+        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(blurred[..., 0])
+        outside, beside = every[..., 1:], blurred[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
     return RenderedPrint(sharp, grey, outside, beside, at, _marker_at(view, at, blur))
 
 
 def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]:
-    """The places on the board (m, right and up) of the points at which the print is drawn.
+    """Return the positions on the board (m, right and up) of the sample points of the print.
 
     Args:
         onto_board: (3, 3) from viewing rays to the board.
     """
     field, A = view.field, onto_board.astype(np.float32)
     w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
-    # A ray along the board's plane never meets the plane.
+    # A ray parallel to the board's plane does not intersect the plane.
     with np.errstate(divide="ignore"):
         x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
         y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
@@ -237,9 +235,9 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
 
 
 def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
-    """The piece's marker, with half the gap around, that each pixel shows; -1 for none.
+    """Return the piece's marker at each pixel, including half the gap around the marker; -1 for none.
 
-    Also -1 near other parts of the picture, such as the table or a hand, that may be blurred into the pixel.
+    Pixels within the blur radius of anything else, such as the table or a hand, are -1 too.
     """
     board = view.piece.board
     step = board.marker_length + board.gap

@@ -1,8 +1,8 @@
-"""Where a board's print lies in a photo, without any camera: the homography from the board to the photo.
+"""Fit the homography from a board's print to a photo, without a camera model.
 
-Any lens without distortion maps a flat print by eight numbers, here four points of the picture. They are fitted as
-poses are: the print is drawn and moved until it agrees with the photo. `estimate` then evaluates which cameras and
-poses explain the four points.
+A lens without distortion maps a flat print by eight numbers, here the positions of four points in the picture. As with
+poses, a fit renders the print and adjusts the map until it agrees with the photo. `focal_estimate` then evaluates which
+cameras and poses explain the four points.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from ..fitting.pose_fits import SAME_PRINT
 from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
-# Error of each point in a photo without noise, compared px: the print is drawn by a few points a pixel. Source: 350
-# outlines of random views; with this error and the noise, 95 % of squared distances are within those of a normal
-# distribution, in sharp and blurred, small and large photos.
-_LEAST_PX = 0.003
-# Standard deviations over those from noise alone: the print's shape and placement are not marginalized here.
-# Source: `python -m tools.bench.intervals`.
+# Error of each point without noise, px of the view, because the rendering has few sample points per pixel. Source: 350
+# outlines of random views, sharp and blurred, small and large. With this error and the noise, 95 % of squared distances
+# are within those of a normal distribution.
+_MIN_SIGMA_PX = 0.003
+# Ratio of standard deviations to those from noise alone, since the fit does not marginalize the print's shape and
+# placement. Source: `python -m tools.bench.intervals`.
 _INFLATION = 2.0
 _USUAL_BLUR = 0.9  # px, start of a fit
-_FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur, no motion, and the map
+_FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur and the map, without motion
 
 
 @dataclass(frozen=True)
 class BoardOutline:
-    """A board's place in a photo.
+    """The position of a board in a photo.
 
     Attributes:
         on_board: four points (4, 2) of the board, m.
         points: the same points in the photo (4, 2), px.
-        covariance: (8, 8) of `points`, x and y alternating, px squared.
+        covariance: (8, 8) of `points`, x and y alternating, px^2.
         markers: indices into `board.ids` of the markers that agree.
     """
 
@@ -64,23 +64,23 @@ class BoardOutline:
 
 
 def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
-    """Where the print of a group of markers lies; None where the photo does not determine the place.
+    """Return the outline of the print around a group of markers; None if the photo does not determine the outline.
 
     Args:
         photo: grey levels (height, width).
     """
     height, width = photo.shape
-    # Any lens would do, since the result is in pixels again.
+    # The focal length is arbitrary, since the result is in pixels.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
-    # OpenCV returns None where corners lie in one line.
+    # OpenCV returns None for collinear corners.
     if plane is None:
         return None
     found = _fitted(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
     if found is None:
         return None
-    # Markers that are hidden in part or misread are left out.
+    # Exclude partly hidden and misread markers.
     agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT)
     if not agreeing:
         return None
@@ -94,7 +94,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
 
 @dataclass(frozen=True)
 class _MapState:
-    """The map (3, 3) from (x, y, 1) on the board to viewing rays, its last element 1; the blur (sigma, px)."""
+    """The map (3, 3) from (x, y, 1) on the board, m, to viewing rays, with last element 1; the blur (sigma, px)."""
 
     plane: Array
     blur: float
@@ -117,7 +117,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         super().__init__()
         self._view, self._focal = view, focal
         board = view.piece.board
-        # In half boards, the eight numbers have similar sizes.
+        # In units of half a board, the eight numbers have similar magnitudes.
         self._per_metre = 2 / max(board.width, board.height)
         half = np.array([board.width, board.height]) / math.sqrt(12)
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
@@ -131,7 +131,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         )
 
     def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
-        """Derivatives (n, 8) by the map, from those by the viewing rays, `by_ray` (n, 2)."""
+        """Return derivatives (n, 8) with respect to the map, from `by_ray` (n, 2) with respect to the viewing rays."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
         along = (by_ray * seen).sum(axis=1, keepdims=True)
@@ -152,7 +152,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         return seen
 
     def _by_points(self, state: _MapState) -> Array:
-        """Derivative (8, 8) of the four points, px, by the map."""
+        """Return the derivative (8, 8) of the four points, px, with respect to the map."""
         seen, focal = self._rays(state), self._focal
         by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
         return np.stack(by, axis=1).reshape(8, 8)
@@ -160,7 +160,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
     def outline(
         self, state: _MapState, system: NormalEquations, camera: CameraModel, markers: tuple[int, ...]
     ) -> BoardOutline | None:
-        """The outline at a state; None where the pixels do not determine the map."""
+        """Return the outline at a state; None if the pixels do not determine the map."""
         try:
             covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2
         except np.linalg.LinAlgError:
@@ -169,5 +169,5 @@ class _PlaneProblem(PrintProblem[_MapState]):
             return None
         by = self._by_points(state)
         points = self._rays(state) * camera.focal + (camera.K[0][2], camera.K[1][2])
-        noise = by @ covariance @ by.T * _INFLATION**2 + (_LEAST_PX * self._view.coarser) ** 2 * np.eye(8)
+        noise = by @ covariance @ by.T * _INFLATION**2 + (_MIN_SIGMA_PX * self._view.coarser) ** 2 * np.eye(8)
         return BoardOutline(self._view.piece.board, self._on_board, points, noise, markers)

@@ -1,4 +1,4 @@
-"""The poses that explain a flat board's outline at many focal lengths at once, and the effect of a lens."""
+"""Fit the poses that explain a flat board's outline at many focal lengths at once, with the effect of a lens."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ from .board_outline import BoardOutline
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_STEPS = 30  # steps of a pose at most
-_NO_GAIN = 1e-3  # gain of chi squared, over 1 + chi squared, that ends the steps
-_GRID = 5  # points along a board's edge at which distortion is evaluated
-_EDGE_ON = 1e-6  # longer sides squared, area of a board's picture below which the board is seen edge-on
-_MOST_BEND = 3.0  # longer sides, shift by distortion with k1 = 1 above which rounding dominates
-_MOST_TURN = 0.5  # rad, longest turn of one step
+_MAX_STEPS = 30  # of a pose
+_MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared, below which the steps end
+_GRID_POINTS = 5  # points along each edge of a board at which distortion is evaluated
+_MIN_AREA = 1e-6  # longer sides squared, area of a board's picture, below which the board is seen edge-on
+_MAX_BEND = 3.0  # longer sides, shift by distortion with k1 = 1, above which rounding errors dominate
+_MAX_ROTATION = 0.5  # rad, of one step
 
 
 def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
-    """The two poses that a flat board may have, for each focal length.
+    """Return the two solutions for the pose of a flat board, each with a pose for each focal length.
 
-    Lengths in the picture are in its longer side, those on the board in its width.
+    Args:
+        size: width and height of the photo, px.
+        spread: longer side of the photo over the focal length (n,).
     """
+    # The length unit in the picture is its longer side, and on the board its width.
     longer = max(size)
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
@@ -39,14 +42,14 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
 
 
 def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
-    """Two sets of poses to start from, a pose for each focal length."""
+    """Return two sets of start poses, with a pose for each focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
         _, vectors, places, _ = cv2.solvePnPGeneric(
             points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
-        # With one pose alone, the first is also the last.
+        # If IPPE returns one pose, both sets get that pose.
         for pose, which in ((0, 0), (1, -1)):
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
@@ -55,7 +58,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
 
 
 def _flat_moves(points: Array) -> Array:
-    """Shifts (2 k, 8) of points (k, 2) of a plane by each of the eight parameters of a homography."""
+    """Return the shifts (2 k, 8) of coplanar points (k, 2) by each of the eight parameters of a homography."""
     x, y = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
@@ -64,10 +67,10 @@ def _flat_moves(points: Array) -> Array:
 
 
 def _inverses(matrices: Array) -> Array:
-    """Inverses of (..., 2, 2); huge for singular matrices, as of a board that is seen edge-on."""
+    """Return inverses (..., 2, 2), with huge elements for singular matrices, such as those of a board seen edge-on."""
     a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
     determinant = a * d - b * c
-    determinant = np.where(np.abs(determinant) < _EDGE_ON, _EDGE_ON, determinant)
+    determinant = np.where(np.abs(determinant) < _MIN_AREA, _MIN_AREA, determinant)
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     inverses: Array = adjugate / determinant[..., None, None]
     return inverses
@@ -79,7 +82,7 @@ class FocalPoses:
 
     Attributes:
         turns: rotations (n, 3, 3) of the board.
-        middles, sizes: centre (n, 2) and size (n,) of the board in the picture.
+        middles, sizes: centre (n, 2) and width (n,) of the board in the picture, in its longer side.
     """
 
     turns: Array
@@ -91,7 +94,7 @@ R = TypeVar("R", bound="DataclassInstance")
 
 
 def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
-    """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
+    """Return a dataclass of arrays (n, ...) with the rows of `one` where `take` (n,) is true, else of `other`."""
     arrays = zip(vars(one).items(), vars(other).values(), strict=True)
     return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
 
@@ -99,32 +102,32 @@ def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
 class BoardPoses:
     """The poses of a board that explain its outline, for each of n focal lengths.
 
-    With the board's `size` and `middle` in the picture, a point u of the board, turned to y, is seen at
-    (middle + size y_xy) / (1 + spread size y_z), which stays regular for infinitely long lenses.
+    With y = R u for a point u of the board, the point's image is (middle + size y_xy) / (1 + spread size y_z), which
+    stays regular for infinite focal lengths.
     """
 
     def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
         self.first = first
-        line = np.linspace(-0.5, 0.5, _GRID)
+        line = np.linspace(-0.5, 0.5, _GRID_POINTS)
         board = math.sqrt(12) * np.abs(on_board).max(axis=0)
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
     def followed(self, poses: FocalPoses, lens: Array) -> FocalPoses:
-        """The poses near given ones that explain the outline best, seen through a lens (n, 3)."""
+        """Return the poses near the given ones that explain the outline best with a lens (n, 3)."""
         _, _, by_lens = self.equations(poses, lens)
         # The effect of distortion hardly changes during the steps.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
-        found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _STEPS)
+        found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _MAX_STEPS)
         assert found is not None  # the equations exist at every state
         return found[0]
 
     def _bend(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        """Shifts (n, 4, 2) of the four points of the outline by distortion with k1 = 1.
+        """Return the shifts (n, 4, 2) of the four outline points by distortion with k1 = 1.
 
-        The outline is the homography nearest to the whole board's picture, which distortion curves. So distortion is
-        evaluated all over the board, and its homography part moves the four points.
+        The outline is the homography nearest to the distorted picture of the whole board. So the function evaluates
+        distortion on a grid over the board, and moves the four points by its homography part.
         """
         spread = self._spread[:, None]
         on_grid = self._grid @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
@@ -134,21 +137,22 @@ class BoardPoses:
         on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
         moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
-        # For a board seen edge-on, rounding dominates.
-        possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
+        # For a board seen edge-on, rounding errors dominate.
+        possible = np.abs(moved_points).max(axis=(1, 2)) < _MAX_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
     def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
+        """Return the derivative (n, k, 2, 2) of positions in the picture with respect to positions on the board."""
         axes = poses.turns[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
     def equations(self, poses: FocalPoses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
-        """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
+        """Return whitened residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
 
         Args:
+            lens: principal point shift (right and down, in the longer side) and k1 (n, 3).
             bend: shifts (n, 4, 2) of the points by distortion with k1 = 1, if known.
         """
         turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
@@ -208,7 +212,7 @@ class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
     def apply_step(self, state: FocalPoses, step: Array) -> FocalPoses:
         angle = np.linalg.norm(step[:, :3], axis=1)
         axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
-        angle = np.minimum(angle, _MOST_TURN)
+        angle = np.minimum(angle, _MAX_ROTATION)
         cross = np.zeros((len(step), 3, 3))
         cross[:, [2, 0, 1], [1, 2, 0]] = axis
         cross[:, [1, 2, 0], [2, 0, 1]] = -axis
@@ -220,7 +224,7 @@ class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
         )
 
     def is_converged(self, state: FocalPoses, known: _Linear, step: Array, gain: Array) -> bool:
-        return bool((gain < _NO_GAIN * (1 + known.cost)).all())
+        return bool((gain < _MIN_GAIN * (1 + known.cost)).all())
 
     def select_better(
         self, better: NDArray[np.bool_], there: tuple[FocalPoses, _Linear], here: tuple[FocalPoses, _Linear]

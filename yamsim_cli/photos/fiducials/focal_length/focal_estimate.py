@@ -1,9 +1,9 @@
-"""The focal length of an uncalibrated camera, from the perspective of the boards in its photos.
+"""Estimate the focal length of an uncalibrated camera, from the perspective of the boards in its photos.
 
-A board seen at a slant shrinks towards its far edge, which separates its distance from its size in the picture. Seen
-straight on, any lens explains the outline. So a whole range is evaluated: at every focal length, each board takes the
-pose that explains its outline best, and the remaining chi squared is the misfit. The result is an interval that holds
-the truth in 95 of 100 photos, or the reason why no useful interval exists.
+A slanted board shrinks towards its far edge, and this perspective separates its distance from the focal length. A board
+seen straight on is consistent with any focal length. So the estimate evaluates a whole range: at every focal length,
+each board has the pose that explains its outline best, and the remaining chi squared is the misfit. The result is an
+interval that contains the true value in 95 of 100 photos, or the reason why no useful interval exists.
 """
 
 from __future__ import annotations
@@ -27,51 +27,51 @@ from .board_poses import BoardPoses, FocalPoses, fit_board_poses, select_rows
 
 Grey = NDArray[np.uint8]
 
-# Range of the search, image widths: from a field of view of 100 degrees to a longer lens than robots are filmed with.
-_FOCALS = (0.42, 16.0)
-_NODES, _NODES_CLOSE = 57, 33  # focal lengths of a profile over the whole range, and over one valley
-_VALLEYS = 3  # valleys of the misfit that are searched at most
-_NODES_INSIDE = 14  # nodes within a valley, below which the profile is refined
-_MOST_ZOOMS = 6  # refinements of a valley
+# Search range, longer sides of the image: from a 100 degree field of view to a lens longer than those that film robots.
+_FOCAL_RANGE = (0.42, 16.0)
+_NODES, _REFINED_NODES = 57, 33  # focal lengths of a profile over the whole range, and over one valley
+_MAX_VALLEYS = 3  # local minima of the misfit that are refined
+_MIN_VALLEY_NODES = 14  # nodes within a valley, up to which the profile is refined
+_MAX_REFINEMENTS = 6  # of a valley
 
 _CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
-_CHI_AROUND = 16.0  # chi squared up to which a valley is searched
-# Least standard deviations for any number of boards, from lens effects that are not modelled: of the log of the focal
-# length, of the principal point, focal lengths, and of k1. Source: 120 times five photos by lenses with distortion;
-# errors of the focal length had an rms of 0.2 and 0.3 %, of which the outlines explain 0.1 %.
-_LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
-# Share of each sigma that is added independently, since likely lenses lie in a curved valley and a covariance is
-# straight. Source: outlines of 200 single and of 70 times four random photos by expected lenses; without this share 62
-# and 84 % of squared errors are within the 95 % bounds, with this share 95 and 96 %.
-_CURVED = 0.5
-_WIDEST = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
-_FAR = 3.72  # standard deviations, exceeded by one in ten thousand sets of outlines that one lens explains
+_CHI_VALLEY = 16.0  # chi squared above the minimum, up to which a valley extends
+# Minimum standard deviations, from lens effects outside the model: of the log of the focal length, of the principal
+# point (focal lengths), and of k1. Source: 120 sets of five photos with distortion. The rms errors of the focal length
+# were 0.2 and 0.3 %, of which the outlines explain 0.1 %.
+_MIN_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
+# Share of each sigma that is added independently, since the valley of likely lenses is curved, and a covariance assumes
+# a straight one. Source: outlines of 200 single photos and of 70 sets of four, with lenses from the prior. Without this
+# share, 62 and 84 % of squared errors are within the 95 % bounds, and with this share 95 and 96 %.
+_CURVATURE_SHARE = 0.5
+_MAX_INTERVAL_RATIO = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
+_MAX_MISFIT_SIGMAS = 3.72  # standard deviations, which one in ten thousand sets of consistent outlines exceeds
 
-_USUAL = 0.5 / math.tan(math.radians(30.0))  # image widths, focal length of a 60 degrees horizontal field of view
-_USUAL_SIGMA = 0.35  # standard deviation of its logarithm
+_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides, for a field of view of 60 degrees
+_TYPICAL_LOG_SIGMA = 0.35  # standard deviation of the logarithm of a typical focal length
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
 
-# Prior of lenses: standard deviations of the principal point, image widths right and down, and of the distortion k1.
-# Source: 13 published calibrations of webcams and robots' cameras, half of which are within these, and three in four
-# within twice as much. Phones correct their distortion and are well within.
+# Lens prior: standard deviations of the principal point (longer sides, right and down) and of the distortion k1.
+# Source: 13 published calibrations of webcams and robots' cameras. Half of these are within one sigma, and three in
+# four within two. Phones correct their distortion and are well within.
 _LENS_SIGMAS = np.array([0.02, 0.02, 0.1])
-_LENS_ROUNDS = 25  # rounds of lens and poses at most
-_IDLE_ROUNDS = 2  # rounds without gain that end the search
-_LIKELY = 150.0  # chi squared above the best, from which the exact value does not matter
-_LITTLE_GAIN = 0.03  # chi squared, gain that does not count
-_NEVER = 1e12  # chi squared of impossible states
+_MAX_LENS_ROUNDS = 25  # rounds over lens and poses
+_MAX_IDLE_ROUNDS = 2  # rounds without gain that end the search
+_CHI_RELEVANT = 150.0  # chi squared above the minimum, from which the exact value is irrelevant
+_MIN_GAIN = 0.03  # gain of chi squared, up to which a round counts as idle
+_CHI_IMPOSSIBLE = 1e12  # chi squared of impossible states
 
 
 @dataclass(frozen=True)
 class FocalProfile:
-    """The misfit of focal lengths to the outlines, with the best lens of each.
+    """The misfit of focal lengths to the outlines, with the best lens for each focal length.
 
     Attributes:
-        spread: the longer side over the focal length (n,).
+        spread: longer side of the image over the focal length (n,).
         misfit: chi squared (n,).
-        lens: the principal point's shift (image widths, right and down) and k1 (n, 3).
+        lens: principal point shift (longer sides, right and down) and k1 (n, 3).
         lens_covariance: (n, 3, 3) of `lens`, at a fixed focal length.
     """
 
@@ -84,19 +84,19 @@ class FocalProfile:
 def compute_profile(
     outlines: Sequence[BoardOutline], size: tuple[int, int], spread: Array, near: FocalProfile | None = None
 ) -> FocalProfile:
-    """The misfit of focal lengths to outlines.
+    """Return the misfit of focal lengths to outlines.
 
     Args:
         outlines: from all photos of one camera.
         size: width and height of the photos, px.
-        spread: the longer side over the focal length (n,).
-        near: a coarser profile, for lenses to start from.
+        spread: longer side of the image over the focal length (n,).
+        near: a coarser profile with start values for the lens.
     """
     lens = np.zeros((len(spread), 3))
     if near is not None:
         lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     problem = _LensProblem([fit_board_poses(outline, size, spread) for outline in outlines])
-    found = solve_least_squares(problem, problem.start(lens), _LENS_ROUNDS)
+    found = solve_least_squares(problem, problem.start(lens), _MAX_LENS_ROUNDS)
     assert found is not None  # the evidence exists at every state
     state, known = found
     return FocalProfile(spread, known.cost, state.lens, known.covariance())
@@ -104,7 +104,7 @@ def compute_profile(
 
 @dataclass(frozen=True)
 class _LensState:
-    """A lens (n, 3) for each focal length, and each board's two poses seen through it."""
+    """A lens (n, 3) for each focal length, and each board's two poses with this lens."""
 
     lens: Array
     poses: tuple[tuple[FocalPoses, ...], ...]
@@ -112,11 +112,11 @@ class _LensState:
 
 @dataclass(frozen=True)
 class _LensEquations:
-    """The evidence of boards, each at its best pose, on the lens at each of n focal lengths.
+    """The normal equations of the lens at each of n focal lengths, from boards at their best poses.
 
     Attributes:
-        information, slope, misfit: from the boards alone, (n, 3, 3), (n, 3) and (n,).
-        lens: the lens (n, 3) through which the boards are seen.
+        information, slope, misfit: without the prior, (n, 3, 3), (n, 3) and (n,).
+        lens: the lens (n, 3) at which the boards are evaluated.
     """
 
     information: Array
@@ -131,9 +131,9 @@ class _LensEquations:
 
     @classmethod
     def from_board(cls, board: BoardPoses, poses: FocalPoses, lens: Array) -> _LensEquations:
-        """The evidence of one board."""
+        """Return the equations of one board."""
         residual, by_pose, by_lens = board.equations(poses, lens)
-        # What a pose can explain is projected out.
+        # Project out the changes that a change of the pose can explain.
         q, _ = np.linalg.qr(by_pose)
         own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
         left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
@@ -143,11 +143,11 @@ class _LensEquations:
     def cost(self) -> Array:
         """Chi squared (n,), with the lens prior."""
         cost: Array = self.misfit + (self.lens**2 / _LENS_SIGMAS**2).sum(axis=1)
-        return np.where(np.isfinite(cost), cost, _NEVER)
+        return np.where(np.isfinite(cost), cost, _CHI_IMPOSSIBLE)
 
     @property
     def normal(self) -> Array:
-        """The information (n, 3, 3) on the lens, with the prior."""
+        """The inverse covariance (n, 3, 3) of the lens, with the prior."""
         return np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
@@ -156,19 +156,19 @@ class _LensEquations:
         return -np.nan_to_num(self.slope + _LENS_SIGMAS**-2.0 * self.lens)
 
     def covariance(self) -> Array:
-        """The covariance (n, 3, 3) of the lens, with the prior."""
+        """Return the covariance (n, 3, 3) of the lens, with the prior."""
         return np.linalg.inv(self.normal).astype(np.float64)
 
 
 class _LensProblem(LeastSquares[_LensState, _LensEquations]):
-    """Least squares over the lens, separately at each focal length; the boards' poses follow the lens."""
+    """Least squares over the lens, separately at each focal length, with the boards' poses refitted for each lens."""
 
     def __init__(self, boards: Sequence[Sequence[BoardPoses]]) -> None:
         self._boards = boards
         self._idle = 0
 
     def start(self, lens: Array) -> _LensState:
-        """A lens (n, 3), and the boards seen through it."""
+        """Return the state of a lens (n, 3) with fitted poses."""
         return self._through(lens, [[board.first for board in pair] for pair in self._boards])
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
@@ -176,21 +176,21 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         return _LensState(lens, tuple(tuple(b.followed(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
 
     def linearize(self, state: _LensState, before: _LensEquations | None) -> _LensEquations:
-        """All boards together, each in the better of its two poses."""
+        """Return the sum of the equations of all boards, each at the better of its two poses."""
         taken = []
         for boards, poses in zip(self._boards, state.poses, strict=True):
             one, two = (_LensEquations.from_board(b, p, state.lens) for b, p in zip(boards, poses, strict=True))
-            taken.append(select_rows(one.misfit <= np.nan_to_num(two.misfit, nan=_NEVER), one, two))
+            taken.append(select_rows(one.misfit <= np.nan_to_num(two.misfit, nan=_CHI_IMPOSSIBLE), one, two))
         return functools.reduce(_LensEquations.__add__, taken)
 
     def apply_step(self, state: _LensState, step: Array) -> _LensState:
         return self._through(state.lens + step, state.poses)
 
     def is_converged(self, state: _LensState, known: _LensEquations, step: Array, gain: Array) -> bool:
-        """Whether no likely focal length has gained for some rounds."""
-        matters = known.cost < known.cost.min() + _LIKELY
-        self._idle = 0 if (gain[matters] > _LITTLE_GAIN).any() else self._idle + 1
-        return self._idle == _IDLE_ROUNDS
+        """Return whether no likely focal length has gained for `_MAX_IDLE_ROUNDS` rounds."""
+        matters = known.cost < known.cost.min() + _CHI_RELEVANT
+        self._idle = 0 if (gain[matters] > _MIN_GAIN).any() else self._idle + 1
+        return self._idle == _MAX_IDLE_ROUNDS
 
     def select_better(
         self,
@@ -211,9 +211,9 @@ class FocalEstimate:
     """A camera's focal length, estimated from photos.
 
     Attributes:
-        camera: the likeliest camera; a usual one if there is a `reason`.
+        camera: the likeliest camera, or a typical camera if `reason` is not empty.
         low, high: ends of the 95 % interval, px; None for an open end.
-        reason: why no pose should rest on the estimate, for users; empty for a useful interval.
+        reason: why the estimate is not good enough for poses, for users; empty for a useful interval.
     """
 
     camera: CameraModel
@@ -223,16 +223,16 @@ class FocalEstimate:
 
 
 def known_focal(camera: CameraModel) -> FocalEstimate:
-    """The focal length of a calibrated camera, with the interval of its uncertainty."""
+    """Return the focal length of a calibrated camera with its 95 % interval."""
     wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
     return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
 
 
 def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
-    """Where boards lie in a photo (height, width) of an unknown camera."""
+    """Return the outlines of boards in a photo (height, width) from an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    # Any lens does to group markers.
+    # The focal length is arbitrary for grouping markers.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
@@ -244,18 +244,13 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
 
 
 def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> FocalEstimate:
-    """The focal length that explains outlines.
-
-    Args:
-        outlines: from all photos of one camera.
-        size: width and height of these photos, px.
-    """
+    """Estimate the focal length from the outlines in all photos of one camera, of `size` (width, height), px."""
     width, height = size
-    usual = CameraModel.pinhole(width, height, _USUAL * max(size), _USUAL_SIGMA)
+    usual = CameraModel.pinhole(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
     if not outlines:
         return FocalEstimate(usual, None, None, _NO_BOARD)
     found = _best_profile(
-        outlines, size, compute_profile(outlines, size, np.geomspace(1 / _FOCALS[1], 1 / _FOCALS[0], _NODES))
+        outlines, size, compute_profile(outlines, size, np.geomspace(1 / _FOCAL_RANGE[1], 1 / _FOCAL_RANGE[0], _NODES))
     )
     low, high = _interval(found, size)
     refused = _reason(found, len(outlines), low, high)
@@ -263,16 +258,16 @@ def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> F
 
 
 def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coarse: FocalProfile) -> FocalProfile:
-    """The profile around the best focal length. Valleys may be narrower than the nodes, so several are tried."""
+    """Return the profile around the best focal length. Refine several valleys, since nodes may miss a narrow bottom."""
     misfit = np.pad(coarse.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
     ends = np.isin(bottoms, (0, len(coarse.spread) - 1))
-    # The depth at an end of the range is known, so ends come last, and count only if no valley is deeper.
+    # Ends of the range come last, and only if no valley is far deeper.
     inner, found = bottoms[~ends], []
-    for bottom in inner[np.argsort(coarse.misfit[inner])][:_VALLEYS]:
+    for bottom in inner[np.argsort(coarse.misfit[inner])][:_MAX_VALLEYS]:
         found.append(_refine_profile(outlines, size, coarse, int(bottom)))
     for bottom in bottoms[ends]:
-        if all(coarse.misfit[bottom] < one.misfit.min() + _CHI_AROUND for one in found):
+        if all(coarse.misfit[bottom] < one.misfit.min() + _CHI_VALLEY for one in found):
             found.append(_refine_profile(outlines, size, coarse, int(bottom)))
     return min(found, key=lambda one: float(one.misfit.min()))
 
@@ -280,25 +275,24 @@ def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coars
 def _refine_profile(
     outlines: Sequence[BoardOutline], size: tuple[int, int], found: FocalProfile, best: int
 ) -> FocalProfile:
-    """The profile over a valley alone, with enough nodes in it."""
-    for _ in range(_MOST_ZOOMS):
+    for _ in range(_MAX_REFINEMENTS):
         last_node = len(found.spread) - 1
-        likely = found.misfit < found.misfit[best] + _CHI_AROUND
-        # The valley's own nodes, up to the ridges at its sides.
+        likely = found.misfit < found.misfit[best] + _CHI_VALLEY
+        # Nodes of this valley, up to the first unlikely node on either side.
         first = best - int(np.argmin(np.append(likely[best::-1], False)))
         last = best + int(np.argmin(np.append(likely[best:], False)))
         first, last = max(first, 0), min(last, last_node)
-        if last - first > _NODES_INSIDE or (first, last) == (0, last_node):
+        if last - first > _MIN_VALLEY_NODES or (first, last) == (0, last_node):
             break
         found = compute_profile(
-            outlines, size, np.geomspace(found.spread[first], found.spread[last], _NODES_CLOSE), found
+            outlines, size, np.geomspace(found.spread[first], found.spread[last], _REFINED_NODES), found
         )
         best = int(np.argmin(found.misfit))
     return found
 
 
 def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Ends of the focal lengths whose misfit is within `_CHI_95` of the best, px; None at an end of the range."""
+    """Return the ends (px) of the interval with a misfit within `_CHI_95` of the minimum; None for the range's end."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -309,16 +303,16 @@ def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None,
             continue
         part = over[edge] / (over[edge] - over[beyond])
         log = (1 - part) * math.log(found.spread[edge]) + part * math.log(found.spread[beyond])
-        off = math.copysign(math.hypot(log - best, math.sqrt(_CHI_95) * _LEAST_SIGMAS[0]), log - best)
+        off = math.copysign(math.hypot(log - best, math.sqrt(_CHI_95) * _MIN_SIGMAS[0]), log - best)
         ends.append(max(size) / math.exp(best + off))
     return ends[0], ends[1]
 
 
 def _reason(found: FocalProfile, boards: int, low: float | None, high: float | None) -> str:
-    """Why no pose should rest on an interval; empty for a useful interval."""
+    """Return why an interval is not good enough for poses; empty for a useful interval."""
     freedom = 2 * boards - 1
     # Wilson and Hilferty's approximation of chi squared.
-    most = freedom * (1 - 2 / (9 * freedom) + _FAR * math.sqrt(2 / (9 * freedom))) ** 3
+    most = freedom * (1 - 2 / (9 * freedom) + _MAX_MISFIT_SIGMAS * math.sqrt(2 / (9 * freedom))) ** 3
     if found.misfit.min() > most:
         return "no one focal length explains the boards: a lens with much distortion, or bent prints; give --camera"
     if low is None and high is None:
@@ -327,7 +321,7 @@ def _reason(found: FocalProfile, boards: int, low: float | None, high: float | N
         return f"any focal length from {low:.0f} px up explains the photo: {_ADVICE}"
     if low is None:
         return f"any focal length up to {high:.0f} px explains the photo: {_ADVICE}"
-    if high > _WIDEST * low:
+    if high > _MAX_INTERVAL_RATIO * low:
         return f"the focal length may be anything from {low:.0f} to {high:.0f} px: {_ADVICE}"
     return ""
 
@@ -338,20 +332,20 @@ def _camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
     focal = max(size) / float(found.spread[best])
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
-    # About the likeliest focal length, not about the mean: the two differ in a lopsided valley.
+    # Variance about the likeliest focal length, which differs from the mean in an asymmetric valley.
     variance = float((likely * off**2).sum() / likely.sum())
-    # From image widths to focal lengths.
+    # From longer sides to focal lengths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
     slope = (likely * off) @ (lens - lens[best]) / max(float((likely * off**2).sum()), 1e-30)
-    doubt = np.zeros((4, 4))
-    doubt[1:, 1:] = found.lens_covariance[best] * np.outer(units, units)
+    covariance = np.zeros((4, 4))
+    covariance[1:, 1:] = found.lens_covariance[best] * np.outer(units, units)
     along = np.append(1.0, slope)
-    doubt += variance * np.outer(along, along)
-    doubt += np.diag(_CURVED**2 * np.diag(doubt) + _LEAST_SIGMAS**2)
-    sigma = math.hypot(math.sqrt(variance), _LEAST_SIGMAS[0])
+    covariance += variance * np.outer(along, along)
+    covariance += np.diag(_CURVATURE_SHARE**2 * np.diag(covariance) + _MIN_SIGMAS**2)
+    sigma = math.hypot(math.sqrt(variance), _MIN_SIGMAS[0])
     right, down, bend = lens[best].tolist()
     cx, cy = (width - 1) / 2 + focal * right, (height - 1) / 2 + focal * down
     K = ((focal, 0.0, cx), (0.0, focal, cy), (0.0, 0.0, 1.0))
-    rows = tuple(tuple(row) for row in doubt.tolist())
+    rows = tuple(tuple(row) for row in covariance.tolist())
     return CameraModel(width, height, K, (bend, 0.0, 0.0, 0.0), sigma, rows)

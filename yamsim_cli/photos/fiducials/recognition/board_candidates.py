@@ -1,16 +1,16 @@
-"""Patches of a photo that may be a board whose markers cannot be read, the likeliest first.
+"""Find patches of a photo that may be a board whose markers cannot be read, the likeliest first.
 
-Three kinds of patches are found:
+The module finds three kinds of patches:
 
-- Seen from afar or blurred, a print is a patch darker than the paper around. The photo is cut at several grey levels,
-  since no level suits every light, and each dark patch that four straight edges enclose well is taken. Thin light
+- A distant or blurred print is a patch darker than the paper around it. The photo is thresholded at several grey
+  levels, since no level suits every light. Each dark patch that a quadrilateral fits well is a candidate. Thin light
   lines, such as the gaps between markers, are closed first.
-- On ground as dark as the print, or where the print is hidden in part, each dark patch may be a marker. Its neighbours
-  lie where its own edges say, a marker and a gap away, and patches found there make a grid. The grid may be any part of
-  the board that has as many rows and columns.
-- On ground as bright as the print is on average, as in steep views, a print is a patch full of edges.
+- On a background as dark as the print, or if the print is partly hidden, each dark patch may be a marker. Its edges
+  predict the positions of its neighbours, a marker and a gap away, and patches there form a grid. The grid may be any
+  part of the board with as many rows and columns.
+- On a background as bright as the average of the print, as in steep views, a print is a patch full of edges.
 
-A patch is rectified by its four corners. Its bits, read in each of four turns, are compared with the board's.
+The four corners rectify a patch. Its bits, read in four orientations, are compared with those of the board.
 """
 
 from __future__ import annotations
@@ -32,71 +32,73 @@ from .marker_bits import marker_bits
 
 Grey = NDArray[np.uint8]
 
-_LOOKS = ((1, 3), (2, 3), (2, 7))  # reductions of the photo for whole prints, and the light lines to close, px there
-_MARKER_LOOKS = ((1, 0),)  # the same for single markers
-_LARGEST = 960  # px, longer side to which larger photos are reduced
-_LEVELS = np.linspace(0.12, 0.84, 9)  # of the photo's range, grey levels at which it is cut
-_ENDS = (0.5, 99.5)  # percentiles of the photo's range
-# Least differences within 3 px at an edge, of the photo's range, and largest distances of edges in one patch, px.
-_EDGES = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
-_THICK = 5  # px, least thickness of a patch full of edges: a single edge is thinner
-_LEAST_AREA = 30  # px^2, of a patch
-_LEAST_CONTOUR = 20  # px, length of a patch's contour
-_LARGEST_SHARE = 0.8  # of the photo's sides, largest patch
-_FILLED = 0.78  # of its convex hull, least area of a patch
-_LOOSE = 1.3  # largest area within the four edges, over that of the hull
-_SAME = 0.04  # of a patch's size, distance of all corners below which two patches are the same
+_WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction factors, and width of light lines to close, reduced px
+_MARKER_SCALES = ((1, 0),)  # the same for single markers
+_MAX_PHOTO_SIDE = 960  # px, longer side to which larger photos are reduced
+_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the photo's grey range, below which a pixel is dark
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
+# Minimum difference within 3 px at an edge, as a share of the grey range; width of gaps between edges to close, px.
+_EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
+_MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
+_MIN_AREA = 30  # px^2, of a patch
+_MIN_CONTOUR = 20  # px, length of a patch's contour
+_MAX_PATCH_SHARE = 0.8  # of the photo's sides, largest patch
+_MIN_HULL_SHARE = 0.78  # minimum ratio of a patch's area to that of its convex hull
+_MAX_QUAD_RATIO = 1.3  # maximum ratio of the quadrilateral's area to that of the hull
+_DUPLICATE_DISTANCE = 0.04  # patch sizes, distance of all corners below which two patches are the same
 
 # Grids of markers.
-_NEAR = 0.3  # of a step, largest distance of a neighbour's centre from its expected place
-_ALIKE = 1.6  # largest ratio of neighbours' areas
-_LEAST_MARKERS = 3  # fewest markers of a grid: fewer do not determine its perspective
-_TOLERANCE = 0.12  # of a marker's edge, largest rms distance of corners from the grid's
+_MAX_NEIGHBOUR_OFFSET = 0.3  # grid steps, maximum distance of a neighbour's centre from its predicted position
+_MAX_AREA_RATIO = 1.6  # of neighbours
+_MIN_MARKERS = 3  # markers of a grid; fewer do not determine its perspective
+_MAX_CORNER_RMS = 0.12  # marker edges, maximum rms distance of corners from the grid
 
 # Bits of patches.
-_POINTS = 2  # points along a marker's cell at which a patch is read
-_LEAST_AGREEMENT = 2.5  # standard deviations of chance, least agreement of a candidate's bits
-# Patches with rough corners are moved to where their bits agree best: steps, px, and the agreement needed after each,
-# standard deviations. Source: photos by a physically based renderer: other patches reached 4.3 at the end, boards 7.
-_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
-_MOST_MOVED = 4  # patches that are moved
-_LEAST_TO_MOVE = 1.5  # standard deviations of chance, least agreement of a patch that is moved
-_ROUNDS = 3  # moves of all corners and edges with each step
+_POINTS_PER_CELL = 2  # sample points of a marker cell along each axis
+_MIN_AGREEMENT = 2.5  # standard deviations of chance, minimum agreement of a candidate's bits
+# Refinement of rough corners: step, px, and minimum agreement after the step, standard deviations of chance. Source:
+# photos from a physically based renderer, in which other patches reached 4.3 at the end, and boards 7.
+_REFINEMENT_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
+_MAX_REFINED = 4  # patches that are refined
+_MIN_REFINED_AGREEMENT = 1.5  # standard deviations of chance, minimum agreement of a patch that is refined
+_ROUNDS_PER_STEP = 3  # maximum rounds over all corners and edges for each step
 
 
 def dark_quads(grey: Grey, whole: bool) -> list[Array]:
-    """Corners (4, 2) in pixels, clockwise in the picture, of patches in a photo (height, width); each patch once.
+    """Return the corners (4, 2), px, clockwise in the picture, of distinct dark patches in a photo (height, width).
 
     Args:
-        whole: with light lines closed, for whole prints; otherwise as they are, for markers.
+        whole: whether to close light lines, for whole prints instead of single markers.
     """
-    grey, factor = _at_most(_LARGEST, grey)
-    low, high = np.percentile(grey[::4, ::4], _ENDS)
+    grey, factor = _at_most(_MAX_PHOTO_SIDE, grey)
+    low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
     found: list[Array] = []
-    for smaller, close in _LOOKS if whole else _MARKER_LOOKS:
-        look = grey
+    for smaller, close in _WHOLE_PRINT_SCALES if whole else _MARKER_SCALES:
+        reduced = grey
         if smaller > 1:
-            look = np.asarray(
+            reduced = np.asarray(
                 cv2.resize(grey, None, fx=1 / smaller, fy=1 / smaller, interpolation=cv2.INTER_AREA), dtype=np.uint8
             )
         if close:
-            look = np.asarray(cv2.morphologyEx(look, cv2.MORPH_OPEN, np.ones((close, close), np.uint8)), dtype=np.uint8)
-        for level in low + _LEVELS * (high - low):
-            for quad in _enclosed_quads(look < level):
+            reduced = np.asarray(
+                cv2.morphologyEx(reduced, cv2.MORPH_OPEN, np.ones((close, close), np.uint8)), dtype=np.uint8
+            )
+        for level in low + _THRESHOLDS * (high - low):
+            for quad in _enclosed_quads(reduced < level):
                 found.append(((quad + 0.5) * smaller * factor) - 0.5)
     return _distinct_quads(found)
 
 
 def edge_quads(grey: Grey) -> list[Array]:
-    """Corners (4, 2) in pixels, clockwise in the picture, of patches full of edges in a photo (height, width)."""
-    grey, factor = _at_most(_LARGEST, grey)
-    low, high = np.percentile(grey[::4, ::4], _ENDS)
-    near, thick = np.ones((3, 3), np.uint8), np.ones((_THICK, _THICK), np.uint8)
+    """Return the corners (4, 2), px, clockwise in the picture, of patches full of edges in a photo (height, width)."""
+    grey, factor = _at_most(_MAX_PHOTO_SIDE, grey)
+    low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
+    near, thick = np.ones((3, 3), np.uint8), np.ones((_MIN_THICKNESS, _MIN_THICKNESS), np.uint8)
     difference = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, near)
     found: list[Array] = []
-    for level, apart in _EDGES:
+    for level, apart in _EDGE_THRESHOLDS:
         edges = (difference > level * (high - low)).astype(np.uint8)
-        # An edge counts a pixel to either side of it.
+        # The morphological gradient widens an edge by a pixel on either side, and erosion removes that.
         full = cv2.erode(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((apart, apart), np.uint8)), near)
         for quad in _enclosed_quads(cv2.morphologyEx(full, cv2.MORPH_OPEN, thick) > 0):
             found.append((quad + 0.5) * factor - 0.5)
@@ -104,7 +106,7 @@ def edge_quads(grey: Grey) -> list[Array]:
 
 
 def _at_most(longest: int, grey: Grey) -> tuple[Grey, float]:
-    """The photo with a longer side of at most `longest` px, and the factor of reduction."""
+    """Return the photo with a longer side of at most `longest` px, and the reduction factor."""
     factor = max(1.0, max(grey.shape) / longest)
     if factor > 1:
         size = tuple(round(side / factor) for side in grey.shape[::-1])
@@ -113,32 +115,32 @@ def _at_most(longest: int, grey: Grey) -> tuple[Grey, float]:
 
 
 def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
-    """The four corners (4, 2) of each patch that four edges enclose well."""
+    """Yield the four corners (4, 2) of each patch that a quadrilateral fits well."""
     contours, nested = cv2.findContours(dark.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    most = _LARGEST_SHARE * np.array(dark.shape[::-1])
+    most = _MAX_PATCH_SHARE * np.array(dark.shape[::-1])
     for k, contour in enumerate(contours):
-        if len(contour) < _LEAST_CONTOUR or nested[0, k, 3] >= 0:
+        if len(contour) < _MIN_CONTOUR or nested[0, k, 3] >= 0:
             continue
         if (np.ptp(contour[:, 0], axis=0) > most).any():
             continue
         hull = cv2.convexHull(contour)
         area = cv2.contourArea(hull)
-        if len(hull) < 4 or area < _LEAST_AREA or cv2.contourArea(contour) < _FILLED * area:
+        if len(hull) < 4 or area < _MIN_AREA or cv2.contourArea(contour) < _MIN_HULL_SHARE * area:
             continue
         quad = np.asarray(cv2.approxPolyN(hull, 4), dtype=np.float32).reshape(-1, 2)
-        if len(quad) == 4 and cv2.contourArea(quad) < _LOOSE * area:
+        if len(quad) == 4 and cv2.contourArea(quad) < _MAX_QUAD_RATIO * area:
             yield quad.astype(np.float64)
 
 
 def _distinct_quads(quads: list[Array]) -> list[Array]:
-    """Each patch once, with its corners clockwise from the one nearest the top left."""
+    """Return the patches without duplicates, with corners clockwise from the one nearest the top left."""
     kept: list[Array] = []
     for quad in quads:
         signed = cv2.contourArea(quad.astype(np.float32), oriented=True)
         quad = quad if signed > 0 else quad[::-1]
         quad = np.roll(quad, -int(np.argmin(quad.sum(axis=1))), axis=0)
         size = np.sqrt(abs(signed))
-        if all(np.abs(quad - other).max() > _SAME * size for other in kept):
+        if all(np.abs(quad - other).max() > _DUPLICATE_DISTANCE * size for other in kept):
             kept.append(quad)
     return kept
 
@@ -147,20 +149,20 @@ Grid = dict[tuple[int, int], int]
 
 
 def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
-    """Outer corners (4, 2) of boards, px, that patches (4, 2) with corners clockwise may be markers of."""
-    if len(markers) < _LEAST_MARKERS:
+    """Return the outer corners (4, 2), px, of possible boards whose markers are among patches (4, 2), px, clockwise."""
+    if len(markers) < _MIN_MARKERS:
         return []
     quads = np.array(markers)
     step = (board.marker_length + board.gap) / board.marker_length
     found = []
     taken = np.zeros(len(quads), dtype=bool)
     areas = np.abs([cv2.contourArea(quad.astype(np.float32)) for quad in quads])
-    # Larger patches are more exact.
+    # Start with large patches, whose corners are more accurate.
     for seed in np.argsort(-areas):
         if taken[seed]:
             continue
         grid = _grow_grid(int(seed), quads, areas, step)
-        if len(grid) < _LEAST_MARKERS:
+        if len(grid) < _MIN_MARKERS:
             continue
         taken[list(grid.values())] = True
         found += list(_board_corners(grid, quads, board))
@@ -168,12 +170,12 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
 
 
 def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
-    """The grid of patches around a seed, by column and row from the seed's."""
+    """Return the grid of patches around a seed, by column and row relative to the seed."""
     middles = quads.mean(axis=1)
     grid, ends, used = {(0, 0): seed}, [(0, 0)], {seed}
     right = (quads[seed, 1] - quads[seed, 0] + quads[seed, 2] - quads[seed, 3]) / 2 * step
     down = (quads[seed, 3] - quads[seed, 0] + quads[seed, 2] - quads[seed, 1]) / 2 * step
-    reach = _NEAR * min(float(np.linalg.norm(right)), float(np.linalg.norm(down)))
+    reach = _MAX_NEIGHBOUR_OFFSET * min(float(np.linalg.norm(right)), float(np.linalg.norm(down)))
     while ends:
         column, row = ends.pop()
         at = grid[column, row]
@@ -183,7 +185,7 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
                 continue
             off = np.linalg.norm(middles - (middles[at] + over * right + below * down), axis=1)
             ratio = areas / areas[at]
-            off[(ratio > _ALIKE) | (ratio < 1 / _ALIKE)] = np.inf
+            off[(ratio > _MAX_AREA_RATIO) | (ratio < 1 / _MAX_AREA_RATIO)] = np.inf
             best = int(np.argmin(off))
             if off[best] < reach and best not in used:
                 grid[place] = best
@@ -193,7 +195,7 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
 
 
 def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
-    """The board's corners for each part of the board that a grid may be."""
+    """Yield the board's outer corners for each part of the board that the grid may show."""
     places = np.array(list(grid))
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low + 1
@@ -204,12 +206,12 @@ def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
     on_board = np.concatenate([(place - low) * step + unit for place in places])
     corners = _align_corner_order(quads[list(grid.values())], quads[grid[0, 0]])
     flat: Any = cv2.findHomography(on_board, corners.reshape(-1, 2))[0]
-    # OpenCV returns None where corners lie in one line.
+    # OpenCV returns None for collinear corners.
     if flat is None:
         return
     seen = _mapped(flat, on_board)
     edge = float(np.sqrt(np.median([cv2.contourArea(quad.astype(np.float32)) for quad in corners])))
-    if float(np.sqrt(((seen - corners.reshape(-1, 2)) ** 2).sum(axis=1).mean())) > _TOLERANCE * edge:
+    if float(np.sqrt(((seen - corners.reshape(-1, 2)) ** 2).sum(axis=1).mean())) > _MAX_CORNER_RMS * edge:
         return
     whole = np.array([[0, 0], [board.width, 0], [board.width, board.height], [0, board.height]])
     for column in range(board.columns - size[0] + 1):
@@ -220,7 +222,7 @@ def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
 
 
 def _align_corner_order(quads: Array, first: Array) -> Array:
-    """Patches (n, 4, 2) with their corners in the order of the first one's (4, 2)."""
+    """Return patches (n, 4, 2) with their corners in the order of the patch `first` (4, 2)."""
     wanted = first - first.mean(axis=0)
     turned = np.stack([np.roll(quads, turn, axis=1) for turn in range(4)])
     own = turned - turned.mean(axis=2, keepdims=True)
@@ -240,8 +242,8 @@ class BoardCandidate:
     """A patch that may be a board.
 
     Attributes:
-        corners: outer corners (4, 2) in pixels, clockwise from the board's top left.
-        agreement: of the patch's bits with the board's, in standard deviations of chance.
+        corners: outer corners (4, 2), px, clockwise from the board's top left.
+        agreement: of the patch's bits with those of the board, in standard deviations of chance.
     """
 
     corners: Array
@@ -249,29 +251,25 @@ class BoardCandidate:
 
 
 def candidates(
-    grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _LEAST_AGREEMENT
+    grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _MIN_AGREEMENT
 ) -> list[BoardCandidate]:
-    """Patches of a photo (height, width) that may be a board, the likeliest first."""
-    # A board may lie any of four ways up.
+    """Return the patches of a photo (height, width) that may be a board in any of four orientations, best first."""
     turned = [np.roll(quad, turn, axis=0) for quad in quads for turn in range(4)]
     found = [BoardCandidate(corners, _agreement(grey, board, corners)) for corners in turned]
     return sorted((one for one in found if one.agreement > minimum), key=lambda one: -one.agreement)
 
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
-    """As `candidates`, for patches with rough corners: each is moved to where its bits agree best."""
-    rough = candidates(grey, board, quads, _LEAST_TO_MOVE)[:_MOST_MOVED]
+    """Return candidates as `candidates` does, with rough corners moved to the best agreement of the bits."""
+    rough = candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
 
 
 def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCandidate | None:
-    """The patch, its corners and edges moved one after the other while its bits agree better.
-
-    None if the bits do not agree well in the end.
-    """
-    for step, least in _STEPS:
-        for _ in range(_ROUNDS):
+    """Move corners and edges one by one while the bits agree better; return None if the agreement stays too low."""
+    for step, least in _REFINEMENT_STEPS:
+        for _ in range(_ROUNDS_PER_STEP):
             before = candidate.agreement
             for move in step * _corner_moves():
                 corners = candidate.corners + move
@@ -286,7 +284,7 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
 
 @functools.lru_cache(maxsize=1)
 def _corner_moves() -> Array:
-    """Moves (n, 4, 2) of each corner and of each edge by 1 px in each of four directions."""
+    """Return moves (n, 4, 2) of each corner and each edge by 1 px in each of four directions."""
     moves = []
     for corner in range(4):
         for along in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
@@ -301,7 +299,7 @@ _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 def _agreement(grey: Grey, board: Board, corners: Array) -> float:
-    """Agreement of a patch's bits with a board's, all markers weighed alike, in standard deviations of chance."""
+    """Return the agreement of a patch's bits with a board, with equal weight for each marker."""
     at, size = _bit_points(board)
     flat = cv2.getPerspectiveTransform(_UNIT, corners.astype(np.float32))
     seen = np.asarray(cv2.perspectiveTransform(at[None], flat), dtype=np.float32)
@@ -319,10 +317,10 @@ def _bits(board: Board) -> Array:
 
 @functools.lru_cache(maxsize=32)
 def _bit_points(board: Board) -> tuple[NDArray[np.float32], tuple[int, int, int]]:
-    """Points (n, 2) of all bits in shares of the board's sides, and their numbers by marker, bit and point."""
+    """Return sample points (n, 2) of all bits, as shares of the board's sides, and their shape (marker, bit, point)."""
     side = marker_cells(board).shape[1]
     cell, step = board.marker_length / side, board.marker_length + board.gap
-    inner = (np.arange(side - 2)[:, None] + 1 + (np.arange(_POINTS) + 0.5) / _POINTS) * cell
+    inner = (np.arange(side - 2)[:, None] + 1 + (np.arange(_POINTS_PER_CELL) + 0.5) / _POINTS_PER_CELL) * cell
     points = []
     for k in range(len(board.ids)):
         row, column = divmod(k, board.columns)
@@ -330,4 +328,4 @@ def _bit_points(board: Board) -> tuple[NDArray[np.float32], tuple[int, int, int]
         grid = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), axis=-1)
         points.append(grid.reshape(-1, 2) / (board.width, board.height))
     at = np.concatenate(points).astype(np.float32)
-    return at, (len(board.ids), (side - 2) ** 2, _POINTS**2)
+    return at, (len(board.ids), (side - 2) ** 2, _POINTS_PER_CELL**2)

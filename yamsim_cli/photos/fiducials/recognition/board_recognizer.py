@@ -1,8 +1,8 @@
-"""Boards that are seen but cannot be read: recognized as a whole, by all the bits of their print at once.
+"""Recognize boards whose markers cannot be read, by all the bits of their print at once.
 
-Patches of the photo (`candidates`), another board beside and a photo taken just before say where a board may be. Each
-such place is fitted to the whole print, like a pose from markers. The fit counts only if the bits that the photo shows
-there agree with the board's by far more than chance (`bits`).
+Patches of the photo (`board_candidates`), other boards and the previous photo predict poses of a board. Each pose is
+fitted to the whole print, like a pose from markers. A fit counts only if the bits in the photo agree with the board's
+bits by far more than chance (`marker_bits`).
 """
 
 from __future__ import annotations
@@ -40,34 +40,34 @@ from .marker_bits import BitEvidence, measure_evidence
 Grey = NDArray[np.uint8]
 
 FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the board is recognized
-# Places and turns that are tried for each board. Source: photos without boards (`make bench-fiducials`), which have 20
-# to 60 patches and their turns, and some 250 moves of each moved patch.
-_PLACES = 1200
-_LOOKS_A_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
-_LIKE_A_BOARD = -8.0  # log of chance, below which a place probably shows the board
-_WORTH_ANOTHER = -3.0  # log of chance, below which a fit that does not agree well is tried again
+# Positions and orientations that are tried for each board. Source: `make bench-fiducials`. Photos without boards have
+# 20 to 60 patches in four orientations, and about 250 moves of each refined patch.
+_TRIALS_PER_BOARD = 1200
+_TRIALS_PER_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
+_MAX_BOARD_LOG_CHANCE = -8.0  # log of chance, below which a patch is probably the board
+_MAX_RETRIED_LOG_CHANCE = -3.0  # log of chance, below which a fit with low correlation is repeated
 _SAME_MOTION = 3.0  # px, difference of lengths within which two motions are the same
-_MOST_FITS = 2  # candidates of one kind that are fitted
-_WORTH_A_FIT = 0.6  # of the best candidate's agreement, least agreement that is fitted
-_AROUND = 0.5  # of the board's size in the picture, distance within which a place known from elsewhere is searched
-_WELL_ENOUGH = 0.85  # median correlation above which no other pose is fitted
-_APART = 0.5  # of a patch's size, distance of centres above which two patches are different places
+_MAX_FITS = 2  # candidates of one kind that are fitted
+_MIN_RELATIVE_AGREEMENT = 0.6  # of the best candidate's agreement, below which a candidate is not fitted
+_SEARCH_RADIUS = 0.5  # board sizes in the picture, within which the print is searched around a predicted position
+_SUFFICIENT_CORRELATION = 0.85  # median correlation above which no other pose is fitted
+_MIN_SEPARATION = 0.5  # patch sizes, distance above which two patches are different places
 
-# Smears that a fit may start from.
-_BLURS = (0.9, 2.0, 3.5)  # px, sigmas
-_LENGTHS, _DIRECTIONS = (4.0, 8.0, 12.0), 8  # px, of motions, and how many directions over half a turn
-_BLUR_MOVING = 1.0  # px, sigma of the blur of a moving camera
-_MOTION_SHARE = 0.85  # of what the best blur leaves unexplained, below which a motion is taken
-# The pixels that the longest motion can explain are compared for all smears.
-_COMPARED = BlurKernel(_BLURS[1])
+# Blur kernels from which a fit may start.
+_BLUR_SIGMAS = (0.9, 2.0, 3.5)  # px
+_MOTION_LENGTHS, _MOTION_DIRECTIONS = (4.0, 8.0, 12.0), 8  # px; number of directions over 180 degrees
+_MOVING_BLUR_SIGMA = 1.0  # px, defocus blur in a kernel with motion
+_MAX_MOTION_RATIO = 0.85  # ratio of squared residuals with the best motion and the best blur, below which motion wins
+# All kernels are compared at the same pixels, those that this kernel selects.
+_COMPARISON_BLUR = BlurKernel(_BLUR_SIGMAS[1])
 
 
 class BoardRecognizer:
-    """BoardAppearance for boards in one photo.
+    """Recognizes boards in one photo.
 
     Args:
         grey, photo: the photo (height, width), as bytes and as floats.
-        boards: number of boards that are looked for in all.
+        boards: total number of boards that are searched.
     """
 
     def __init__(
@@ -95,12 +95,12 @@ class BoardRecognizer:
         before: Sequence[Array] = (),
         anywhere: bool = False,
     ) -> BoardDetection:
-        """The sighting of a board that could not be read well enough, recognized; or `seen` itself.
+        """Return a new detection of a board that could not be read well enough, or `seen` without a new one.
 
         Args:
-            predicted_poses: the board's approximate poses (4, 4) in the camera's frame, one by each other board.
-            before: the board's pose in a photo taken just before, if there is one.
-            anywhere: whether the whole photo is searched too.
+            predicted_poses: approximate poses (4, 4) of the board in the camera frame, one from each other board.
+            before: the board's pose in the previous photo, if known.
+            anywhere: whether to search the whole photo too.
         """
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
@@ -117,20 +117,20 @@ class BoardRecognizer:
             return replace(seen, advice=self._advice(board)) if anywhere else seen
         best = min(fits, key=lambda fit: fit.mean_square)
         size = board.width * self._camera.focal / best.T[2, 3]
-        if any(self._distance_px(fit, best) > _APART * size for fit in fits):
+        if any(self._distance_px(fit, best) > _MIN_SEPARATION * size for fit in fits):
             reason = "it is in the photo twice: hide or remove the other print"
             return BoardDetection(board, seen.markers, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
     def _candidates(self, board: Board) -> Iterator[list[BoardCandidate]]:
-        """Candidates of each kind; the kinds that are slower to find come later."""
+        """Yield the candidates of each kind, slower kinds last."""
         yield candidates(self._grey, board, self._dark_prints)
         yield candidates(self._grey, board, board_quads(self._dark_markers, board))
         yield refine_candidates(self._grey, board, self._edge_patches)
 
     def _advice(self, board: Board) -> tuple[str, ...]:
-        """What would help to recognize a board, from the place that looks most like the board."""
-        if self._likeliest is not None and self._likeliest[0] < _LIKE_A_BOARD:
+        """Return advice for better photos, from the likeliest fit of the board."""
+        if self._likeliest is not None and self._likeliest[0] < _MAX_BOARD_LOG_CHANCE:
             found = suggest_improvements(measure_appearance(board, self._camera, self._photo, self._likeliest[1]))
             if found:
                 return found
@@ -141,7 +141,7 @@ class BoardRecognizer:
         return float(np.linalg.norm(at[0] - at[1]))
 
     def _starts(self, board: Board, candidate: BoardCandidate) -> list[Array]:
-        """The poses (4, 4) that a patch's corners allow, the likelier one first."""
+        """Return the poses (4, 4) that a patch's corners allow, the likelier one first."""
         poses = planar_poses(board.outer_corners(), viewing_rays(self._camera, candidate.corners))
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
 
@@ -150,16 +150,16 @@ class BoardRecognizer:
         for T in poses:
             if fit := self._fit(board, T):
                 found.append(fit)
-                # The other pose could at most be a rival of this fit, and `judge` looks for rivals.
-                if fit.contradicting == 0 and _is_explained(fit.alignment, _WELL_ENOUGH):
+                # The other pose could only be a competing fit, which `judge_detection` searches.
+                if fit.contradicting == 0 and _is_explained(fit.alignment, _SUFFICIENT_CORRELATION):
                     break
         return found
 
     def _fit(self, board: Board, T: Array) -> PoseFit | None:
         whole = whole_board_piece(board)
         found = self._recognized(whole, T)
-        if found is not None and not _is_explained(found[0]) and found[1].log_chance < _WORTH_ANOTHER:
-            # From a nearer pose, the smear is estimated better.
+        if found is not None and not _is_explained(found[0]) and found[1].log_chance < _MAX_RETRIED_LOG_CHANCE:
+            # A better pose gives a better estimate of the blur.
             again = self._recognized(whole, found[0].T_ref_in_cam, found[0].blur)
             if again is not None and again[1].log_chance < found[1].log_chance:
                 found = again
@@ -168,8 +168,8 @@ class BoardRecognizer:
         first, bits = found
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
-        # All places of the photo count as trials.
-        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _PLACES * _LOOKS_A_FIT)):
+        # Correct the limit for all trials in the photo.
+        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
             fewer = align_pose(
@@ -187,30 +187,30 @@ class BoardRecognizer:
     def _recognized(
         self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
     ) -> tuple[Alignment, BitEvidence] | None:
-        """A piece, aligned from a pose and the likeliest smear there, and the evidence of its bits.
+        """Align a piece from a pose and the estimated blur, and return the alignment with the evidence of its bits.
 
         Args:
-            tried: the smear that was used before; None is returned where that smear is still likely.
+            tried: the blur of an earlier attempt; the function returns None if the estimated blur is similar.
         """
         view, plane = self._view(piece, T)
-        smear = None if view is None else estimate_blur(view, plane)
-        if smear is None or (tried is not None and abs(smear.length - tried.length) < _SAME_MOTION):
+        kernel = None if view is None else estimate_blur(view, plane)
+        if kernel is None or (tried is not None and abs(kernel.length - tried.length) < _SAME_MOTION):
             return None
-        fit = align_pose(self._photo, self._camera, [piece], T, smear)
+        fit = align_pose(self._photo, self._camera, [piece], T, kernel)
         if fit is None or not faces_camera(fit.T_ref_in_cam):
             return None
         view, plane = self._view(piece, fit.T_ref_in_cam)
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
     def _shifted(self, board: Board, T: Array) -> Array | None:
-        """A pose, moved parallel to the picture to the best match of the print nearby; None if it faces away."""
+        """Return a pose shifted parallel to the image plane to the best match nearby; None if the board faces away."""
         if not faces_camera(T):
             return None
         corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
         centre = project_points(self._camera, T[None, :3, 3])[0]
         half = np.abs(corners - centre).max(axis=0)
         height, width = self._grey.shape
-        reach = np.ceil(half + _AROUND * 2 * half.max()).astype(int)
+        reach = np.ceil(half + _SEARCH_RADIUS * 2 * half.max()).astype(int)
         low = np.maximum(np.round(centre).astype(int) - reach, 0)
         high = np.minimum(np.round(centre).astype(int) + reach + 1, (width, height))
         view, plane = self._view(whole_board_piece(board), T)
@@ -234,29 +234,27 @@ class BoardRecognizer:
 
 
 def _best_candidates(found: Sequence[BoardCandidate]) -> Iterator[BoardCandidate]:
-    """The likeliest candidates, each place once."""
     taken = list[BoardCandidate]()
     for one in found:
-        if one.agreement < _WORTH_A_FIT * found[0].agreement or len(taken) == _MOST_FITS:
+        if one.agreement < _MIN_RELATIVE_AGREEMENT * found[0].agreement or len(taken) == _MAX_FITS:
             return
         size = float(np.abs(np.ptp(one.corners, axis=0)).max())
-        if all(np.abs(one.corners - other.corners).max() > _APART * size for other in taken):
+        if all(np.abs(one.corners - other.corners).max() > _MIN_SEPARATION * size for other in taken):
             taken.append(one)
             yield one
 
 
 def _is_explained(fit: Alignment, minimum: float = EXPLAINED) -> bool:
-    """Whether drawing and photo agree at most markers."""
     return float(np.median([tile.correlation for tile in fit.tiles[0].values()])) > minimum
 
 
 def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
-    """The smear, px, with which a print at a supposed place explains the photo best; None if too little is seen.
+    """Return the blur, px, with which the rendered print explains the photo best; None if too few pixels are visible.
 
     Args:
-        plane: where the print lies, as for `draw_print`.
+        plane: (3, 3) from the board to the camera frame, as for `draw_print`.
     """
-    drawing = draw_print(view, plane, _COMPARED.in_larger_pixels(view.coarser))
+    drawing = draw_print(view, plane, _COMPARISON_BLUR.in_larger_pixels(view.coarser))
     use = drawing.marker >= 0
     if use.sum() < 2 * len(view.piece.markers):
         return None
@@ -272,16 +270,15 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
         contrast = np.maximum(np.add.reduceat(shape * seen, starts) / power, 0.0)
         return float(((seen - contrast[which] * shape) ** 2).sum())
 
-    angles = np.arange(_DIRECTIONS) * math.pi / _DIRECTIONS
-    vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _LENGTHS for angle in angles]
-    blurs = {smear: unexplained(smear) for smear in map(BlurKernel, _BLURS)}
-    motions = {smear: unexplained(smear) for smear in (BlurKernel(_BLUR_MOVING, vector) for vector in vectors)}
+    angles = np.arange(_MOTION_DIRECTIONS) * math.pi / _MOTION_DIRECTIONS
+    vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _MOTION_LENGTHS for angle in angles]
+    blurs = {kernel: unexplained(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
+    motions = {kernel: unexplained(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)}
     blurred, moved = min(blurs, key=lambda one: blurs[one]), min(motions, key=lambda one: motions[one])
-    return moved if motions[moved] < _MOTION_SHARE * blurs[blurred] else blurred
+    return moved if motions[moved] < _MAX_MOTION_RATIO * blurs[blurred] else blurred
 
 
 def _subtract_marker_means(values: NDArray[np.float32], starts: NDArray[np.int_], which: NDArray[np.int_]) -> Array:
-    """Values (n,) less the mean of each marker's."""
     exact = values.astype(np.float64)
     less: Array = exact - (np.add.reduceat(exact, starts) / np.bincount(which))[which]
     return less
