@@ -41,7 +41,7 @@ def view(
 ) -> None:
     """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends the viewer.
 
-    With --task, the objects have the layout of the seed's first attempt. --episode plays an episode like `yamsim replay`.
+    With --task, the objects have the layout of the seed's first attempt. --episode plays an episode like `replay`.
 
     Example: yamsim view --rig russet --web
     """
