@@ -78,7 +78,6 @@ def _file(out: Path, arm: str) -> Path:
 
 
 def _files(sheets: dict[str, PrintedPage], out: Path) -> dict[Path, bytes]:
-    """Return the content of each file to write."""
     from yamsim_cli.photos.board_sheet import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":

@@ -118,7 +118,7 @@ def evaluate(
 ) -> None:
     """Run a policy from the sampled starts of `yamsim trials` for the same seed, and count its successes.
 
-    Exit code 6 if errors ended every trial, so that no success rate was measured.
+    Exit code 6 if no trial ran to its end, so that no success rate was measured.
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """

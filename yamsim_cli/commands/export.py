@@ -129,7 +129,6 @@ def _real_raiden(
     episodes: str | None,
     overwrite: bool,
 ) -> ExportResult:
-    """Export real recordings, without rendering."""
     opener.skip_gl()
 
     from yamsim_cli.export.export_source import open_real_source
@@ -265,7 +264,6 @@ def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> Si
 
 
 def _require_real(flag: str, value: object, dataset: Path) -> None:
-    """Refuse a flag for real recordings if the dataset is simulated."""
     if value is not None:
         raise UsageError(
             f"{flag} is for real recordings, and {dataset} was simulated, with even times and all actions: leave it out"

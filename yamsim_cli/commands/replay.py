@@ -89,7 +89,6 @@ def _film(
     speed: float,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Write the video, and return its report."""
     if render:
         opener.use_gl(locations)
     else:
@@ -118,7 +117,7 @@ def _film(
 
 
 def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Play an episode in a page or in MuJoCo's window until a signal. A real recording shows only its arms."""
+    """Play an episode in a page or in MuJoCo's window until a signal arrives. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
@@ -156,7 +155,6 @@ def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: Pag
 
 
 def _session(stored: StoredEpisode, locations: Locations) -> Session:
-    """Return the session of the episode's dataset, without meshes."""
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import dataset_config
 

@@ -116,7 +116,6 @@ def _difference(divergence: dict[str, Any]) -> str:
 
 
 def _problem(problem: dict[str, Any]) -> str:
-    """Describe a problem: its file, and the fault."""
     place = f"ep_{problem['episode']:06d}/{problem['file']}: " if problem["file"] else ""
     return f"{place}{problem['problem']}"
 
