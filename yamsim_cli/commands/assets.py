@@ -233,7 +233,6 @@ def _certify(thing: str) -> CertificationResult:
 
 
 def _failure(certified: CertificationResult) -> str:
-    """Return one line: the first failed check and the number of other failures."""
     from yamsim_cli.objects.certify.certify import CHECKS
 
     code = certified.failed[0]

@@ -250,7 +250,6 @@ def _with_renderer(locations: Locations) -> Locations:
 
 
 def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
-    """Open the chosen episodes, simulated or real, for an export without rendering."""
     opener.skip_gl()
 
     from yamsim_cli.core.dataset.imported_records import is_real

@@ -91,7 +91,6 @@ def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any
 
 
 def _start(found: Excitation) -> list[float]:
-    """Return the initial joint angles, rad."""
     return [round(float(angle), 4) for angle in found.commands[0]]
 
 

@@ -124,7 +124,6 @@ def _row(item: Mapping[str, Any]) -> list[str]:
 
 
 def _family_and_revision(item: Mapping[str, Any]) -> str:
-    """Return an arm's family and revision; empty for grippers and stations."""
     if item.get("family") is None:
         return ""
     return f"{item['family']} {item['revision']}" + (" (newest)" if item["newest"] else "")

@@ -28,7 +28,7 @@ def summarize(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Check every file of a dataset, and report statistics and problems. Exit code 4 for errors, with --strict for warnings.
+    """Check all files of a dataset, and report statistics and problems. Exit code 4 for errors; warnings need --strict.
 
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """

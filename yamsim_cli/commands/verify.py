@@ -104,7 +104,6 @@ def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
 
 
 def _difference(divergence: dict[str, Any]) -> str:
-    """Describe a divergence: its place, and both values."""
     frame, time_s = divergence["frame"], divergence["time_s"]
     place = f"ep_{divergence['episode']:06d}"
     if frame is not None:
@@ -121,7 +120,6 @@ def _problem(problem: dict[str, Any]) -> str:
 
 
 def _verdict(report: dict[str, Any]) -> str:
-    """Return one line about the first divergence or problem."""
     first = report["first_divergence"]
     text = _difference(first) if first else _problem(report["problems"][0])
     differing = report["episodes"] - report["agree"]

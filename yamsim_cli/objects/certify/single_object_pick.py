@@ -146,7 +146,6 @@ def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -
 
 
 def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
-    """Return the config of a recording whose program is `pick` alone."""
     x, y = _POSITION
     task = ProgramTask.model_validate(
         {
