@@ -1,4 +1,4 @@
-"""`yamsim assets`: the meshes that yamsim uses but does not ship, and objects of your own."""
+"""`yamsim assets`: list and fetch mesh sets, and import and certify objects."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 
 
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
-    """Every object that has a config, and the state of its certificate."""
+    """Return the name and the certificate's state of each object config."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
@@ -138,7 +138,7 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
 def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
-    """The fetched sets, and set -> its reduced meshes, for sets whose meshes could be reduced."""
+    """Return the fetch report, and by set name the reduced meshes of each set that could be reduced."""
     from yamsim_cli.core.scene.assets import default_sources, fetch, make_reduced
     from yamsim_cli.terminal.fetch_bar import fetch_bar
 
@@ -183,7 +183,7 @@ def certify_object(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Check a thing's size, surfaces, weight, rest, falls, hollow, joints and grasp. Exit code 4 if a check fails.
+    """Check an object's size, surfaces, mass, rest, drops, hollow, joints and grasp. Exit code 4 if a check fails.
 
     Example: yamsim assets certify kitchen_bowl --html bowl.html
     """
@@ -233,7 +233,6 @@ def _certify(thing: str) -> CertificationResult:
 
 
 def _failure(certified: CertificationResult) -> str:
-    """One line on the first check that failed, and the number of other failures."""
     from yamsim_cli.objects.certify.certify import CHECKS
 
     code = certified.failed[0]
@@ -281,7 +280,7 @@ def import_object(
     ] = True,
     json: Json = False,
 ) -> None:
-    """Make an object's config: looks, collision shapes, inertia and grasps. Exit code 4 if a check of it fails.
+    """Make an object's config: visual meshes, collision shapes, inertia and grasps. Exit code 4 if a check fails.
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
@@ -299,8 +298,8 @@ def import_object(
         from yamsim_cli.objects.readers.object_reader import UnitOptions
 
         file = Path(source)
-        wishes = ImportOptions(name or object_name_of(file), mass, density, collision, base, friction)
-        item, lines = _import_file(file, UnitOptions(unit, up, scale), wishes, out)
+        options = ImportOptions(name or object_name_of(file), mass, density, collision, base, friction)
+        item, lines = _import_file(file, UnitOptions(unit, up, scale), options, out)
     certified = None
     if certify:
         opener.skip_gl()
@@ -318,7 +317,7 @@ def import_object(
 
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """The import of a YCB object as JSON has it, and in words."""
+    """Import a YCB object; return the JSON report, and the lines to print."""
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
     made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
@@ -334,7 +333,7 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
 def _import_file(
     file: Path, units: UnitOptions, options: ImportOptions, out: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """The import of a file as JSON has it, and in words; guesses are noted on stderr."""
+    """Import a file; return the JSON report, and the lines to print. Notes about guesses go to stderr."""
     from yamsim_cli.objects.importing.file_import import import_file
 
     with progress_bar(f"importing {file.name}", "%") as advance:

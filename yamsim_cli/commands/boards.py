@@ -1,4 +1,4 @@
-"""`yamsim boards`: a rig's boards, ready to print."""
+"""`yamsim boards`: write a rig's fiducial boards for printing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PaperSize(StrEnum):
-    """The papers of `photos.board_sheet`, repeated here so that --help loads no OpenCV."""
+    """The keys of `photos.board_sheet.PAPERS`, repeated here so that --help does not import OpenCV."""
 
     A4 = "A4"
     LETTER = "Letter"
@@ -33,7 +33,7 @@ def boards(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Write a rig's fiducial boards as pages that print at true size. Of .png files, each is named after its arm.
+    """Write a rig's fiducial boards as pages that print at true size. Each .png file is named after its arm.
 
     Example: yamsim boards --rig bimanual --out boards.pdf
     """
@@ -73,12 +73,11 @@ def boards(
 
 
 def _file(out: Path, arm: str) -> Path:
-    """The file of an arm's board: one PDF holds all of them."""
+    """Return the file of an arm's board. One PDF holds the boards of all arms."""
     return out if out.suffix.lower() == ".pdf" else out.with_name(f"{out.stem}_{arm}{out.suffix}")
 
 
 def _files(sheets: dict[str, PrintedPage], out: Path) -> dict[Path, bytes]:
-    """File to write -> its bytes."""
     from yamsim_cli.photos.board_sheet import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":

@@ -1,4 +1,4 @@
-"""`yamsim compose-xml`: write a scene for any MuJoCo program."""
+"""`yamsim compose-xml`: write a scene that any MuJoCo program can load."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def compose_xml(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Write scene.xml and every mesh and texture it needs, loadable by plain MuJoCo (3.3 and newer) anywhere.
+    """Write scene.xml with all its meshes and textures, for plain MuJoCo 3.3 or newer on any machine.
 
     Example: yamsim compose-xml --rig russet --out russet_scene
     """

@@ -42,7 +42,7 @@ def list_configs(json: Json = False) -> None:
 
 
 def _named(context: typer.Context, name: str) -> str:
-    """The given name; the refusal of a missing name lists the valid ones."""
+    """Return the given name. The error for a missing name lists the valid names."""
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name
@@ -60,7 +60,7 @@ def show(
     ] = "",
     json: Json = False,
 ) -> None:
-    """Show a config as it is used: references resolved, defaults filled in.
+    """Show a config with its references resolved and its defaults filled in.
 
     Example: yamsim config show tasks pickplace
     """
@@ -80,10 +80,10 @@ def validate(
     kind: Annotated[str | None, typer.Option(help="The file's kind.  [default: the name of its folder]")] = None,
     json: Json = False,
 ) -> None:
-    """Check a file; exit code 3 and one line naming file, key and value if it is not valid.
+    """Check a file. Exit code 3, and one line with file, key and value, if the file is not valid.
 
-    The file is YAML. A camera's file may come from another program. Of a file with several cameras, each is checked, or
-    the one that FILE:CAMERA names.
+    The file is YAML; a camera's file may also come from another program. If a file has several cameras, all are
+    checked. FILE:CAMERA selects one.
 
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
@@ -106,7 +106,7 @@ def validate(
 
 @app.command()
 def schema(kind: Kind, json: Json = False) -> None:
-    """Print a kind of config's JSON schema, for editors that complete and check YAML. Always JSON.
+    """Print the JSON schema of a kind of config, for editors that complete and check YAML. The output is always JSON.
 
     Example: yamsim config schema rigs > rig.schema.json
     """

@@ -24,8 +24,8 @@ def doctor(
 ) -> None:
     """Check OpenGL, meshes, the disk, memory and packages, and show a fix for each fault.
 
-    Every OpenGL backend is tried in a process of its own, under a time limit. Three made-up episodes are written to the
-    disk and removed again. Nothing else is changed. The exit code is 4 if there is a fault.
+    Each OpenGL backend is tried in a separate process with a time limit. Three synthetic episodes are written to the
+    disk and removed. Nothing else is changed. The exit code is 4 if there is a fault.
 
     Example: yamsim doctor --out /data/episodes
     """

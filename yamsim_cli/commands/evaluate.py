@@ -1,4 +1,4 @@
-"""`yamsim eval`: how often a policy succeeds."""
+"""`yamsim eval`: measure how often a policy succeeds."""
 
 from __future__ import annotations
 
@@ -116,9 +116,9 @@ def evaluate(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Run a policy from sampled starts, the same as those of `yamsim trials` for that seed, and count its successes.
+    """Run a policy from the sampled starts of `yamsim trials` for the same seed, and count its successes.
 
-    Exit code 6 if the policy failed in every trial, so that nothing was measured.
+    Exit code 6 if no trial ran to its end, so that no success rate was measured.
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
@@ -168,10 +168,10 @@ def evaluate(
 
 
 def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """File -> the report of an earlier evaluation, for names that are files.
+    """Return the reports of earlier evaluations by file name, for the names that end in .json.
 
     Raises:
-        UsageError: a file is no report, or a report of other trials.
+        UsageError: a file is not a report, or its trials are not those of this session.
     """
     from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
@@ -183,7 +183,7 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
 
 
 def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
-    """Run a policy's trials while progress is shown, and return the evaluation and its report."""
+    """Run a policy's trials with a progress bar, and return the evaluation and its report."""
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.policies.evaluate import evaluation
 

@@ -1,4 +1,4 @@
-"""`yamsim export`: a dataset in the formats of other programs."""
+"""`yamsim export`: write a dataset in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
-_MAX_FPS = 500  # frames a second: physics takes as many steps
+_MAX_FPS = 500  # frames/s, the rate of physics steps
 
 app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
 
@@ -48,7 +48,7 @@ RealActions = Annotated[
 
 @app.callback()
 def _export() -> None:
-    """Write a dataset in the formats of other programs. OUT is written whole or not at all."""
+    """Write a dataset in the formats of other programs. OUT is written completely or not at all."""
 
 
 @app.command()
@@ -80,7 +80,7 @@ def raiden(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """The converted layout of the real stack (TRI's raiden), at 30 frames a second; a lone arm is the left one.
+    """Write the converted layout of TRI's raiden, by default at 30 frames a second. A single arm becomes the left arm.
 
     Example: yamsim export raiden dataset/ real_layout/
     """
@@ -103,7 +103,7 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    """Export a simulation, whose pictures may be rendered anew."""
+    """Export simulated episodes; the options decide whether images are rendered again."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -129,7 +129,6 @@ def _real_raiden(
     episodes: str | None,
     overwrite: bool,
 ) -> ExportResult:
-    """Export real recordings, without rendering."""
     opener.skip_gl()
 
     from yamsim_cli.export.export_source import open_real_source
@@ -158,7 +157,7 @@ def lerobot(
     overwrite: Rename = False,
     json: Json = False,
 ) -> None:
-    """LeRobotDataset v3.0: Parquet, and H.264 with exact times. Of two arms the left one comes first, the welds last.
+    """Write a LeRobotDataset v3.0: Parquet, and H.264 with exact times. The left arm comes first, and welds last.
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
@@ -198,7 +197,7 @@ def mp4(
     overwrite: Rename = False,
     json: Json = False,
 ) -> None:
-    """A video of each episode, or one picture of all: a contact sheet.
+    """Write a video of each episode, or a contact sheet of all episodes.
 
     Example: yamsim export mp4 dataset/ videos/
     """
@@ -216,7 +215,7 @@ def mp4(
 
 @app.command()
 def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rename = False, json: Json = False) -> None:
-    """An .rrd file of each episode for the rerun viewer: images, joints, poses, camera frusta.
+    """Write an .rrd file of each episode for the rerun viewer: images, joints, poses and camera frusta.
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
     """
@@ -230,7 +229,7 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
 
 
 def _rate(text: str) -> float | None:
-    """Frames a second; None for the recorded frames."""
+    """Parse --fps: frames a second, or None for the recorded frames."""
     if text == "source":
         return None
     try:
@@ -243,7 +242,7 @@ def _rate(text: str) -> float | None:
 
 
 def _with_renderer(locations: Locations) -> Locations:
-    """The locations, once an OpenGL backend is chosen; the error names flags that need none."""
+    """Choose an OpenGL backend, and return the locations. The error names flags that avoid rendering."""
     try:
         return opener.use_gl(locations, workers=True)
     except ResourceError as error:
@@ -251,7 +250,6 @@ def _with_renderer(locations: Locations) -> Locations:
 
 
 def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
-    """The chosen episodes, simulated or real, for an export that renders nothing."""
     opener.skip_gl()
 
     from yamsim_cli.core.dataset.imported_records import is_real
@@ -265,7 +263,6 @@ def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> Si
 
 
 def _require_real(flag: str, value: object, dataset: Path) -> None:
-    """Refuse a flag of real recordings with simulated ones."""
     if value is not None:
         raise UsageError(
             f"{flag} is for real recordings, and {dataset} was simulated, with even times and all actions: leave it out"

@@ -1,4 +1,4 @@
-"""`yamsim excite` and `yamsim identify`: a motion for a real arm, and the arm's dynamics from its log."""
+"""`yamsim excite` and `yamsim identify`: excite a real arm, and identify its dynamics from the log."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def excite(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Write a motion that swings an arm's joints quickly and slowly, within its stops and without collisions.
+    """Write a motion that moves an arm's joints fast and slowly, within the joint limits and without collisions.
 
     Example: yamsim excite --rig single --out motion.csv
     """
@@ -91,12 +91,10 @@ def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any
 
 
 def _start(found: Excitation) -> list[float]:
-    """The first joint angles, rad."""
     return [round(float(angle), 4) for angle in found.commands[0]]
 
 
 def _require_arm(arm: str | None, rig: RigConfig) -> None:
-    """Refuse an arm that a rig lacks."""
     sides = [each.side for each in rig.arms]
     if arm is not None and arm not in sides:
         raise UsageError(f"--arm {arm}: rig {rig.name!r} has only a {sides[0]} one; leave --arm out")
@@ -124,7 +122,7 @@ def identify(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Find an arm's delay, friction, damping, armature, offsets and gravity factors, and write them as a revision.
+    """Estimate an arm's delay, friction, damping, armature, offsets and gravity factors, and write them as a revision.
 
     Example: yamsim identify log.csv --rig single --out my_arm.yaml
     """
@@ -182,12 +180,12 @@ def _write(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
 
 
 def _file(out: Path, side: str, arms: int) -> Path:
-    """The file of one arm's revision; `arms` are identified together."""
+    """Return the file of one arm's revision; `arms` is the number of identified arms."""
     return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 
 def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
-    """The JSON report: of two arms each under its side, and their joints also together."""
+    """Return the JSON report. Two arms are listed by side, and their joints are also listed together."""
     arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
     if len(arms) == 1:

@@ -77,5 +77,6 @@ def import_recording(
             print_note(f"{episode}: {problem}")
     kept = f", {report.kept} were there before" if report.kept else ""
     print_line(
-        f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, source: real"
+        f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, "
+        "source: real"
     )

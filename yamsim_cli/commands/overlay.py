@@ -1,4 +1,4 @@
-"""`yamsim overlay`: the simulated arms over photos of the real ones."""
+"""`yamsim overlay`: draw the simulated arms over photos of real arms."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def overlay(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Find each arm's pose in photos by its board, lay the simulated arm over them, and score the fit.
+    """Estimate each arm's pose in photos from its board, draw the simulated arm over the photos, and score the fit.
 
     Example: yamsim overlay --img photo.png --rig russet --camera camera.yaml
     """
@@ -110,9 +110,9 @@ def overlay(
         if episode
         else [Photo(path) for path in find_photos(img or [])]
     )
-    stands = load_postures(joints, settings) if joints else None
+    postures = load_postures(joints, settings) if joints else None
     request = OverlayRequest(
-        photo_jobs(photos[::every], out, postures=stands, write_masks=mask, mask_images=mask_image),
+        photo_jobs(photos[::every], out, postures=postures, write_masks=mask, mask_images=mask_image),
         out,
         model,
         trust_margin=trust_margin,
@@ -139,7 +139,7 @@ def overlay(
 def _rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """The named rig; without a name, the one that the recordings' dataset was recorded with."""
+    """Return the named rig. Without a name, return the rig of the recordings' dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.reader import recorded_rig
 
@@ -165,7 +165,7 @@ def _print(report: OverlayReport) -> None:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
         for arm in result.arms:
-            # For a photo in which no arm has a pose, the error that follows says why.
+            # If no arm of a photo has a pose, the error that follows gives the reason.
             if result.bases and not arm.located and arm.sighting:
                 print_note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
         for text in result.notes:

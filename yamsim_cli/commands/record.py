@@ -76,7 +76,7 @@ def record(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Record successful episodes of a task into a dataset. Episodes appear whole or not at all.
+    """Record successful episodes of a task into a dataset. Each episode is written completely or not at all.
 
     Example: yamsim record --n 500 --workers 4
     """
@@ -89,10 +89,10 @@ def record(
 
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING) as stop:
-        watch = RecordCallbacks(
+        callbacks = RecordCallbacks(
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
         )
-        report = run(session, RecordingOutput(out, mode, stage), executors, watch, stop)
+        report = run(session, RecordingOutput(out, mode, stage), executors, callbacks, stop)
     _print(report, json)
 
 

@@ -1,4 +1,4 @@
-"""`yamsim replay`: a recorded episode in a viewer, or as a video."""
+"""`yamsim replay`: show a recorded episode in a viewer, or write a video."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.viewers.page_address import PageAddress
 
-# The report on actions that cannot be repeated.
+# Report of an episode whose actions cannot be repeated in physics.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
@@ -46,7 +46,7 @@ def replay(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Play a recorded episode in a viewer, or make a video of it, and compare its actions repeated in physics.
+    """Play a recorded episode in a viewer, or write a video. Also repeat its actions in physics, and compare states.
 
     Example: yamsim replay dataset/ep_000003 --video ep3.mp4
     """
@@ -89,7 +89,6 @@ def _film(
     speed: float,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Make the video, and return its report."""
     if render:
         opener.use_gl(locations)
     else:
@@ -118,7 +117,7 @@ def _film(
 
 
 def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real recording, its arms alone."""
+    """Play an episode in a page or in MuJoCo's window until a signal arrives. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
@@ -134,7 +133,7 @@ def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: Pag
 
     if isinstance(stored, StoredEpisode):
         session = opener.with_meshes(_session(stored, locations))
-        # A server or a window that is interrupted while it starts cannot be closed.
+        # A server or window that is interrupted during its start cannot be closed.
         with defer_signals() as stopped:
             physics = _physics(stored, locations)
             play_simulated(stored, session, speed, page, ready, stopped)
@@ -156,7 +155,6 @@ def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: Pag
 
 
 def _session(stored: StoredEpisode, locations: Locations) -> Session:
-    """The session of the episode's dataset, without meshes."""
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import dataset_config
 
@@ -164,7 +162,7 @@ def _session(stored: StoredEpisode, locations: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
-    """The distance between recorded states and those of the actions repeated in physics; null without such actions."""
+    """Repeat the actions in physics, and return the error of the states; null if physics cannot repeat them."""
     from yamsim_cli.datasets.verify import reproduce_episode
 
     try:

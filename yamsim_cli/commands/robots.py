@@ -29,7 +29,7 @@ _Data = Annotated[
 
 @app.command("list")
 def list_robots(json: Json = False) -> None:
-    """List arms, grippers and stations with what fits them, the source of their figures, and their meshes.
+    """List arms, grippers and stations with compatible models, the source of their figures, and their meshes.
 
     An arm or a station that is not valid is listed with its fault.
 
@@ -64,7 +64,7 @@ def new(
     data: _Data = None,
     json: Json = False,
 ) -> None:
-    """Write the files of a new arm, with comments, that pass `yamsim robots check`. No file is overwritten.
+    """Write commented files of a new arm that pass `yamsim robots check`. No file is overwritten.
 
     Example: yamsim robots new my_arm --data my_data
     """
@@ -88,7 +88,7 @@ def check(
     data: _Data = None,
     json: Json = False,
 ) -> None:
-    """Check an arm with each gripper that fits: it compiles, and its drives hold it at home.
+    """Check an arm with each compatible gripper: the model compiles, and its drives hold the home posture.
 
     The exit code is 3 if a file is not valid, and 5 if a check fails.
 
@@ -112,7 +112,7 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _locations(data: Path | None) -> Locations:
-    """The folders of configs; a folder given by --data comes first."""
+    """Return the config folders; the folder of --data comes first."""
     where = opener.locations()
     return where if data is None else replace(where, data=(data, *where.data))
 
@@ -124,7 +124,6 @@ def _row(item: Mapping[str, Any]) -> list[str]:
 
 
 def _family_and_revision(item: Mapping[str, Any]) -> str:
-    """The family and revision of an arm; empty for grippers and stations."""
     if item.get("family") is None:
         return ""
     return f"{item['family']} {item['revision']}" + (" (newest)" if item["newest"] else "")

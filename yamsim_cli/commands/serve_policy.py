@@ -1,4 +1,4 @@
-"""`yamsim serve-policy`: a policy in a process of its own."""
+"""`yamsim serve-policy`: serve a policy over HTTP from a separate process."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def serve_policy(
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8080,
     json: Json = False,
 ) -> None:
-    """Serve a policy to `yamsim eval --policy http://HOST:PORT`, such as on a machine with a GPU. Ctrl-C ends it.
+    """Serve a policy to `yamsim eval --policy http://HOST:PORT`, for example on a GPU machine. Ctrl-C ends the server.
 
     Example: yamsim serve-policy --policy my_policy.py:MyPolicy --port 8080
     """
     from yamsim_cli.policies.policy_loading import load_policy
     from yamsim_cli.policies.policy_server import LOOPBACK, PolicyServer
 
-    # A policy that cannot be loaded is refused before a client connects.
+    # Report a policy that cannot be loaded before a client connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:

@@ -1,4 +1,4 @@
-"""`yamsim serve-robot` and `yamsim can-run`: simulated arms on the interfaces of the real ones."""
+"""`yamsim serve-robot` and `yamsim can-run`: serve simulated arms on the interfaces of real arms."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from yamsim_cli.real.serve.render_process import RenderProcess
     from yamsim_cli.real.serve.served_arms import ServedArms
 
-# Two frames of 130 bits at 1 Mbit/s and the adapter's path through USB: with seven motors 4 ms, the 250 Hz that the
-# maker's SDK is made for.
-_GAP_US = 571.0  # us
+# us, time between two answers: two frames of 130 bits at 1 Mbit/s, and the USB adapter's delay. Seven motors then take
+# 4 ms, the control period of the manufacturer's SDK (250 Hz).
+_ANSWER_GAP_US = 571.0
 
 Folder = Annotated[
     Path | None, typer.Option(metavar="DIRECTORY", help="Folder of the buses' sockets.  [default: one of yours]")
@@ -57,7 +57,7 @@ def serve_robot(
     ] = None,
     gap: Annotated[
         float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time from one answer to the next.")
-    ] = _GAP_US,
+    ] = _ANSWER_GAP_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
     ] = False,
@@ -91,7 +91,7 @@ def serve_robot(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Simulate arms in real time, with motors on CAN buses that the maker's own SDK drives. Ctrl-C ends it.
+    """Simulate arms in real time, with motors on CAN buses for the manufacturer's SDK. Ctrl-C ends the simulation.
 
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
@@ -112,21 +112,21 @@ def serve_robot(
         where = _bus_folder(folder)
         sockets = _sockets(stack, served, None if kernel else where)
         ports = _portals(stack, served, host, portal)
-        driven = None
+        policy_robot = None
         if cameras or chiral is not None:
             source = _pictures(stack, session, served, camera_fps)
             ports.append(source)
             if cameras:
                 ports.append(_camera_server(stack, where, source))
             if chiral is not None:
-                driven = make_policy_robot(session, served, source)
-                ports.append(_chiral(stack, driven, host, chiral))
+                policy_robot = make_policy_robot(session, served, source)
+                ports.append(_chiral(stack, policy_robot, host, chiral))
         print_note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
-            if driven is not None:
-                driven.tick()
+            if policy_robot is not None:
+                policy_robot.tick()
             for follower in served.followers:
                 follower.tick()
 
@@ -143,7 +143,7 @@ def serve_robot(
 
 
 def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
-    """A socket for each bus, in a folder; without one, the kernel's."""
+    """Open a socket for each bus: in `folder`, or without a folder on the kernel's CAN interfaces."""
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
@@ -201,7 +201,7 @@ def can_run(
         bool, typer.Option("--json", help="Run nothing; print the variables that the program would get, as JSON.")
     ] = False,
 ) -> None:
-    """Run a program of python-can's with the buses of `yamsim serve-robot` in place of the machine's own.
+    """Run a python-can program on the buses of `yamsim serve-robot` in place of the machine's CAN interfaces.
 
     Example: yamsim can-run -- python -m i2rt.robots.motor_chain_robot --channel can0
     """
@@ -220,5 +220,5 @@ def can_run(
 
 
 def _bus_folder(given: Path | None) -> Path:
-    """The folder of the buses' sockets: the given one, or one of the user's own."""
+    """Return the folder of the buses' sockets: the given folder, or the user's default."""
     return default_folder(os.environ) if given is None else given

@@ -1,4 +1,4 @@
-"""`yamsim summarize`: a dataset's statistics and faults."""
+"""`yamsim summarize`: report a dataset's statistics and problems."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def summarize(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Open every file of a dataset, count, and report faults. Exit code 4 for errors; warnings are only reported.
+    """Check all files of a dataset, and report statistics and problems. Exit code 4 for errors; warnings need --strict.
 
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """
@@ -45,12 +45,12 @@ def summarize(
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        survey = check_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
-    report = count(survey, thresholds)
+        results = check_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
+    report = count(results, thresholds)
     if html:
         from yamsim_cli.datasets.summarize import write_report
 
-        write_report(survey, report, html)
+        write_report(results, report, html)
         report["html"] = str(html)
     from yamsim_cli.terminal.summary_table import summary_tables
 

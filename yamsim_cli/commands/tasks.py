@@ -22,7 +22,7 @@ _VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
 
 @app.command("list")
 def list_tasks(json: Json = False) -> None:
-    """List the tasks with their things, skills and instructions.
+    """List the tasks with their objects, skills and instructions.
 
     Example: yamsim tasks list
     """
@@ -36,7 +36,7 @@ def show(
     name: Annotated[str, typer.Argument(help="A task's name or a YAML file.")],
     json: Json = False,
 ) -> None:
-    """Show one task: things by role, where they start, phrasings, skills and goal.
+    """Show one task: objects by role, their start ranges, instructions, skills and goal.
 
     Example: yamsim tasks show tower
     """
@@ -51,7 +51,7 @@ def new(
     folder: Annotated[Path, typer.Option("--folder", help="Folder of NAME.yaml.")] = Path(),
     json: Json = False,
 ) -> None:
-    """Write the file of a new task, with comments, that passes `yamsim tasks check`. No file is overwritten.
+    """Write the commented file of a new task that passes `yamsim tasks check`. No file is overwritten.
 
     Example: yamsim tasks new my_task
     """
@@ -83,7 +83,7 @@ def check(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Prove a task: its region is in reach, its expert succeeds, and neither doing nothing nor near misses count.
+    """Validate a task: its region is in reach, its expert succeeds, and idle attempts and near misses fail.
 
     The exit code is 3 if its file is not valid, and 5 if a check fails.
 

@@ -1,4 +1,4 @@
-"""`yamsim teleop`: drive the arm and record episodes."""
+"""`yamsim teleop`: teleoperate the arm and record episodes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def teleop(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Drive the arm from a browser page, or by a stream of commands, and record successes. Ctrl-C ends it.
+    """Teleoperate the arm from a browser page or by a command stream, and record successes. Ctrl-C ends the session.
 
     Example: yamsim teleop --out teleop
     """
@@ -78,19 +78,19 @@ def teleop(
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is for the report.
+        # Standard output is reserved for the report.
         print_note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
     with (
         stop_on_signal(_ENDING) as stop,
-        open_teleop(session, out, mode, print_note, time_limit=time_limit) as driven,
+        open_teleop(session, out, mode, print_note, time_limit=time_limit) as teleop_session,
     ):
         if page is None:
             assert commands is not None
-            report = run_stream(driven, commands, stop, realtime=realtime)
+            report = run_stream(teleop_session, commands, stop, realtime=realtime)
         else:
-            report = run_page(driven, session.config, page, ready, stop)
+            report = run_page(teleop_session, session.config, page, ready, stop)
     _print(report, json)
 
 

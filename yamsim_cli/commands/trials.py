@@ -13,7 +13,7 @@ from yamsim_cli.flags.session_options import opener, session_settings
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import film_with_progress, open_films, trials_table
 
-# `yamsim pickplace batch` is another name of `yamsim trials`.
+# `yamsim pickplace batch` is an alias of `yamsim trials`.
 pickplace = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
 
 

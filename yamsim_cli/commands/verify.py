@@ -1,4 +1,4 @@
-"""`yamsim verify`: whether a dataset can be made again from what it says."""
+"""`yamsim verify`: check that a dataset can be reproduced from its records."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from yamsim_cli.terminal.tables import FactTable
 if TYPE_CHECKING:
     from rich.text import Text
 
-# Check -> how the episode was made again.
+# Check -> how the episode was reproduced.
 _METHODS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
 
-# Another kind of processor rounds the last bit of a sine or a sum differently, and contacts amplify that. Source: on an
-# emulated processor, 1.5e-4 in most of 40 episodes, and 1.4e-3 (the tilt of a rolling banana) at worst.
-_ROUNDING = 0.005
+# m, rad or relative, difference that rounding may explain. Another processor rounds the last bit of a sine or a sum
+# differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by 1.5e-4,
+# and the worst by 1.4e-3 (the tilt of a rolling banana).
+_MAX_ROUNDING = 0.005
 
-_MAX_LINES = 10  # of differences and of problems; --json has them all
+_MAX_LINES = 10  # lines of differences, and of problems; --json has no limit
 
 
 def verify(
@@ -45,9 +46,9 @@ def verify(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Make episodes again, from their seeds and from their actions, and name the first value that differs.
+    """Reproduce episodes from their seeds and from their actions, and report the first value that differs.
 
-    Exit code 4 if anything does.
+    Exit code 4 if a value differs.
 
     Example: yamsim verify dataset/ --sample 20
     """
@@ -103,7 +104,6 @@ def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
 
 
 def _difference(divergence: dict[str, Any]) -> str:
-    """One divergence of a report: its place, and both values."""
     frame, time_s = divergence["frame"], divergence["time_s"]
     place = f"ep_{divergence['episode']:06d}"
     if frame is not None:
@@ -115,13 +115,11 @@ def _difference(divergence: dict[str, Any]) -> str:
 
 
 def _problem(problem: dict[str, Any]) -> str:
-    """One problem of a report: its file, and the fault."""
     place = f"ep_{problem['episode']:06d}/{problem['file']}: " if problem["file"] else ""
     return f"{place}{problem['problem']}"
 
 
 def _verdict(report: dict[str, Any]) -> str:
-    """One line on the first divergence or problem."""
     first = report["first_divergence"]
     text = _difference(first) if first else _problem(report["problems"][0])
     differing = report["episodes"] - report["agree"]
@@ -132,8 +130,8 @@ def _verdict(report: dict[str, Any]) -> str:
 
 
 def _hint(report: dict[str, Any]) -> str:
-    """Advice where rounding alone may be the reason."""
+    """Return advice if rounding alone can explain the differences, else an empty string."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
-    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _ROUNDING:
+    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
         return ""
-    return f"; if it was recorded on another kind of processor, rounding does that: --tolerance {_ROUNDING:g}"
+    return f"; if it was recorded on another kind of processor, rounding does that: --tolerance {_MAX_ROUNDING:g}"

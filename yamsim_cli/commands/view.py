@@ -39,9 +39,9 @@ def view(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends it.
+    """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends the viewer.
 
-    With --task, the objects stand as in the seed's first attempt; with --episode, the episode is played as by replay.
+    With --task, the objects have the layout of the seed's first attempt. --episode plays an episode like `replay`.
 
     Example: yamsim view --rig russet --web
     """
@@ -77,14 +77,14 @@ def view(
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
         print_result_now({"url": url}, line, json)
 
-    # A server or a window that is interrupted while it starts cannot be closed.
+    # A server or window that is interrupted during its start cannot be closed.
     with defer_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
         view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
 def _can_render(locations: Locations) -> bool:
-    """Whether cameras' pictures can be rendered here; if so, an OpenGL backend is chosen."""
+    """Choose an OpenGL backend, and return whether one is available."""
     try:
         opener.use_gl(locations)
     except ResourceError:

@@ -1,1 +1,1 @@
-"""Object configs from surfaces: collision primitives, mass and inertia, visual meshes, and grasps."""
+"""Object configs from surfaces: collision geometry, mass properties, visual meshes and grasps."""

@@ -1,4 +1,4 @@
-"""An object's config and its files, from a thing that was read from a file."""
+"""Build an object's config and mesh files from the description that a reader returns."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
 from .ycb_config import IN_DEPTH, ROLLING_SHARE
 
-_DENSITY = 1000.0  # kg/m3, default: most plastics, ripe fruit and water are near
-_FRICTION = 0.8
-_TORSION, _ROLLING = 0.005, 0.0005  # m, torsional and rolling friction
-# A surface on which things are placed is level within this distance of the middle, up to this unevenness, m.
-_MIDDLE, _LEVEL = 0.012, 0.004
-_FLAT = 1e-6  # least spread of a base's corners as a share of their largest: STL keeps 7 digits
-# Friction of joints for which the file has none: without friction a joint would never come to rest.
-_RUBS = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
+_DEFAULT_DENSITY = 1000.0  # kg/m3, close to most plastics, ripe fruit and water
+_DEFAULT_FRICTION = 0.8  # sliding friction
+_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m, torsional and rolling friction
+# m. A top surface supports objects if it is level within this radius of the middle, up to this unevenness.
+_MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
+_MIN_THICKNESS = 1e-6  # least extent of a base over its largest extent; STL keeps 7 digits
+# Losses of joints for which the file has none. Without losses, a joint never comes to rest.
+_DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user states about a thing, in place of what the file states.
+    """Options of an import, which override the values in the file.
 
     Attributes:
-        name: of the object.
-        mass: of the whole thing, kg; or `density`, kg/m3. Without either, as in the file, or 1,000 kg/m3.
-        collision: kind of the collision geometry; "auto" takes that of the file, else primitives where they fit, else
-            convex parts.
-        base: whether the base can be moved; by default as in the file.
+        name: name of the object.
+        mass: mass of the whole object, kg; by default from the density or from the file, else from 1,000 kg/m3.
+        density: density of an even filling, kg/m3.
+        collision: kind of collision geometry; "auto": that of the file, else primitives if they fit, else convex parts.
+        base: whether the base is free or fixed; by default as in the file.
         friction: sliding friction; by default as in the file, or 0.8.
     """
 
@@ -58,16 +58,16 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class BuiltObject:
-    """An imported thing.
+    """An imported object.
 
     Attributes:
         data: the object's config without the names of its mesh sets; see `with_set`.
-        files: file name -> content.
-        collision: of all parts, the base first.
-        mass: of the whole thing, kg.
-        mass_is_guessed: whether neither the file nor the user stated the mass.
+        files: content of each mesh file, by name.
+        collision: collision geometry of each part, the base first.
+        mass: mass of the whole object, kg.
+        mass_is_guessed: whether a part's mass follows from the default density.
         is_closed: whether every part's surface is closed.
-        notes: what was left out, for users.
+        notes: messages for users about omitted content.
     """
 
     data: Mapping[str, Any]
@@ -79,7 +79,7 @@ class BuiltObject:
     notes: tuple[str, ...]
 
     def with_set(self, name: str) -> dict[str, Any]:
-        """The config with its files in a mesh set."""
+        """Return the config with `name` as the mesh set of its files."""
 
         def named(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
             return [{"set": name, **mesh} for mesh in meshes]
@@ -96,14 +96,15 @@ class BuiltObject:
 def build_object(
     thing: ObjectDescription, options: ImportOptions, cache: Path, share: Share = lambda done: None
 ) -> BuiltObject:
-    """The config and files of a thing in metres, z up.
+    """Build the config and the files of an object.
 
     Args:
+        thing: the object, in metres, z up.
         cache: folder of convex decompositions.
-        share: called with the share of the work that is done, 0 to 1.
+        share: called with the completed share of the work, 0 to 1.
 
     Raises:
-        ResourceError: no config can be made of the thing.
+        ResourceError: the description does not contain enough for a config.
     """
     if not thing.parts[0].looks:
         raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has nothing that can be seen")
@@ -111,7 +112,7 @@ def build_object(
     _require_volume(base[0], options.name)
     labels = _labels(thing)
     solids = [solid_or_sheet(*merged_surface(part.looks)) if part.looks else None for part in thing.parts]
-    weights = _weights(thing, options, [None if solid is None else solid[0] for solid in solids])
+    weights = _mass_properties(thing, options, [None if solid is None else solid[0] for solid in solids])
     collision = []
     for number, (part, label) in enumerate(zip(thing.parts, labels, strict=True)):
         part_share = functools.partial(_report_part, share, number, len(thing.parts))
@@ -124,7 +125,7 @@ def build_object(
         "name": options.name,
         **_meshes(looks[0], origin),
         "inertia": plain_inertia(replace(weights[0], centre=weights[0].centre - origin), options.name),
-        "contact": _contact(collision[0], options.friction or thing.friction or _FRICTION),
+        "contact": _contact(collision[0], options.friction or thing.friction or _DEFAULT_FRICTION),
         "collision": [shift_part(part, -origin) for part in collision[0].parts],
         "rest_height": round(max(0.0, float(origin[2]) - _lowest(thing)), 5),
     }
@@ -141,7 +142,7 @@ def build_object(
             if number
         ]
     if thing.parts[0].handles:
-        data["handles"] = [_shifted(handle, origin) for handle in thing.parts[0].handles]
+        data["handles"] = [_shift_handle(handle, origin) for handle in thing.parts[0].handles]
     if held := _grasp(base, weights[0].mass, origin):
         data["grasp"] = held
     return BuiltObject(
@@ -162,16 +163,16 @@ def _report_part(share: Share, number: int, parts: int, done: float) -> None:
 
 
 def _require_volume(vertices: Array, name: str) -> None:
-    """Refuse a thing whose base lies in one plane or on one line, whatever that plane's direction."""
+    """Refuse an object whose base lies in one plane or on one line, in any direction."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
-    if len(vertices) < 4 or spread[-1] <= _FLAT * spread[0]:
+    if len(vertices) < 4 or spread[-1] <= _MIN_THICKNESS * spread[0]:
         raise ResourceError(
             f"{name}: all {len(vertices)} corners of its base lie in one plane: no volume; give it a thickness"
         )
 
 
 def _labels(thing: ObjectDescription) -> list[str]:
-    """A name of letters, digits and underscores for each part; "base" for the base."""
+    """Return a name of letters, digits and underscores for each part; "base" for the base."""
     labels = ["base"]
     for part in thing.parts[1:]:
         label = re.sub(r"\W+", "_", part.name, flags=re.ASCII).strip("_") or "part"
@@ -182,7 +183,7 @@ def _labels(thing: ObjectDescription) -> list[str]:
     return labels
 
 
-def _weights(
+def _mass_properties(
     thing: ObjectDescription, options: ImportOptions, solids: list[UniformMassProperties | None]
 ) -> list[MassProperties]:
     weights = []
@@ -192,7 +193,7 @@ def _weights(
         elif solid is None:
             raise ResourceError(f"{options.name}: part {part.name!r} has neither a weight nor anything to be seen")
         else:
-            density = options.density or _DENSITY
+            density = options.density or _DEFAULT_DENSITY
             weights.append(MassProperties(solid.volume * density, solid.centre, solid.inertia * density))
     if options.mass is not None:
         factor = options.mass / sum(weight.mass for weight in weights)
@@ -201,7 +202,7 @@ def _weights(
 
 
 def _origin(vertices: Array, weight: MassProperties, *, stands: bool) -> Array:
-    """The origin (3,): under the middle of a thing on which others are placed, else the centre of mass; to 10 um."""
+    """Return the origin (3,), m: under the middle if the object supports others, else the centre of mass."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*_base_centre(vertices), low[2]]) if stands else weight.centre
     origin: Array = np.round(np.clip(middle, low, high), 5)
@@ -209,7 +210,7 @@ def _origin(vertices: Array, weight: MassProperties, *, stands: bool) -> Array:
 
 
 def _base_centre(vertices: Array) -> Array:
-    """The middle (x, y) of the lowest tenth of a thing: a handle at its side does not move this point."""
+    """Return the middle (x, y) of the lowest tenth of the height, which excludes a handle at the side."""
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     foot = vertices[vertices[:, 2] < low + 0.1 * (high - low)][:, :2]
     middle: Array = (foot.min(axis=0) + foot.max(axis=0)) / 2
@@ -217,22 +218,22 @@ def _base_centre(vertices: Array) -> Array:
 
 
 def _surface_heights(vertices: Array, faces: Faces) -> Array:
-    """Heights of the highest surface at places around the middle; places without a surface are left out."""
+    """Return the heights of the top surface at 25 points around the middle, without points off the surface."""
     ring = [(r * np.cos(a), r * np.sin(a)) for r in (0.25, 0.6, 1.0) for a in np.arange(8) * np.pi / 4 + 0.1]
-    found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MIDDLE * np.array([(0.013, 0.017), *ring]))
+    found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MID_RADIUS * np.array([(0.013, 0.017), *ring]))
     return np.array([heights[-1] for heights in found if len(heights)])
 
 
 def _level_height(vertices: Array, faces: Faces) -> float | None:
-    """The height of a level surface in the middle, seen from above, m; None if there is none."""
+    """Return the height of the top surface in the middle, m; None if that surface is not level."""
     heights = _surface_heights(vertices, faces)
-    if len(heights) < 20 or np.ptp(heights) > _LEVEL:
+    if len(heights) < 20 or np.ptp(heights) > _MAX_UNEVENNESS:
         return None
     return float(np.median(heights))
 
 
 def _rim_depth(vertices: Array, faces: Faces) -> float:
-    """The depth of the middle under the rim, m."""
+    """Return the depth of the middle under the highest point, m."""
     heights = _surface_heights(vertices, faces)
     return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
 
@@ -244,8 +245,8 @@ def _lowest(thing: ObjectDescription) -> float:
 
 def _contact(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
     if (radius := rolling_radius(geometry.parts)) is not None:
-        return {"friction": [friction, _TORSION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
-    return {"friction": [friction, _TORSION, _ROLLING], "condim": 4}
+        return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
+    return {"friction": [friction, _TORSIONAL_FRICTION, _ROLLING_FRICTION], "condim": 4}
 
 
 def _meshes(looks: VisualMeshes, origin: Array) -> dict[str, Any]:
@@ -262,41 +263,41 @@ def _link(
     geometry: CollisionGeometry,
     origin: Array,
 ) -> dict[str, Any]:
-    assert part.parent is not None and part.joint is not None  # only the base has none
+    assert part.parent is not None and part.joint is not None  # only the base has no parent
     shift = origin if part.parent == 0 else np.zeros(3)
     joint = dict(part.joint)
     if not joint.get("damping") and not joint.get("friction"):
-        joint |= _RUBS["slide" if joint["type"] == "slide" else "hinge"]
+        joint |= _DEFAULT_JOINT_LOSSES["slide" if joint["type"] == "slide" else "hinge"]
     joint["start"] = min(max(0.0, joint["range"][0]), joint["range"][1])
     link: dict[str, Any] = {
         "name": labels[number],
         **({"parent": labels[part.parent]} if part.parent else {}),
         "position": [round(float(x), 6) for x in part.T_in_parent[:3, 3] - shift],
         "quat": [round(float(q), 8) for q in quat_from_rotation(part.T_in_parent[:3, :3])],
-        "joint": {key: _plain(value) for key, value in joint.items()},
+        "joint": {key: _round_value(value) for key, value in joint.items()},
         "inertia": plain_inertia(weight, labels[number]),
         "meshes": [{**mesh, "origin": [0.0, 0.0, 0.0]} for mesh in looks.meshes],
         "collision": [dict(entry) for entry in geometry.parts],
     }
     if part.handles:
-        link["handles"] = [_shifted(handle, np.zeros(3)) for handle in part.handles]
+        link["handles"] = [_shift_handle(handle, np.zeros(3)) for handle in part.handles]
     return link
 
 
-def _plain(value: Any) -> Any:
+def _round_value(value: Any) -> Any:
     if isinstance(value, float):
         return round(value, 8)
     return [round(float(x), 8) for x in value] if isinstance(value, list | tuple) else value
 
 
-def _shifted(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
+def _shift_handle(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
     name = re.sub(r"\W+", "_", str(handle["name"]), flags=re.ASCII)
     position = [round(float(x), 6) for x in np.subtract(handle["position"], origin)]
-    return {**{key: _plain(value) for key, value in handle.items()}, "name": name, "position": position}
+    return {**{key: _round_value(value) for key, value in handle.items()}, "name": name, "position": position}
 
 
 def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
-    """All files; the collision meshes of the base are shifted to its origin."""
+    """Return all mesh files; the base's collision meshes are shifted to its origin."""
     files: dict[str, bytes] = {}
     for look in looks:
         files |= look.files
@@ -308,7 +309,7 @@ def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin
 
 
 def _grasp(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
-    """A grasp around the base; None if nothing of the base fits between two fingers."""
+    """Return a grasp around the base; None if no part of the base fits between two fingers."""
     body = PointBody.inside(base[0] - origin, base[1])
     if not len(body.points):
         return None

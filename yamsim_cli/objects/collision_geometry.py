@@ -20,8 +20,8 @@ from .readers.object_parts import Surface
 
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
-NEAR = 0.0015  # m, most distance of 99 % of the surface from its primitives
-_CONVEX = 0.995  # least share of its hull that a convex body fills
+NEAR = 0.0015  # m, largest distance of 99 % of the surface from its primitives
+_MIN_CONVEXITY = 0.995  # least volume over the hull's at which a body counts as convex
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class CollisionGeometry:
     """The collision geometry of a part.
 
     Attributes:
-        kind: "primitives", "decompose", "sdf" or "hull"; "file" for the geometry that the file has.
-        parts: as configs write them.
-        files: name -> STL that the parts name.
-        fit: of the primitives, if any were fitted.
+        kind: "primitives", "decompose", "sdf" or "hull"; "file" for the geometry in the file.
+        parts: collision parts as config data.
+        files: STL files of the parts, by name.
+        fit: fit of the primitives; None if no primitives were fitted.
     """
 
     kind: str
@@ -49,12 +49,14 @@ def collision_geometry(
     cache: Path,
     share: Share,
 ) -> CollisionGeometry:
-    """The collision geometry of a part.
+    """Return the collision geometry of a part.
 
     Args:
-        name: begins the names of the part's files.
-        shapes: the geometry that the file has, or None.
-        cache: of convex decompositions.
+        name: prefix of the part's file names.
+        looks: visual surfaces of the part.
+        shapes: collision geometry in the file, or None.
+        cache: folder of convex decompositions.
+        share: called with the completed share of the work, 0 to 1.
 
     Raises:
         ResourceError: a body cannot be decomposed.
@@ -69,7 +71,7 @@ def collision_geometry(
             return CollisionGeometry("primitives", tuple(primitive_data(part) for part in fit.parts), {}, fit=fit)
     if collision == "sdf":
         return _of_meshes(name, "sdf", [body])
-    if collision == "hull" or (is_closed(body[1]) and convexity(body) > _CONVEX):
+    if collision == "hull" or (is_closed(body[1]) and convexity(body) > _MIN_CONVEXITY):
         return _of_meshes(name, "hull", [convex_hull(body)])
     return _of_meshes(name, "decompose", decompose(body, cache, share))
 
@@ -82,7 +84,7 @@ def _of_file(
     for shape in shapes:
         if isinstance(shape, Surface):
             body = merged_surface((shape,))
-            is_convex = shape.convex or (is_closed(body[1]) and convexity(body) > _CONVEX)
+            is_convex = shape.convex or (is_closed(body[1]) and convexity(body) > _MIN_CONVEXITY)
             bodies += [convex_hull(body)] if is_convex else decompose(body, cache, share)
     made = _of_meshes(name, "file", bodies)
     return CollisionGeometry("file", (*parts, *made.parts), made.files)
@@ -99,20 +101,20 @@ def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
 
 
 def fit_primitives(body: Body) -> SolidFit:
-    """The primitives closest to a surface, measured over all of the surface, with its hollows."""
+    """Return the primitives closest to a surface; distances are measured on the whole surface and in hollows."""
     scan = Scan.from_mesh(*body)
     solid = fit_solid(scan.points)
     found = [evaluate_fit(solid.parts, scan.points)]
     if hollow := fit_hollow(scan):
         fit, (x, y) = hollow
-        # Rings are around the part's own z axis.
+        # A ring's axis is the z axis of the part.
         if abs(x) < 1e-4 and abs(y) < 1e-4:
             found.append(evaluate_fit(fit.parts, scan.points))
     return min(found, key=lambda fit: fit.rms)
 
 
 def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
-    """A collision part, shifted by (3,), m."""
+    """Return a collision part shifted by (3,), m."""
     at = {
         key: [round(float(x), 6) for x in np.add(part[key], by)]
         for key in ("centre", "start", "end", "low", "high")
@@ -124,6 +126,6 @@ def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
 
 
 def rolling_radius(parts: tuple[Mapping[str, Any], ...]) -> float | None:
-    """The least radius of parts that are all balls and capsules, which roll; None for other parts."""
+    """Return the least radius if all parts are spheres or capsules, which roll; None for other parts."""
     kinds = {part["type"] for part in parts}
     return min(float(part["radius"]) for part in parts) if kinds <= {"sphere", "capsule"} else None

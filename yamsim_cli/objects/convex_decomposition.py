@@ -28,34 +28,34 @@ from .part_surfaces import simplified_mesh
 
 CACHE = "decomposed"  # folder of cached results, beside the mesh sets
 
-# Face counts of the reduced body, and its most deviation: the parts are a millimetre or two off anyway.
-_FACES, _NEAR_MM = (1_000, 2_000, 4_000, 8_000), 0.3
+# Face counts of the reduced body, and its largest deviation. The parts deviate by one or two millimetres anyway.
+_FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# Parameters of CoACD, found by trying, see docs/figures.md: the remaining concavity, as a share of half the body's
-# length; the most parts; and the tree search for each cut.
+# Parameters of CoACD, found by experiment (docs/figures.md): largest remaining concavity, as a share of half the body's
+# length; largest number of parts; and the tree search for each cut.
 _SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
-_LIMIT_S = 300.0  # several times what a body of some thousand faces takes
-_MEMORY = 8_000_000_000  # bytes of the child
-_CORE_SECONDS = 1200  # of all cores together
+_LIMIT_S = 300.0  # s, several times the duration for a body of some thousand faces
+_MEMORY = 8_000_000_000  # bytes, address space of the child process
+_CORE_SECONDS = 1200  # s, CPU time of the child process on all cores
 
-Share = Callable[[float], None]  # called with the share of the work that is done, 0 to 1
+Share = Callable[[float], None]  # called with the completed share of the work, 0 to 1
 Body = tuple[Array, Faces]
 
 
 def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
-    """Convex parts (vertices and triangles each) whose union approximates a body.
+    """Return convex parts whose union approximates a body, each as vertices (m) and triangles.
 
     Args:
-        cache: a folder of earlier results, by the hash of the body and of all parameters.
-        limit_s: time limit.
+        cache: folder of earlier results, by the hash of the body and of all parameters.
+        limit_s: time limit, s.
 
     Raises:
-        ResourceError: the extra is not installed, or the time or memory limit was reached.
+        ResourceError: the package `coacd` is missing, the decomposition fails, or a limit of time or memory is reached.
     """
     if find_spec("coacd") is None:
         raise ResourceError("taking a body apart needs coacd: pip install 'yamsim[import]', or --collision hull or sdf")
     vertices, faces = merge_vertices(*body)
-    if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _NEAR_MM, closed=True)) is not None:
+    if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _LIMIT_MM, closed=True)) is not None:
         vertices, faces = fewer
     how: dict[str, Any] = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
     source = io.BytesIO()
@@ -108,7 +108,7 @@ def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
 
 
 def run_decomposition(folder: str) -> None:
-    """Entry point of the child process: decompose the body in a folder, and write its parts there."""
+    """Decompose the body in a folder, and write its parts into that folder: entry point of the child process."""
     import resource
 
     import coacd
@@ -124,7 +124,7 @@ def run_decomposition(folder: str) -> None:
         mesh,
         threshold=how["threshold"],
         max_convex_hull=how["parts"],
-        # Remeshing would make many more faces of a closed body.
+        # Remeshing would give a closed body many more faces.
         preprocess_mode="off" if how["closed"] else "on",
         preprocess_resolution=40,
         resolution=how["resolution"],
@@ -152,7 +152,7 @@ def _read(file: Path) -> list[Body] | None:
 
 
 def convex_hull(body: Body) -> Body:
-    """The convex hull of a body."""
+    """Return the convex hull of a body."""
     import manifold3d
 
     found = manifold3d.Manifold.hull_points(np.asarray(body[0], np.float64)).to_mesh()
@@ -160,6 +160,6 @@ def convex_hull(body: Body) -> Body:
 
 
 def convexity(body: Body) -> float:
-    """The volume of a closed body as a share of its hull's: 1 if the body is convex."""
+    """Return the volume of a closed body over its hull's: 1 if the body is convex."""
     around = uniform_mass_properties(*convex_hull(body)).volume
     return abs(uniform_mass_properties(*body).volume) / around if around > 0 else 1.0

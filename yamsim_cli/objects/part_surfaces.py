@@ -1,4 +1,4 @@
-"""Surfaces of a part: merged, reduced to fewer triangles, and weighed."""
+"""Surfaces of a part: merging, reduction to fewer triangles, and mass properties."""
 
 from __future__ import annotations
 
@@ -15,18 +15,16 @@ from ..core.scene.assets.asset_lock import Reduction
 from ..core.scene.assets.mesh_reduction import collapse_edges
 from .readers.object_parts import MassProperties, Surface
 
-_SHEET = 0.002  # m, assumed thickness of a surface that is not closed
-_LEAST = 1e-4  # least principal moment, as a share of the largest
-_MM = 1000.0
+_SHEET_THICKNESS = 0.002  # m, assumed thickness of a surface that is not closed
+_MIN_MOMENT_SHARE = 1e-4  # least principal moment over the largest
+_MM_PER_M = 1000.0
 _SAMPLES = 2000  # points at which the deviation of a reduced surface is measured
-_SLIVERS_MM = (
-    0.0,
-    0.1,
-)  # slivers that are cleared first if they stall the collapse; see `core.scene.assets.mesh_reduction`
+# Tolerances for removing slivers, tried in order. Slivers can stall the collapse, see `scene.assets.mesh_reduction`.
+_SLIVERS_MM = (0.0, 0.1)
 
 
 def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
-    """All surfaces of a part as one, with equal vertices merged."""
+    """Return all surfaces of a part as one surface with merged vertices."""
     vertices = np.concatenate([surface.vertices for surface in surfaces])
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
     faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=True)])
@@ -36,13 +34,14 @@ def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
 def simplified_mesh(
     body: tuple[Array, Faces], counts: Iterable[int], limit_mm: float, *, closed: bool = False
 ) -> tuple[Array, Faces] | None:
-    """A surface (m) reduced to the first of several face counts that stays within a deviation; None if none does.
+    """Return a surface (m) reduced to the first face count within a deviation; None if every face count fails.
 
     Args:
         counts: face counts to try, the smallest first.
-        closed: whether the result has to be closed.
+        limit_mm: largest deviation, mm.
+        closed: whether the result must be closed.
     """
-    source = body[0] * _MM, body[1]
+    source = body[0] * _MM_PER_M, body[1]
     for count in counts:
         if count >= len(body[1]):
             return None
@@ -52,14 +51,14 @@ def simplified_mesh(
             if not 4 <= len(faces) < len(body[1]) or (closed and not is_closed(faces)):
                 continue
             if hausdorff_distance(source, (vertices, faces), limit_mm, _SAMPLES) <= limit_mm:
-                return vertices / _MM, faces
+                return vertices / _MM_PER_M, faces
     return None
 
 
 def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties, bool]:
-    """The mass properties of a surface of density 1, and whether the surface is closed; else it counts as a sheet."""
+    """Return the mass properties at density 1, and whether the surface is closed. An open one counts as a sheet."""
     if is_closed(faces):
-        inside = _filling(vertices, faces)
+        inside = _solid_mass_properties(vertices, faces)
         if inside.volume < 0:
             inside = UniformMassProperties(-inside.volume, inside.centre, -inside.inertia)
         if inside.volume > 1e-10:
@@ -70,15 +69,15 @@ def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties
     share = area / max(float(area.sum()), 1e-18)
     centre = share @ middles
     rest = middles - centre
-    volume = float(area.sum()) * _SHEET
-    second = volume * (np.einsum("i,ip,iq->pq", share, rest, rest) + _SHEET**2 / 12 * np.eye(3))
+    volume = float(area.sum()) * _SHEET_THICKNESS
+    second = volume * (np.einsum("i,ip,iq->pq", share, rest, rest) + _SHEET_THICKNESS**2 / 12 * np.eye(3))
     return UniformMassProperties(volume, centre, np.trace(second) * np.eye(3) - second), False
 
 
-def _filling(vertices: Array, faces: Faces) -> UniformMassProperties:
-    """As `geometry.solid.filling`, but for the order of its sums.
+def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
+    """Do the same as `closed_surface.uniform_mass_properties`, with another order of summation.
 
-    Rounding decides the signs of the principal axes of a symmetric body, so that another order would change configs.
+    Rounding decides the signs of a symmetric body's principal axes. The order of that function would change configs.
     """
     middle = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)
@@ -95,19 +94,19 @@ def _filling(vertices: Array, faces: Faces) -> UniformMassProperties:
 
 
 def scale_mass(weight: MassProperties, factor: float) -> MassProperties:
-    """The weight with its mass and inertia multiplied by a factor."""
+    """Return mass properties with the mass and the inertia multiplied by a factor."""
     return MassProperties(weight.mass * factor, weight.centre, weight.tensor * factor)
 
 
 def plain_inertia(weight: MassProperties, what: str) -> dict[str, object]:
-    """A weight as the `inertia` of a config. Raises `ResourceError` if no body has such an inertia."""
+    """Return mass properties as the `inertia` of a config. Raises `ResourceError` if no moment is positive."""
     moments, axes = np.linalg.eigh((weight.tensor + weight.tensor.T) / 2)
     # Files may leave the inertia out, or round small moments to 0.
     if moments.max() <= 0:
         raise ResourceError(
             f"{what}: its inertia is {moments.tolist()} kg m2; correct the file, or leave the inertia out"
         )
-    moments = np.maximum(moments, max(_LEAST * float(moments.max()), 1e-11))
+    moments = np.maximum(moments, max(_MIN_MOMENT_SHARE * float(moments.max()), 1e-11))
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return {
         "mass_g": round(weight.mass * 1000, 4),

@@ -1,4 +1,4 @@
-"""Fits collision primitives to scans: solid primitives by least squares, floor and rings to the inside of vessels."""
+"""Fit collision primitives to scans: solid primitives by least squares, or floor and rings to the inside of vessels."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ..core.geometry.stl import Faces, read_stl
 from ..core.geometry.surface_distance import sample_surface
 from .primitives import signed_distance
 
-_SAMPLES = 6000  # points of a scan; with as many, other samples change no fit by more than 0.1 mm
+_SAMPLES = 6000  # points of a scan; with this number, other samples change no fit by more than 0.1 mm
 
-_WORTH = 3e-4  # m, improvement of the fit that each further parameter of a shape must bring
-_DIMPLE = 0.0015  # m, depth under all tangent planes below which points lie in a dimple, which nothing touches
-_PLANES = 600  # tangent planes tried
-_LAID = 0.004  # m, height over the ground below which an end of a shape is moved to the ground
-_STEPS = 30  # most steps of a fit
-_NUDGE = 1e-5  # step of the finite differences
-_NO_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
+_PARAMETER_COST = 3e-4  # m, improvement of the fit that each further parameter of a shape must bring
+_DIMPLE_DEPTH = 0.0015  # m; points deeper under every tangent plane lie in a dimple, out of contact
+_PLANES = 600  # number of tangent planes
+_GROUND_REACH = 0.004  # m; a capsule's end that is closer to the ground is moved to the ground
+_MAX_STEPS = 30  # iterations of a fit
+_STEP = 1e-5  # step of the finite differences
+_MIN_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
 
-_DEEP = 0.3  # least depth of a vessel, as a share of its height
-_ROUNDNESS = 0.004  # m, most deviation of a vessel's radius over all directions
-_DIP = 0.006  # m, most descent of the inside on the way to the rim
-_BINS = 64  # directions, seen from the middle of the opening, in which the inside is measured
-_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, tried until the profile has few enough segments
-_PIECES = 6  # most segments of a profile
-_SEGMENTS = 24  # boxes of a ring
-_LEAST_WALL = 0.002  # m, things could pass through thinner walls
+_MIN_DEPTH_SHARE = 0.3  # least depth of a vessel over its height
+_MAX_OUT_OF_ROUND = 0.004  # m, largest deviation of a vessel's radius over all directions
+_MAX_DIP = 0.006  # m, largest descent of the inside on the way to the rim
+_DIRECTIONS = 64  # number of directions from the middle of the opening in which the inside is measured
+_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, tried in order until the profile has few enough segments
+_MAX_SEGMENTS = 6  # of a profile
+_RING_BOXES = 24  # boxes of a ring
+_MIN_WALL = 0.002  # m; objects could pass through thinner walls
 
 Parts = tuple[Primitive, ...]
 Make = Callable[[Array], Parts]
@@ -44,12 +44,12 @@ Make = Callable[[Array], Parts]
 
 @dataclass(frozen=True)
 class Scan:
-    """Points sampled evenly from a surface; the same surface gives the same points.
+    """Points sampled evenly from a surface; equal surfaces give equal points.
 
     Attributes:
         points: (n, 3), m.
         normals: outward normals (n, 3) at the points.
-        wall: thickness of a thin shell's wall, m: twice the volume over the area.
+        wall: wall thickness of a thin shell, m: twice the volume over the area.
     """
 
     points: Array
@@ -58,12 +58,12 @@ class Scan:
 
     @classmethod
     def read(cls, stl: bytes) -> Scan:
-        """The scan in a binary STL in metres. Raises `ResourceError` if the data is no binary STL."""
+        """Return the scan in a binary STL in metres. Raises `ResourceError` if the data is no binary STL."""
         return cls.from_mesh(*read_stl(stl))
 
     @classmethod
     def from_mesh(cls, vertices: Array, faces: Faces) -> Scan:
-        """The scan of vertices (n, 3), m, and triangles (m, 3)."""
+        """Return the scan of vertices (n, 3), m, and triangles (m, 3)."""
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
         normals = np.cross(b - a, c - a)
         twice = np.linalg.norm(normals, axis=1)
@@ -94,24 +94,24 @@ class SolidFit:
 
 
 def evaluate_fit(parts: Parts, points: Array) -> SolidFit:
-    """The fit of given primitives to surface points (n, 3), m."""
+    """Return the fit of given primitives to surface points (n, 3), m."""
     distance = np.abs(signed_distance(parts, points))
     return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
 
 
 def fit_solid(points: Array) -> SolidFit:
-    """The ball, cylinder, box, or row of up to three capsules that fits surface points (n, 3), m, best.
+    """Return the best fit to surface points (n, 3), m: a sphere, cylinder, box, or row of up to three capsules.
 
-    Dimples and holes, such as an apple's, do not count.
+    The fit ignores dimples and holes, such as those of an apple.
     """
     points = _outside(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
-        fitted = solve_least_squares(_ShapeProblem(make, points), start, _STEPS)
+        fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
         assert fitted is not None  # the distances are defined everywhere
         parts = _grounded(make(fitted[0]), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
-        cost = fit.rms + fit.most / 4 + _WORTH * len(start)
+        cost = fit.rms + fit.most / 4 + _PARAMETER_COST * len(start)
         if best is None or cost < best[0]:
             best = cost, fit
     assert best is not None  # there are always candidates
@@ -121,7 +121,7 @@ def fit_solid(points: Array) -> SolidFit:
 def _outside(points: Array) -> Array:
     heights = points @ np.ascontiguousarray(sphere_directions(_PLANES).T)
     depth = (heights.max(axis=0) - heights).min(axis=1)
-    near: Array = points[depth < _DIMPLE]
+    near: Array = points[depth < _DIMPLE_DEPTH]
     return near
 
 
@@ -138,7 +138,7 @@ def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
 
 
 def _sphere(p: Array, maximum: float) -> Parts:
-    """A sphere with a radius of at most `maximum`, so that it is not wider than the scan and fingers fit around it."""
+    """Return a sphere of a radius up to `maximum`: fingers that fit around the scan also fit around the sphere."""
     return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), maximum)),)
 
 
@@ -152,7 +152,7 @@ def _box(p: Array) -> Parts:
 
 
 def _capsules(p: Array) -> Parts:
-    """A row of capsules, from the positions (x, y, z) of all joints followed by a radius for each capsule."""
+    """Return a row of capsules, from the positions (x, y, z) of all joints followed by a radius for each capsule."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(
@@ -162,14 +162,14 @@ def _capsules(p: Array) -> Parts:
 
 
 def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
-    """Centre (x, y) and half-size of the bounding rectangle seen from above, rotated by `yaw`."""
+    """Return centre (x, y) and half size of the bounding rectangle seen from above, rotated by `yaw`."""
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
     return (low + high) / 2 @ turn, (high - low) / 2
 
 
 def _row(points: Array, count: int) -> Array:
-    """Initial parameters of a row of capsules: slices of equal length along the longest horizontal axis."""
+    """Return initial parameters of a row of capsules: equally long slices along the longest horizontal axis."""
     centre = points.mean(axis=0)
     along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
     across = np.array([-along[1], along[0]])
@@ -194,7 +194,7 @@ def _row(points: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class _FitState:
-    """A shape's parameters, and the distances of points from its surface (n,)."""
+    """A shape's parameters, and the signed distances (n,) of points from its surface."""
 
     make: Make
     points: Array
@@ -210,9 +210,9 @@ class _FitState:
 
     @cached_property
     def _slope(self) -> Array:
-        """The Jacobian (n, k) of the distances by the parameters, by finite differences."""
-        nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _NUDGE * np.eye(len(self.numbers)))
-        return np.column_stack([(distance - self.distance) / _NUDGE for distance in nudged])
+        """The Jacobian (n, k) of the distances with respect to the parameters, by finite differences."""
+        nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _STEP * np.eye(len(self.numbers)))
+        return np.column_stack([(distance - self.distance) / _STEP for distance in nudged])
 
     @property
     def normal(self) -> Array:
@@ -236,11 +236,11 @@ class _ShapeProblem(LeastSquares[Array, _FitState]):
         return state + step
 
     def is_converged(self, state: Array, known: _FitState, step: Array, gain: Array) -> bool:
-        return bool(0 < gain < _NO_GAIN * known.cost)
+        return bool(0 < gain < _MIN_GAIN * known.cost)
 
 
 def _grounded(parts: Parts, ground: float) -> Parts:
-    """The parts, moved or extended so that those near the ground touch the ground and none is below it."""
+    """Return the parts moved or extended to the ground; a capsule's end only if near or below the ground."""
     laid: list[Primitive] = []
     for part in parts:
         match part:
@@ -249,7 +249,7 @@ def _grounded(parts: Parts, ground: float) -> Parts:
             case Capsule():
                 ends = {key: getattr(part, key) for key in ("start", "end")}
                 for key, (x, y, z) in ends.items():
-                    if z - part.radius - ground < _LAID:
+                    if z - part.radius - ground < _GROUND_REACH:
                         ends[key] = (x, y, ground + part.radius)
                 laid.append(part.model_copy(update=ends))
             case Cylinder():
@@ -274,9 +274,9 @@ def _size(value: float) -> float:
 
 
 def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
-    """Floor and rings of a round, upright vessel, and the place (x, y) of its axis, m; None for any other thing.
+    """Return floor and rings of a round, upright vessel, and the position (x, y) of its axis, m; else None.
 
-    The fit's frame has its origin on the axis, and heights as in the scan.
+    The origin of the fit's frame is on the axis, with heights as in the scan.
     """
     low, high = np.percentile(scan.points, (0.2, 99.8), axis=0)
     axis = (low[:2] + high[:2]) / 2
@@ -285,40 +285,40 @@ def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
     if not _is_round(points, radius):
         return None
     profile = _profile(points, radius, scan.normals, float(high[2]))
-    if profile is None or profile[-1, 1] - profile[0, 1] < _DEEP * (high[2] - low[2]):
+    if profile is None or profile[-1, 1] - profile[0, 1] < _MIN_DEPTH_SHARE * (high[2] - low[2]):
         return None
     corners = next(
-        found for tolerance in _TOLERANCES if len(found := simplify_polyline(profile, tolerance)) <= _PIECES + 1
+        found for tolerance in _TOLERANCES if len(found := simplify_polyline(profile, tolerance)) <= _MAX_SEGMENTS + 1
     )
-    parts = _parts(corners, scan.foot, max(scan.wall, _LEAST_WALL))
+    parts = _parts(corners, scan.foot, max(scan.wall, _MIN_WALL))
     return evaluate_fit(parts, points), (float(axis[0]), float(axis[1]))
 
 
 def _is_round(points: Array, radius: Array) -> bool:
-    """Whether the outermost points in all directions are equally far from the axis."""
+    """Return whether the outermost points in all directions are equally far from the axis."""
     sector = ((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * 36).astype(int) % 36
     reach = np.array([radius[sector == k].max(initial=0) for k in range(36)])
-    return bool(np.ptp(reach) < 2 * _ROUNDNESS)
+    return bool(np.ptp(reach) < 2 * _MAX_OUT_OF_ROUND)
 
 
 def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
-    """Radius and height (n, 2) of the inside from its middle outwards, m; None if there is no inside."""
+    """Return radius and height (n, 2) of the inside from its middle outwards, m; None without an inside."""
     outwards = np.einsum("ij,ij->i", normals[:, :2], points[:, :2]) / np.maximum(radius, 1e-9)
     inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
     if not inside.any():
         return None
     # The angle seen from just above the opening orders the inside's points from the middle outwards.
     angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
-    bins = (angle / angle.max() * (_BINS - 1)).astype(int)
-    found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_BINS)]
+    bins = (angle / angle.max() * (_DIRECTIONS - 1)).astype(int)
+    found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_DIRECTIONS)]
     profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
-    # This rejects a lid that lies upside down, whose middle is above its edge.
-    rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _DIP
+    # Reject a lid that lies upside down, whose middle is above its edge.
+    rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _MAX_DIP
     return profile if rises else None
 
 
 def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
-    """The primitives of a profile: a flat floor for its first segment, and rings for the others."""
+    """Return the primitives of a profile: a flat floor for its first segment, and rings for the others."""
     top = float(corners[:2, 1].mean())
     edge = float(corners[1, 0])
     half = max((top - foot) / 2, wall / 4)
@@ -326,11 +326,11 @@ def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
     rings = [
         Ring(
             type="ring",
-            # The first ring overlaps the floor, which leaves no gap.
+            # The first ring overlaps the floor, so that no gap remains.
             inner=(float(r0 if k else edge - wall / 2), float(z0 if k else top)),
             outer=(float(r1), float(z1)),
             thickness=wall,
-            segments=_SEGMENTS,
+            segments=_RING_BOXES,
         )
         for k, ((r0, z0), (r1, z1)) in enumerate(itertools.pairwise(corners[1:]))
         if r1 - r0 > 1e-5

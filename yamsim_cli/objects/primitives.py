@@ -1,4 +1,4 @@
-"""Collision primitives: their distance from points, their mass distribution, and their width between pads."""
+"""Collision primitives: distance from points, mass properties, and width between two pads."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces
 
-_CELLS = 90  # points along the longest side of the box that is searched for mass
-_LEAST_STEP = 5e-4  # m, least distance of these points
+_CELLS = 90  # sample points along the longest side of the bounding box
+_MIN_STEP = 5e-4  # m, least spacing of these points
 
 
 def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
-    """The signed distance (n,) of points (n, 3) from a union of primitives, m; negative inside.
+    """Return signed distances (n,) of points (n, 3) from a union of primitives, m; negative inside.
 
-    Where primitives overlap, the depth is that in one primitive only.
+    Where primitives overlap, the depth is that in the primitive in which the point is deepest.
     """
     nearest: Array = np.min([_distance_from_primitive(part, points) for part in parts], axis=0)
     return nearest
@@ -37,29 +37,29 @@ def _distance_from_primitive(part: Primitive, points: Array) -> Array:
             distance = np.linalg.norm(points - start - share[:, None] * along, axis=1) - part.radius
         case Cylinder():
             x, y, z = (points - part.centre).T
-            distance = _outside_of(np.hypot(x, y) - part.radius, np.abs(z) - part.half_height)
+            distance = _box_distance(np.hypot(x, y) - part.radius, np.abs(z) - part.half_height)
         case Box():
-            distance = _outside_of(*(np.abs(_distance_from_box(part, points)) - part.half_size).T)
+            distance = _box_distance(*(np.abs(_to_box_frame(part, points)) - part.half_size).T)
         case Ring():
-            # The section of a ring is a rectangle below the line from its inner to its outer edge.
+            # A ring's cross-section is a rectangle below the line from its inner to its outer edge.
             along = np.subtract(part.outer, part.inner)
             length = float(np.linalg.norm(along))
             rest = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]]) - part.inner
             u, v = rest @ along / length, rest @ np.array([-along[1], along[0]]) / length
-            distance = _outside_of(
+            distance = _box_distance(
                 np.abs(u - length / 2) - length / 2, np.abs(v + part.thickness / 2) - part.thickness / 2
             )
     return distance
 
 
-def _distance_from_box(part: Box, points: Array) -> Array:
+def _to_box_frame(part: Box, points: Array) -> Array:
     c, s = math.cos(math.radians(part.yaw_deg)), math.sin(math.radians(part.yaw_deg))
     x, y, z = (points - part.centre).T
     return np.column_stack([c * x + s * y, c * y - s * x, z])
 
 
-def _outside_of(*along: Array) -> Array:
-    """The distance from a block, given the distances past its faces along each axis."""
+def _box_distance(*along: Array) -> Array:
+    """Return the signed distance from a box, given the distances past its faces along each axis."""
     past = np.array(along)
     distance: Array = np.linalg.norm(np.maximum(past, 0), axis=0) + np.minimum(past.max(axis=0), 0)
     return distance
@@ -67,27 +67,27 @@ def _outside_of(*along: Array) -> Array:
 
 @dataclass(frozen=True)
 class PointBody:
-    """A body as evenly spaced points (n, 3), `step` apart along each axis, m."""
+    """A body as points (n, 3) with an even spacing `step` along each axis, m."""
 
     points: Array
     step: float
 
     @classmethod
     def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
-        """The points inside primitives, within a box with corners `low` and `high` (3,), m."""
-        step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
+        """Return the points inside primitives, within a box with corners `low` and `high` (3,), m."""
+        step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
         counts = np.ceil((high - low) / step).astype(int)
-        # The grid is centred in the box: symmetric primitives give symmetric points.
+        # The grid is centred in the box, so that symmetric primitives give symmetric points.
         axes = [m + step * (np.arange(n) - (n - 1) / 2) for m, n in zip((low + high) / 2, counts, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls(points[signed_distance(parts, points) <= 0], step)
 
     @classmethod
     def inside(cls, vertices: Array, faces: Faces) -> PointBody:
-        """The points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
+        """Return the points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
-        # The grid is displaced by an odd share: a line through an edge would cross two triangles.
+        step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
+        # The grid is shifted by an irregular share of a step: a line through an edge would cross two triangles.
         axes = [(a + b) / 2 + step * (np.arange(-60, 61) + 0.0137) for a, b in zip(low, high, strict=True)]
         x, y = (
             np.array([v for v in axis if a <= v <= b]) for axis, a, b in zip(axes[:2], low[:2], high[:2], strict=True)
@@ -108,7 +108,7 @@ class PointBody:
         return centre
 
     def inertia(self, mass: float) -> tuple[Array, Array]:
-        """Principal moments (3,) about the centre of mass, kg m2, and the quaternion of their axes."""
+        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion of their axes."""
         rest = self.points - self.centre
         spread = mass * (rest.T @ rest) / len(rest)
         moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
@@ -116,16 +116,16 @@ class PointBody:
         return moments, quat_from_rotation(axes)
 
     def width(self, height: float, axis_deg: float, at: tuple[float, float], half: float) -> tuple[float, float] | None:
-        """The width, m, between two pads that close along a horizontal axis, and its middle along that axis.
+        """Return the width between two pads that close along a horizontal axis, and its middle on that axis, m.
 
         Args:
-            height: of the pads' middle, m.
+            height: height of the pads' middle, m.
             axis_deg: heading of the axis, degrees.
             at: a point (x, y) on the axis, m.
             half: half the pads' width and height, m.
 
         Returns:
-            None if nothing is between the pads.
+            None if no part of the body is between the pads.
         """
         angle = math.radians(axis_deg)
         along = (self.points[:, :2] - at) @ [math.cos(angle), math.sin(angle)]
@@ -137,7 +137,7 @@ class PointBody:
 
 
 def primitive_data(part: Primitive) -> dict[str, Any]:
-    """A primitive as configs write it, rounded to a hundredth of a millimetre."""
+    """Return a primitive as config data, rounded to 0.01 mm."""
     data: dict[str, Any] = part.model_dump(exclude_none=True)
     return {key: _rounded(value) for key, value in data.items()}
 

@@ -1,4 +1,4 @@
-"""Visual meshes of a part as files, with the colours of reduced surfaces baked into a texture."""
+"""Visual meshes of a part as files; the colours of reduced surfaces are baked into a texture."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ..core.scene.assets.mesh_reduction import LIMIT_MM
 from .part_surfaces import merged_surface, simplified_mesh
 from .readers.object_parts import Surface, SurfaceMaterial
 
-_MOST_DRAWN = 20_000  # faces that are drawn quickly; a surface with more is reduced within LIMIT_MM
-_TRIED = (6_000, 12_000, 24_000, 48_000)  # face counts of a reduced surface
-_CELL = 0.0006  # m, cells in which colours are averaged; coarser levels double the size
-_LEVELS = 6  # cell sizes
-_SIDE = 4096  # px, largest side of a texture
-_TILES = (2, 16)  # px, smallest and largest side of a triangle's tile
+_MAX_FACES = 20_000  # faces that render fast; a surface with more is reduced within LIMIT_MM
+_FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # face counts to try for a reduced surface
+_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each coarser level doubles the size
+_LEVELS = 6  # number of cell sizes
+_MAX_SIDE = 4096  # px, largest side of a texture
+_TILE_RANGE = (2, 16)  # px, smallest and largest side of a triangle's tile
 
 
 @dataclass(frozen=True)
 class VisualMeshes:
-    """The visual meshes of a part as configs write them, without their set, and the files that they name."""
+    """The visual meshes of a part as config data without their set, and the content of their files."""
 
     meshes: tuple[Mapping[str, Any], ...]
     files: Mapping[str, bytes]
 
 
 def make_visual_meshes(name: str, surfaces: tuple[Surface, ...]) -> VisualMeshes:
-    """One mesh per material: OBJ and PNG with a texture, else STL; `name` begins the names of the files."""
+    """Return one mesh per material: OBJ and PNG with a texture, else STL. File names begin with `name`."""
     groups: dict[tuple[Any, ...], list[Surface]] = {}
     for surface in surfaces:
         material = surface.material
@@ -67,10 +67,10 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
 
 
 def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple[Any, Any, Any, bytes | None]:
-    """Vertices, triangles, texture coordinates and PNG of a mesh, reduced if there are many triangles."""
+    """Return vertices, triangles, texture coordinates and PNG of a mesh, reduced from `_MAX_FACES` triangles on."""
     vertices, faces = merged_surface(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
-    if len(faces) > _MOST_DRAWN and (fewer := simplified_mesh((vertices, faces), _TRIED, LIMIT_MM)) is not None:
+    if len(faces) > _MAX_FACES and (fewer := simplified_mesh((vertices, faces), _FACE_COUNTS, LIMIT_MM)) is not None:
         if not textured:
             return (*fewer, None, None)
         return (*fewer, *baked_colours(group, fewer))
@@ -83,10 +83,10 @@ def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple
 
 
 def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
-    """A Wavefront OBJ of triangles (m, 3) over vertices (n, 3); equal meshes give equal bytes.
+    """Return a Wavefront OBJ of triangles (m, 3) over vertices (n, 3); equal meshes give equal bytes.
 
     Args:
-        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the picture's lower left corner.
+        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the image's lower left corner.
     """
     coordinates, index = np.unique(np.asarray(uv, np.float64).reshape(-1, 2).round(6), axis=0, return_inverse=True)
     text = io.StringIO()
@@ -98,20 +98,20 @@ def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
 
 
 def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tuple[Array, bytes]:
-    """Texture coordinates (m, 3, 2) and a PNG that give the target's triangles (m, 3) the source's colours."""
+    """Return texture coordinates (m, 3, 2) and a PNG that give the target's triangles (m, 3) the source's colours."""
     vertices, faces = target
     colours = _Colours(*_samples(source))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     columns = int(np.ceil(np.sqrt(len(faces))))
-    tile = int(np.clip(np.ceil(np.sqrt(2 * area / len(faces)) / _CELL), *_TILES))
-    tile = max(2, min(tile, _SIDE // columns))
+    tile = int(np.clip(np.ceil(np.sqrt(2 * area / len(faces)) / _CELL_SIZE), *_TILE_RANGE))
+    tile = max(2, min(tile, _MAX_SIDE // columns))
     rows = -(-len(faces) // columns)
     x, y = tile * (np.arange(len(faces)) % columns), tile * (np.arange(len(faces)) // columns)
     texels = np.zeros((rows * tile, columns * tile, 3), np.uint8)
     for v in range(tile):
         for u in range(tile):
-            # Texels beyond the triangle's long side continue the colours, for interpolation.
+            # Texels beyond the triangle's long side repeat the colours on that side, for interpolation.
             s, t = u / (tile - 1), v / (tile - 1)
             texels[y + v, x + u] = colours.at(a + s * (b - a) + t * (c - a) if s + t <= 1 else b + (1 - s) * (c - b))
     ends = np.array([[0, 0], [tile - 1, 0], [0, tile - 1]])
@@ -126,7 +126,7 @@ def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
     for surface in source:
         a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        count = int(np.clip(4 * areas.sum() / _CELL**2, len(areas), 3_000_000))
+        count = int(np.clip(4 * areas.sum() / _CELL_SIZE**2, len(areas), 3_000_000))
         drawn = np.concatenate([np.arange(len(areas)), rng.choice(len(areas), count, p=areas / areas.sum())])
         root, v = np.sqrt(rng.random((len(drawn), 1))), rng.random((len(drawn), 1))
         shares = np.concatenate([1 - root, root * (1 - v), root * v], axis=1)
@@ -149,7 +149,7 @@ def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
 
 
 class _Colours:
-    """Mean colours of cells of space, at several resolutions."""
+    """Mean colours in cubic cells, at several resolutions."""
 
     def __init__(self, places: Array, colours: NDArray[np.uint8]) -> None:
         self._low = places.min(axis=0) - 1e-3
@@ -161,12 +161,12 @@ class _Colours:
             self._levels.append((found, sums / np.bincount(index)[:, None]))
 
     def _keys(self, places: Array, level: int) -> NDArray[np.int64]:
-        cells = np.floor((places - self._low) / (_CELL * 2**level)).astype(np.int64)
+        cells = np.floor((places - self._low) / (_CELL_SIZE * 2**level)).astype(np.int64)
         keys: NDArray[np.int64] = (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
         return keys
 
     def at(self, places: Array) -> NDArray[np.uint8]:
-        """The colours (n, 3) of the finest non-empty cells around places (n, 3); grey where all are empty."""
+        """Return the colours (n, 3) of the finest non-empty cells around points (n, 3); grey if all cells are empty."""
         colours = np.full((len(places), 3), 128.0)
         for level in reversed(range(_LEVELS)):
             found, means = self._levels[level]

@@ -1,4 +1,4 @@
-"""The config of a YCB object from its scan."""
+"""Config of a YCB object from its scan."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .overhead_grasps import overhead_grasp
 from .primitive_fit import Scan, SolidFit, fit_hollow, fit_solid
 from .primitives import PointBody, primitive_data
 
-IN_DEPTH = 0.03  # m, least depth of a vessel into which, and not onto which, things are placed
-# Rolling friction of balls and capsules, as a share of the radius: keeps them still on a slope of 3 degrees, as real
+IN_DEPTH = 0.03  # m, least depth of a vessel with the preposition "in" instead of "on"
+# Rolling friction of spheres and capsules over the radius. This value keeps them still on a slope of 3 degrees, as real
 # fruit and felt balls are.
 ROLLING_SHARE = 0.05
 _FRICTION = (0.8, 0.005)  # sliding; torsional, m
@@ -23,11 +23,11 @@ _FRICTION = (0.8, 0.005)  # sliding; torsional, m
 
 @dataclass(frozen=True)
 class ScannedObject:
-    """What a scan does not contain.
+    """Data of an object that its scan does not contain.
 
     Attributes:
-        set, file: the asset set and the file in that set.
-        source: of name and mass, for the comment on top of the config.
+        set, file: mesh set, and file in that set.
+        source: source of name and mass, for the comment on top of the config.
     """
 
     name: str
@@ -48,9 +48,9 @@ class YcbConfig:
 
 
 def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
-    """The config of a thing from an upright scan, by primitives fitted to the scan.
+    """Return the config of an object from an upright scan, with primitives fitted to the scan.
 
-    A vessel's origin is on its axis, level with its foot. The origin of any other thing is its centre of mass.
+    The origin of a vessel is on its axis, level with its foot. The origin of any other object is its centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:
@@ -105,7 +105,7 @@ def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
 
 
 def _middle(part: Primitive) -> Array | None:
-    """The centre of mass (3,) of a solid primitive, m; None for a ring."""
+    """Return the centre of mass (3,) of a solid primitive, m; None for a ring."""
     match part:
         case Capsule():
             return np.add(part.start, part.end) / 2

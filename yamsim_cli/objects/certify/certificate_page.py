@@ -1,4 +1,4 @@
-"""An object's certificate: one page with every check, its figures and its pictures."""
+"""HTML page of an object's certificate: every check with its figures and pictures."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from yamsim_cli.core.markup import (
     verdict,
 )
 
-# Captions and JPEG files.
+# Caption and JPEG file of each picture.
 Pictures = Sequence[tuple[str, bytes]]
 
 
 def certificate_page(
     found: Mapping[str, Any], titles: Mapping[str, tuple[str, str]], pictures: Mapping[str, Pictures], made: str
 ) -> str:
-    """The page as HTML.
+    """Return the page as HTML.
 
     Args:
-        found: `certify.run.CertificationResult.plain`.
-        titles: code of a check -> what is wrong where the check fails, and what to do.
+        found: data of `certify.CertificationResult.to_json_data`.
+        titles: code of a check -> its title and advice, see `certify.ThingCheck`.
         pictures: code of a check -> its pictures.
-        made: see `markup.document`.
+        made: text at the foot of the page, see `markup.page_footer`.
     """
     checks = found["checks"]
     failed = sum(check["ok"] is False for check in checks)

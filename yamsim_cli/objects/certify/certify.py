@@ -1,4 +1,4 @@
-"""Certify a thing: all checks, in their order, each after those that it needs."""
+"""Certify an object: run all checks in order, each after the checks on which it depends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .check_outcome import CheckOutcome, skipped_check
 from .static_checks import collision_kinds
 from .tested_object import TestedObject, read_tested_object
 
-# Called with the number of checks done, the number of all checks, and the next code.
+# Called with the number of completed checks, the number of all checks, and the code of the next check.
 CheckDone = Callable[[int, int, str], None]
 
 
@@ -29,7 +29,8 @@ class ThingCheck:
         code: `<subject>.<fault>`, stable across versions.
         title: the fault, as a clause.
         advice: how to correct the fault.
-        needs: codes of the checks that must not have failed before this one is made.
+        make: function that runs the check.
+        needs: codes of earlier checks. The check is skipped if one of them failed.
     """
 
     code: str
@@ -40,32 +41,34 @@ class ThingCheck:
 
 
 _SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
-_HEAVY = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
+_MASS = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
 
 _ALL = (
     ThingCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
                static.check_size),
     ThingCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.check_closed,
                _SURFACES[:1]),
-    ThingCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made", static.check_normals,
-               _SURFACES[:2]),
-    ThingCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density, _SURFACES),
-    ThingCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m", static.check_centre_of_mass,
-               _SURFACES[:1]),
+    ThingCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made",
+               static.check_normals, _SURFACES[:2]),
+    ThingCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density,
+               _SURFACES),
+    ThingCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m",
+               static.check_centre_of_mass, _SURFACES[:1]),
     ThingCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
-               "mend `inertia.diagonal`, kg m2", static.check_inertia, ("size.implausible", "mass.density", "mass.centre")),
+               "mend `inertia.diagonal`, kg m2", static.check_inertia,
+               ("size.implausible", "mass.density", "mass.centre")),
     ThingCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
                static.check_collision_geometry, _SURFACES),
     ThingCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
-               physics.check_rest, _HEAVY),
-    ThingCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.check_drop,
-               _HEAVY),
+               physics.check_rest, _MASS),
+    ThingCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts",
+               physics.check_drop, _MASS),
     ThingCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
-               physics.check_ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
+               physics.check_ball, (*_MASS, "mesh.open", "mesh.inverted")),
     ThingCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
-               physics.check_articulation, _HEAVY),
+               physics.check_articulation, _MASS),
     ThingCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
-               grasp.check_grasp, _HEAVY),
+               grasp.check_grasp, _MASS),
 )  # fmt: skip
 
 CHECKS: Mapping[str, ThingCheck] = {check.code: check for check in _ALL}
@@ -73,14 +76,14 @@ CHECKS: Mapping[str, ThingCheck] = {check.code: check for check in _ALL}
 
 @dataclass(frozen=True)
 class CertificationResult:
-    """The outcomes of all checks, by code."""
+    """The outcomes of all checks of an object, by code."""
 
     subject: TestedObject
     outcomes: Mapping[str, CheckOutcome]
 
     @property
     def ok(self) -> bool:
-        """Whether no check failed; some may not have been made."""
+        """Whether no check failed; checks may have been skipped."""
         return not self.failed
 
     @property
@@ -89,7 +92,7 @@ class CertificationResult:
         return tuple(code for code, outcome in self.outcomes.items() if outcome.ok is False)
 
     def to_json_data(self) -> dict[str, Any]:
-        """The certificate as JSON, always the same for the same thing."""
+        """Return the certificate as JSON data; the same object always gives the same data."""
         item = self.subject.item
         return {
             "ok": self.ok,
@@ -112,13 +115,15 @@ def certify(
     locations: Locations,
     progress: CheckDone = lambda done, total, code: None,
 ) -> CertificationResult:
-    """Make every check of a thing.
+    """Run every check of an object.
 
     Args:
-        meshes: asset set -> folder; without the folders, visual surfaces are not checked.
+        meshes: mesh set -> folder; visual surfaces are not checked if a folder is missing.
+        locations: folders with the rig that tests the grasp.
+        progress: called before each check.
 
     Raises:
-        ResourceError: the thing cannot be read.
+        ResourceError: the object cannot be read.
     """
     subject = read_tested_object(item, meshes, locations)
     outcomes: dict[str, CheckOutcome] = {}

@@ -1,4 +1,4 @@
-"""The outcome of a check: figures, a note, and views of the thing to be drawn."""
+"""Outcome of a check: figures, a note, and views of the object for pictures."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
 from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
 
-_MARK = (0.85, 0.15, 0.10, 1.0)  # colour of the centre of mass
-_THIN = 0.35  # opacity of the thing around that mark
+_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # colour of the marker of mass properties
+_OBJECT_OPACITY = 0.35  # opacity of the object around the marker
 
 
 @dataclass(frozen=True)
 class CheckView:
-    """A state of a scene to be drawn by its camera `view`."""
+    """A state of a scene, which the scene's camera `view` shows."""
 
     model: mujoco.MjModel
     qpos: Array
@@ -32,9 +32,10 @@ class CheckOutcome:
     """The outcome of one check.
 
     Attributes:
-        ok: None if the check was not made.
+        ok: whether the check passed; None if the check was skipped.
         figures: measured values, by names with units.
-        note: what is wrong, or why the check was not made; else empty.
+        note: the fault, or why the check was skipped; else empty.
+        views: scenes for pictures.
     """
 
     ok: bool | None
@@ -44,22 +45,22 @@ class CheckOutcome:
 
 
 def skipped_check(why: str) -> CheckOutcome:
-    """The outcome of a check that does not apply or cannot be made."""
+    """Return the outcome of a check that does not apply or cannot be run."""
     return CheckOutcome(None, note=why)
 
 
 def round_significant(value: Any, digits: int = 4) -> float:
-    """A number rounded to significant digits."""
+    """Round a number to significant digits."""
     return float(f"{float(value):.{digits}g}")
 
 
 def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
-    """A view of the thing as it stands; `steep` is the camera's height over its distance."""
+    """Return a view of the object in its initial pose; a larger `steep` raises the camera."""
     return _view(_spec(tested_object, steep), caption)
 
 
 def collision_view(tested_object: TestedObject) -> CheckView:
-    """A view of the collision geoms."""
+    """Return a view of the collision geoms."""
     view = _view(_spec(tested_object, 0.75), "what touches")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
     view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
@@ -67,21 +68,21 @@ def collision_view(tested_object: TestedObject) -> CheckView:
 
 
 def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
-    """A view of the transparent thing with its centre of mass, or with the block of the same moments of inertia."""
+    """Return a view of the transparent object with its centre of mass, or with a box of the same inertia."""
     inertia = tested_object.item.inertia
     spec = _spec(tested_object, 0.75)
     size = np.full(3, 0.03 * tested_object.size)
     if block:
-        # The moments of a block are m (b2 + c2) / 12, and so on.
+        # A box with edges a, b and c has the moment m (b2 + c2) / 12 about the axis along a.
         moments = np.array(inertia.diagonal)
         size = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 1e-8)) / 2
     kind = mujoco.mjtGeom.mjGEOM_BOX if block else mujoco.mjtGeom.mjGEOM_SPHERE
     spec.body(tested_object.item.name).add_geom(
         type=kind, size=size, pos=inertia.centre, quat=np.array(inertia.quat) / np.linalg.norm(inertia.quat),
-        rgba=_MARK, contype=0, conaffinity=0, mass=0, group=SEEN_GROUP, name="certificate_mark",
+        rgba=_MARKER_RGBA, contype=0, conaffinity=0, mass=0, group=SEEN_GROUP, name="certificate_mark",
     )  # fmt: skip
     for material in spec.materials:
-        material.rgba = (*material.rgba[:3], _THIN)
+        material.rgba = (*material.rgba[:3], _OBJECT_OPACITY)
     return _view(spec, "as hard to turn as this block" if block else "its centre of mass")
 
 

@@ -1,4 +1,4 @@
-"""Whether the skill `pick` lifts a thing from a table, and whether the hand then holds it, turned and shaken."""
+"""Check that the skill `pick` lifts an object, and that a turned and shaken hand holds the object."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp,
 from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
 from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
 
-_CLOSE, _HOLD, _TURN, _SHAKE = 0.8, 0.8, 1.6, 1.0  # s, time to close, to lift, and for each rotation and shake
-_STEP = 0.02  # s, between two commands
-_LIFT, _ANGLE = 0.05, np.radians(45)  # m, rad, lift, and rotation about the closing axis and the one across
-_AMPLITUDE, _RATE = 0.015, 3.0  # m, Hz, of the shaking
-_MOVED, _TURNED = 0.012, np.radians(20)  # m, rad, most slip between the pads that still counts as held
+_CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s, durations; of each turn and shake
+_COMMAND_PERIOD = 0.02  # s, period of commands
+_LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m, rad, lift, and rotations about the closing axis and across
+_SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz
+_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad, slip in the pads up to which an object counts as held
 
 _PREFIX, _BASE = "hand_", "hand_base"
-_MASS = 20.0  # kg, of the base: so heavy that a held thing does not move it
-_STIFF, _DAMP = 8e4, 2.6e3  # N/m, N s/m, of the base's drives, as stiff as a robot's flange
-_TURN_STIFF, _TURN_DAMP = 2e3, 60.0  # N m/rad, N m s/rad
+_BASE_MASS = 20.0  # kg, heavy enough that a held object does not move the base
+_SLIDE_STIFFNESS, _SLIDE_DAMPING = 8e4, 2.6e3  # N/m, N s/m, of the base's linear drives, as stiff as a robot's flange
+_HINGE_STIFFNESS, _HINGE_DAMPING = 2e3, 60.0  # N m/rad, N m s/rad, of the base's rotary drives
 
 
 def check_grasp(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the skill `pick` lifts the thing from a table, and two pads then hold the thing by the same grasp."""
+    """Check that the skill `pick` lifts the object, and that two pads then hold the object by the same grasp."""
     item = tested_object.item
     if item.links or item.base == "fixed":
         return skipped_check("it is opened rather than lifted: its handles are for that")
@@ -69,33 +69,33 @@ def check_grasp(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> CheckOutcome:
-    """Whether a thing stays between the pads while the hand lifts, turns and shakes it."""
+    """Check that the object stays between the pads while the hand lifts, turns and shakes the object."""
     T = inverse(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()
     # Gravity is off until the pads press.
     hand.model.opt.gravity[:] = 0.0
     hand.put(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
-    for share in np.linspace(0, 1, round(_CLOSE / 2 / _STEP)):
+    for share in np.linspace(0, 1, round(_CLOSE_TIME / 2 / _COMMAND_PERIOD)):
         hand.squeeze(taken.opening + clearance * (1 - share))
-        hand.run(_STEP)
+        hand.run(_COMMAND_PERIOD)
     hand.squeeze(taken.opening - 2 * taken.force / hand.drive_gain)
-    hand.run(_CLOSE / 2)
+    hand.run(_CLOSE_TIME / 2)
     hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
-    slips = [_move_along(hand, T, held, np.linspace(0, 1, round(_HOLD / _STEP)), _lift_pose)]
+    slips = [_move_along(hand, T, held, np.linspace(0, 1, round(_LIFT_TIME / _COMMAND_PERIOD)), _lift_pose)]
     views = [CheckView(hand.model, hand.data.qpos.copy(), "lifted")]
-    there = np.sin(np.linspace(0, np.pi, round(_TURN / _STEP)))
-    slips += [_move_along(hand, T, held, there, functools.partial(_turn_pose, axis=axis)) for axis in (0, 1)]
-    times = np.linspace(0, _SHAKE, round(_SHAKE / _STEP))
+    swing = np.sin(np.linspace(0, np.pi, round(_TURN_TIME / _COMMAND_PERIOD)))
+    slips += [_move_along(hand, T, held, swing, functools.partial(_turn_pose, axis=axis)) for axis in (0, 1)]
+    times = np.linspace(0, _SHAKE_TIME, round(_SHAKE_TIME / _COMMAND_PERIOD))
     slips += [_move_along(hand, T, held, times, functools.partial(_shake_pose, axis=axis)) for axis in range(3)]
     views.append(CheckView(hand.model, hand.data.qpos.copy(), "after turning and shaking"))
     moved, turned = (max(each[k] for each in slips) for k in (0, 1))
     fault = ""
     if physics_failure(hand.data) is not None or not np.isfinite(hand.data.qpos).all():
         fault = "physics broke down"
-    elif moved > _MOVED or turned > _TURNED:
+    elif moved > _MAX_SLIP or turned > _MAX_TURN:
         motions = ("lifted", "turned", "turned", "shaken", "shaken", "shaken")
-        when = next(word for word, (a, b) in zip(motions, slips, strict=True) if a > _MOVED or b > _TURNED)
+        when = next(word for word, (a, b) in zip(motions, slips, strict=True) if a > _MAX_SLIP or b > _MAX_TURN)
         fault = f"when {when}, it slips {moved * 1000:.3g} mm and turns {np.degrees(turned):.3g} degrees in the pads"
     figures = {
         "force_n": round_significant(taken.force, 3),
@@ -109,27 +109,27 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
 def _move_along(
     hand: _GripperRig, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]
 ) -> tuple[float, float]:
-    """Move the hand along a path: the largest translation (m) and rotation (rad) of the thing in the pinch frame."""
+    """Move the hand along a path; return the object's largest slip (m) and rotation (rad) in the pinch frame."""
     most = (0.0, 0.0)
     for share in path:
         hand.aim(at(T, float(share)))
-        hand.run(_STEP)
+        hand.run(_COMMAND_PERIOD)
         moved, turned = _slip(held, hand.T_thing_in_pinch)
         most = (max(most[0], moved), max(most[1], turned))
     return most
 
 
 def _lift_pose(T: Array, share: float) -> Array:
-    return pose((0, 0, _LIFT * share)) @ T
+    return pose((0, 0, _LIFT_HEIGHT * share)) @ T
 
 
 def _turn_pose(T: Array, share: float, axis: int) -> Array:
-    return pose((0, 0, _LIFT)) @ T @ pose((0, 0, 0), rotation_from_vector(_ANGLE * share * np.eye(3)[axis]))
+    return pose((0, 0, _LIFT_HEIGHT)) @ T @ pose((0, 0, 0), rotation_from_vector(_TURN_ANGLE * share * np.eye(3)[axis]))
 
 
 def _shake_pose(T: Array, time: float, axis: int) -> Array:
-    by = _AMPLITUDE * np.sin(2 * np.pi * _RATE * time) * np.eye(3)[axis]
-    return pose(np.array([0, 0, _LIFT]) + by) @ T
+    by = _SHAKE_AMPLITUDE * np.sin(2 * np.pi * _SHAKE_RATE * time) * np.eye(3)[axis]
+    return pose(np.array([0, 0, _LIFT_HEIGHT]) + by) @ T
 
 
 def _arm(locations: Locations) -> ArmConfig:
@@ -144,10 +144,10 @@ def _full_opening(locations: Locations) -> float:
 
 @dataclass
 class _GripperRig:
-    """Gripper linear_4310 on a driven base, and a thing without ground; the base has the pinch frame.
+    """A gripper linear_4310 on a driven base, and an object without ground. The base frame is the pinch frame.
 
     Attributes:
-        T_start: pose (4, 4) of the base with its joints at 0.
+        T_start: pose (4, 4) of the base in `world` with its joints at 0.
     """
 
     subject: TestedObject
@@ -158,7 +158,7 @@ class _GripperRig:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _GripperRig:
-        """The hand at the origin, with the fingers at the model's default."""
+        """Return the gripper at the origin, with the fingers at the model's default."""
         arm = _arm(tested_object.locations)
         child, robot = arm_spec(arm, None), arm.robot
         for actuator in list(child.actuators):
@@ -174,10 +174,10 @@ class _GripperRig:
             max(tested_object.size, 0.22),
             steep=0.35,
         )
-        base = spec.worldbody.add_body(name=_BASE, mass=_MASS, inertia=[0.2, 0.2, 0.2], gravcomp=1)
+        base = spec.worldbody.add_body(name=_BASE, mass=_BASE_MASS, inertia=[0.2, 0.2, 0.2], gravcomp=1)
         base.explicitinertial = True
-        slide = (mujoco.mjtJoint.mjJNT_SLIDE, _STIFF, _DAMP)
-        hinge = (mujoco.mjtJoint.mjJNT_HINGE, _TURN_STIFF, _TURN_DAMP)
+        slide = (mujoco.mjtJoint.mjJNT_SLIDE, _SLIDE_STIFFNESS, _SLIDE_DAMPING)
+        hinge = (mujoco.mjtJoint.mjJNT_HINGE, _HINGE_STIFFNESS, _HINGE_DAMPING)
         for first, (kind, stiff, damp) in ((0, slide), (3, hinge)):
             for axis in range(3):
                 name = f"{_BASE}_{first + axis}"
@@ -185,7 +185,7 @@ class _GripperRig:
                 drive = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                 drive.set_to_position(kp=stiff, kv=damp)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # MuJoCo warns of options of the arm, which do not matter here
+            warnings.simplefilter("ignore")  # MuJoCo warns of arm options that have no effect here
             frame = base.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
             frame.attach_body(link, _PREFIX, "")
         for body in spec.bodies:
@@ -196,7 +196,7 @@ class _GripperRig:
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
     def put(self, T_pinch: Array, opening: float) -> None:
-        """Put the hand at rest at a pinch pose (4, 4) with each finger open (m), and the thing at the origin."""
+        """Put the hand at rest at a pinch pose (4, 4) and a finger opening (m), and the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
@@ -207,40 +207,39 @@ class _GripperRig:
         mujoco.mj_forward(self.model, self.data)
 
     def aim(self, T_pinch: Array) -> None:
-        """Command the pose (4, 4) of the pinch."""
+        """Command the pose (4, 4) of the pinch frame in `world`."""
         T = inverse(self.T_start) @ T_pinch
         for number, value in enumerate((*T[:3, 3], *_angles(T[:3, :3]))):
             self.data.ctrl[self.model.actuator(f"{_BASE}_{number}").id] = value
 
     def squeeze(self, opening: float) -> None:
-        """Command the opening of each finger, m; less than the thing's size is a force."""
+        """Command the opening of each finger, m; an opening below half the object's width exerts a force."""
         drive = self.model.actuator(f"{_PREFIX}gripper").id
         self.data.ctrl[drive] = np.clip(opening, *self.model.actuator_ctrlrange[drive])
 
     def run(self, seconds: float) -> None:
-        """Step physics for a time."""
         step_seconds(self.model, self.data, seconds)
 
     @property
     def drive_gain(self) -> float:
-        """The gain of the gripper's drive, N/m; both pads share the force."""
+        """The gain of the gripper's drive, N/m; the two pads share its force."""
         return float(self.model.actuator_gainprm[self.model.actuator(f"{_PREFIX}gripper").id][0])
 
     @property
     def T_thing_in_pinch(self) -> Array:
-        """The pose (4, 4) of the thing in the pinch frame."""
+        """The pose (4, 4) of the object in the pinch frame."""
         site, body = self.data.site(f"{_PREFIX}pinch_site"), self.data.body(self.subject.item.name)
         T: Array = inverse(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
         return T
 
 
 def _slip(before: Array, after: Array) -> tuple[float, float]:
-    """The translation at the pads (m) and the rotation (rad) between two poses of the thing in the pinch frame."""
+    """Return the translation at the pads (m) and the rotation (rad) between two poses in the pinch frame."""
     T = after @ inverse(before)
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
 
 
 def _angles(rotation: Array) -> Array:
-    """Intrinsic x-y-z Euler angles (3,), rad."""
+    """Return intrinsic x-y-z Euler angles (3,), rad."""
     y = np.arcsin(np.clip(rotation[0, 2], -1, 1))
     return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])

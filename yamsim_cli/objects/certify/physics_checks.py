@@ -17,39 +17,39 @@ from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_c
 from .static_checks import NO_MESHES
 from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
 
-# Rest and drops.
-_SETTLE, _LOOK = 6.0, 0.2  # s, most time to settle, and interval between tests for rest
-_REST, _FALL = 2.0, 1.5  # s, time for which the thing must rest still, and time of a drop
-_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, most motion at rest, and most penetration
-_HEIGHT, _DROPS = 0.10, 8  # m, height and number of drops
-_THROUGH = 0.05  # m, most penetration at impact, half the slab: deeper, the thing would come out below
-_GAIN, _LEAST_ENERGY = 0.02, 1e-4  # most gain of energy as a share of the fall's energy, which is at least so many J
-_STILL = 0.0002  # m/s, speed at rest; ten times as many rad/s
+# Checks of rest and of drops.
+_MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest settling, and interval between tests for rest
+_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, time for which the object must stay at rest, and duration of a drop
+_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, limits of motion and penetration at rest
+_DROP_HEIGHT, _DROPS = 0.10, 8  # m, height of the fall; number of drops
+_MAX_PENETRATION = 0.05  # m, limit at impact: half the slab; a deeper object comes out below
+_MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # share of the fall's energy; J, least energy of a fall
+_REST_SPEED = 0.0002  # m/s, upper limit of the speed at rest; ten times this number in rad/s
 _FIXED = "its base is fixed: it lies nowhere else"
 
-# A ball in a hollow.
-_CELLS = 56  # columns of the height map along the longer side
-_DEEP, _ROOM = 0.010, 0.0045  # m, least depth of a hollow, and least radius of a ball that fits in
-_DENT = 0.02  # least volume of a hollow, as a share of the bounding box
-_HARD = (0.004, 1.0)  # solref of the ball: hard, so that the ball does not sink through a thin floor
-_MOST_RADIUS = 0.015  # m, of the ball
-_FROM = 0.03  # m, height over the rim from which the ball is dropped
-_SECONDS = 2.0
-_IN = 0.5  # most height of the resting ball's lowest point over the floor, as a share of the depth
-_DENSITY = 1000.0  # kg/m3, of the ball
+# Check of a ball in a hollow.
+_CELLS = 56  # columns of the height map along its longer side
+_MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: least depth, and least free radius
+_MIN_HOLLOW_SHARE = 0.02  # least volume of a hollow over that of the bounding box; smaller ones are dents
+_BALL_SOLREF = (0.004, 1.0)  # solref; hard, so that the ball does not sink through a thin floor
+_MAX_BALL_RADIUS = 0.015  # m
+_BALL_CLEARANCE = 0.03  # m, height over the rim from which the ball falls
+_BALL_TIME = 2.0  # s, simulated time of the fall
+_MAX_BALL_HEIGHT = 0.5  # largest height of the resting ball over the floor, as a share of the depth
+_BALL_DENSITY = 1000.0  # kg/m3
 
-# Joints.
-_PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, from end to end, and to come to rest
-_AT_END = 0.03  # most distance from an end, as a share of the range
-_JOINT_STILL = 0.02  # 1/s, most speed at rest, in ranges a second
-_TIMES = 3.0  # effort of a push, as a multiple of friction, ridges and weight
-_LEAST = {True: 0.02, False: 1.0}  # least effort on a hinge, N m, and on a slide, N
+# Check of joints.
+_PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, of a push from end to end, and to come to rest
+_END_TOLERANCE = 0.03  # allowed distance from a joint limit, as a share of the range
+_JOINT_REST_SPEED = 0.02  # 1/s, upper limit of the speed at rest, in joint ranges per second
+_EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
+_MIN_EFFORT = {True: 0.02, False: 1.0}  # least effort, N m on a rotary joint (True) and N on a slide
 _FREQUENCY = 6.0  # Hz, natural frequency of the push's controller
 
 
 @dataclass
 class _TestScene:
-    """A thing over a slab."""
+    """An object over a slab."""
 
     subject: TestedObject
     model: mujoco.MjModel
@@ -63,7 +63,7 @@ class _TestScene:
         return cls(tested_object, model, mujoco.MjData(model))
 
     def put(self, turn: Array, gap: float) -> None:
-        """Put the thing at rest, rotated by (3, 3), with its lowest point a gap (m) over the slab."""
+        """Put the object at rest, rotated by (3, 3), with its lowest point `gap` (m) over the slab."""
         mujoco.mj_resetData(self.model, self.data)
         low = float((self.subject.collision_points @ turn.T)[:, 2].min())
         at = self.model.joint(self.subject.item.name).qposadr[0]
@@ -73,7 +73,7 @@ class _TestScene:
         mujoco.mj_forward(self.model, self.data)
 
     def run(self, seconds: float) -> tuple[float, float]:
-        """Step for a time: the deepest contact (m) and the greatest energy (J). Raises `ArithmeticError`."""
+        """Step physics; return the deepest contact (m) and the greatest energy (J). Raises `ArithmeticError`."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
@@ -90,10 +90,10 @@ class _TestScene:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def settle(self) -> None:
-        """Step until the thing rests, or for the most time. Raises `ArithmeticError`."""
-        for _ in range(round(_SETTLE / _LOOK)):
-            self.run(_LOOK)
-            if np.abs(self.data.qvel[:3]).max() < _STILL and np.abs(self.data.qvel[3:6]).max() < 10 * _STILL:
+        """Step physics until the object rests, at most for `_MAX_SETTLE_TIME`. Raises `ArithmeticError`."""
+        for _ in range(round(_MAX_SETTLE_TIME / _SETTLE_INTERVAL)):
+            self.run(_SETTLE_INTERVAL)
+            if np.abs(self.data.qvel[:3]).max() < _REST_SPEED and np.abs(self.data.qvel[3:6]).max() < 10 * _REST_SPEED:
                 break
 
     def view(self, caption: str) -> CheckView:
@@ -101,7 +101,7 @@ class _TestScene:
 
 
 def check_rest(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the thing rests still as it stands, and on each face on which it can rest."""
+    """Check that the object stays at rest in its initial pose, and on each face on which it can rest."""
     if tested_object.item.base == "fixed":
         return skipped_check(_FIXED)
     world = _TestScene.for_object(tested_object)
@@ -127,10 +127,10 @@ def check_rest(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _measure_rest(world: _TestScene, face: StablePose, *, stands: bool) -> dict[str, float]:
-    """The tilt, drift and penetration of the thing on a face.
+    """Return the tilt, drift and penetration of the object on a face.
 
     Args:
-        stands: whether the thing has to stay as it is put; else it settles first.
+        stands: whether the object must stay in the pose in which it is put; otherwise the object settles first.
     """
     world.put(face.rotation, 0.0)
     before = world.T
@@ -138,7 +138,7 @@ def _measure_rest(world: _TestScene, face: StablePose, *, stands: bool) -> dict[
         world.settle()
         before = world.T
     middle = np.array([*world.subject.item.inertia.centre, 1.0])
-    deep, _ = world.run(_REST)
+    deep, _ = world.run(_STILL_TIME)
     after = world.T
     up = before[:3, :3].T @ [0, 0, 1.0]
     tilt = float(np.arccos(np.clip((after[:3, :3] @ up)[2], -1, 1)))
@@ -147,7 +147,7 @@ def _measure_rest(world: _TestScene, face: StablePose, *, stands: bool) -> dict[
 
 
 def check_drop(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the thing stays over the ground and gains no energy when it falls from 10 cm in random orientations."""
+    """Check that the object stays over the ground and gains no energy in falls from 10 cm in random orientations."""
     if tested_object.item.base == "fixed":
         return skipped_check(_FIXED)
     world = _TestScene.for_object(tested_object)
@@ -157,11 +157,11 @@ def check_drop(tested_object: TestedObject) -> CheckOutcome:
     for number in range(_DROPS):
         quat = rng.normal(size=4)
         turn = _rotation(quat / np.linalg.norm(quat))
-        world.put(turn, _HEIGHT)
+        world.put(turn, _DROP_HEIGHT)
         start = float(world.data.energy.sum())
-        fall = max(tested_object.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
+        fall = max(tested_object.item.inertia.mass * 9.81 * _DROP_HEIGHT, _MIN_FALL_ENERGY)
         try:
-            deep, energy = world.run(_FALL)
+            deep, energy = world.run(_DROP_TIME)
         except ArithmeticError as error:
             return CheckOutcome(False, {"drops": _DROPS}, f"drop {number}: physics broke down: {error}", tuple(views))
         deepest, gained = max(deepest, deep), max(gained, (energy - start) / fall)
@@ -178,9 +178,9 @@ def check_drop(tested_object: TestedObject) -> CheckOutcome:
         "gains": round_significant(max(gained, 0.0), 3),
         "last_speed_m_s": round_significant(speed, 3),
     }
-    if deepest > _THROUGH:
+    if deepest > _MAX_PENETRATION:
         return CheckOutcome(False, figures, f"it sinks into the ground by {deepest * 1000:.3g} mm", tuple(views))
-    if gained > _GAIN:
+    if gained > _MAX_ENERGY_GAIN:
         return CheckOutcome(False, figures, f"it gains {gained * 100:.3g} % of the energy of its fall", tuple(views))
     return CheckOutcome(True, figures, views=tuple(views))
 
@@ -193,13 +193,13 @@ def _rotation(quat: Array) -> Array:
 
 @dataclass(frozen=True)
 class Hollow:
-    """The deepest place where water would stand.
+    """The deepest place of an object that holds water, in the object's frame.
 
     Attributes:
-        place: where a ball is dropped (2,), m.
-        floor_height, water_height: heights of the surface at that place, and of the water, m.
-        wall_distance: distance of that place from the walls, m.
-        water_columns: places and floors of the columns under this water (n, 3), m.
+        place: position (2,) at which a ball is dropped, m.
+        floor_height, water_height: heights of the surface at `place`, and of the water, m.
+        wall_distance: distance from `place` to the walls, m.
+        water_columns: positions and floor heights (n, 3) of the height map's columns under this water, m.
     """
 
     place: Array
@@ -210,15 +210,15 @@ class Hollow:
 
 
 def find_hollow(tested_object: TestedObject) -> Hollow | None:
-    """The hollow of a thing as it stands, or None."""
+    """Return the hollow of an object in its initial pose, or None."""
     grid = compute_height_map(tested_object.surface, _CELLS)
     level = water_level(grid.top)
-    there = np.isfinite(grid.top)
-    depth = np.where(there, level - np.where(there, grid.top, 0.0), 0.0)
-    if depth.max(initial=0.0) < _DEEP:
+    covered = np.isfinite(grid.top)
+    depth = np.where(covered, level - np.where(covered, grid.top, 0.0), 0.0)
+    if depth.max(initial=0.0) < _MIN_DEPTH:
         return None
     block = float(np.prod(np.ptp(tested_object.surface[0], axis=0)))
-    if depth.sum() * grid.cell**2 < _DENT * block:
+    if depth.sum() * grid.cell**2 < _MIN_HOLLOW_SHARE * block:
         return None
     i, j = np.unravel_index(int(depth.argmax()), depth.shape)
     water = level[i, j]
@@ -228,7 +228,7 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
     wet = np.column_stack([x[deep], y[deep]])
     room = np.sqrt(((wet[:, None] - dry[None]) ** 2).sum(axis=2).min(axis=1)) - grid.cell / 2
     best = int(room.argmax())
-    if room[best] < _ROOM:
+    if room[best] < _MIN_ROOM:
         return None
     pond = (depth > 1e-4) & (np.abs(level - water) < 1e-6)
     floors = np.column_stack([x[pond], y[pond], grid.top[pond]])
@@ -236,28 +236,28 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
 
 
 def check_ball(tested_object: TestedObject) -> CheckOutcome:
-    """Whether a ball that is dropped into the hollow comes to rest inside."""
+    """Check that a ball that is dropped into the hollow comes to rest inside."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     found = find_hollow(tested_object)
     if found is None:
         return skipped_check("nothing would stay in it: it has no hollow")
-    radius = min(0.7 * found.wall_distance, _MOST_RADIUS)
+    radius = min(0.7 * found.wall_distance, _MAX_BALL_RADIUS)
     spec = with_camera(
         object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.2), tested_object.size, steep=1.2
     )
-    high = max(found.water_height, float(tested_object.collision_points[:, 2].max())) + _FROM
+    high = max(found.water_height, float(tested_object.collision_points[:, 2].max())) + _BALL_CLEARANCE
     body = spec.worldbody.add_body(name="certificate_ball", pos=[*found.place, high + tested_object.item.rest_height])
     body.add_freejoint(name="certificate_ball")
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], density=_DENSITY, rgba=[0.9, 0.2, 0.1, 1],
-        friction=[0.8, 0.005, 0.0005], condim=4, solref=_HARD, priority=1,
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], density=_BALL_DENSITY, rgba=[0.9, 0.2, 0.1, 1],
+        friction=[0.8, 0.005, 0.0005], condim=4, solref=_BALL_SOLREF, priority=1,
     )  # fmt: skip
     model = compile_or_raise(spec)
     data = mujoco.MjData(model)
     at = model.joint(tested_object.item.name).qposadr[0]
     data.qpos[at + 2] = tested_object.item.rest_height
-    step_seconds(model, data, _SECONDS)
+    step_seconds(model, data, _BALL_TIME)
     views = (CheckView(model, data.qpos.copy(), "a ball dropped in"),)
     figures = {
         "depth_mm": round_significant((found.water_height - found.floor_height) * 1000, 3),
@@ -269,9 +269,9 @@ def check_ball(tested_object: TestedObject) -> CheckOutcome:
     inside = thing.xmat.reshape(3, 3).T @ (data.body("certificate_ball").xpos - thing.xpos)
     nearest = found.water_columns[np.linalg.norm(found.water_columns[:, :2] - inside[:2], axis=1).argmin()]
     offset = float(np.linalg.norm(nearest[:2] - inside[:2]))
-    # On a sloping floor the ball rests beside the lowest place.
+    # On a sloping floor, the ball rests beside the lowest point.
     over = float(inside[2] - radius - max(nearest[2], found.floor_height))
-    limit = _IN * (found.water_height - found.floor_height)
+    limit = _MAX_BALL_HEIGHT * (found.water_height - found.floor_height)
     figures |= {"over_floor_mm": round_significant(over * 1000, 3), "aside_mm": round_significant(offset * 1000, 3)}
     if offset > 2 * radius + 0.002:
         return CheckOutcome(False, figures, "the ball lies beside it", views)
@@ -284,7 +284,7 @@ def check_ball(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_articulation(tested_object: TestedObject) -> CheckOutcome:
-    """Whether every joint can be moved from stop to stop, and then stays or falls shut."""
+    """Check that every joint moves from limit to limit, and comes to rest afterwards."""
     links = tested_object.item.links
     if not links:
         return skipped_check("nothing moves on it")
@@ -301,29 +301,29 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
             reached[f"{link.name}_{which}_missing"] = round_significant(missing, 3)
             if end:
                 views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper end"))
-            if missing > _AT_END:
+            if missing > _END_TOLERANCE:
                 faults.append(f"{link.name} stops {missing * 100:.3g} % of its way before its {which} end")
         data.qfrc_applied[:] = 0
         step_seconds(model, data, _REST_TIME)
         speed = abs(float(data.joint(name).qvel[0])) / float(np.ptp(model.joint(name).range))
         fastest = max(fastest, speed)
-        if speed > _JOINT_STILL:
+        if speed > _JOINT_REST_SPEED:
             faults.append(f"{link.name} does not come to rest: {speed:.3g} of its way a second")
     figures = {"joints": len(links), "last_speed_1_s": round_significant(fastest, 3), **reached}
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
 def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
-    """The share of the range that is missing to an end after a push towards that end."""
+    """Push a joint towards an end, and return the missing share of its range."""
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     joint = model.joint(name)
     address, dof = joint.qposadr[0], joint.dofadr[0]
     goal, travel = float(joint.range[end]), float(np.ptp(joint.range))
     effort = _push_effort(model, data, link, name)
-    moved = 1.0 / max(float(model.dof_invweight0[dof]), 1e-6)
-    stiff = max(moved * (2 * np.pi * _FREQUENCY) ** 2, effort / (0.02 * travel))
-    damp = 2 * np.sqrt(stiff * moved)
+    inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-6)
+    stiff = max(inertia * (2 * np.pi * _FREQUENCY) ** 2, effort / (0.02 * travel))
+    damp = 2 * np.sqrt(stiff * inertia)
     for _ in range(round(_PUSH_TIME / model.opt.timestep)):
         wanted = stiff * (goal - data.qpos[address]) - damp * data.qvel[dof]
         data.qfrc_applied[dof] = np.clip(wanted, -effort, effort)
@@ -332,12 +332,12 @@ def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name:
 
 
 def _push_effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str) -> float:
-    """The effort of a push, N or N m: a multiple of the friction, the ridges and the weight of the moving part."""
+    """Return the effort of a push, N or N m: a multiple of friction, highest detent and weight of the moving part."""
     joint = link.joint
     body = model.body(name).id
     weight = float(model.body_subtreemass[body]) * 9.81
     if joint.turns:
         reach = float(np.linalg.norm(model.geom_pos[model.geom_bodyid == body], axis=1).max(initial=0.02)) + 0.02
         weight *= reach
-    ridge = max((detent.effort for detent in joint.detents), default=0.0)
-    return max(_TIMES * (joint.friction + ridge + weight), _LEAST[joint.turns])
+    detent_effort = max((detent.effort for detent in joint.detents), default=0.0)
+    return max(_EFFORT_FACTOR * (joint.friction + detent_effort + weight), _MIN_EFFORT[joint.turns])

@@ -1,4 +1,4 @@
-"""The page of a certificate, with pictures of what the checks looked at."""
+"""Write the page of a certificate, with pictures of the checked scenes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .certificate_page import certificate_page
 from .certify import CHECKS, CertificationResult
 from .check_outcome import CheckView
 
-_SIZE, _FINE = (320, 240), (640, 480)  # px, of a picture, and of its rendering before reduction
-_QUALITY = 85  # of JPEG
+_SIZE, _RENDERED_SIZE = (320, 240), (640, 480)  # px, sizes of a picture, and of its rendering before reduction
+_QUALITY = 85  # JPEG quality
 
 
 def write_page(certified: CertificationResult, path: Path) -> None:
-    """Write the page, replacing an older one.
+    """Write the page, replacing an existing file.
 
     Raises:
-        ResourceError: nothing can be drawn here, or the file cannot be written.
+        ResourceError: this machine cannot render, or the file cannot be written.
     """
     titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
     pictures = {
@@ -35,5 +35,5 @@ def _picture(view: CheckView) -> bytes:
     data = mujoco.MjData(view.model)
     data.qpos[:] = view.qpos
     mujoco.mj_forward(view.model, data)
-    with SceneRenderer(view.model, _SIZE, _FINE) as renderer:
+    with SceneRenderer(view.model, _SIZE, _RENDERED_SIZE) as renderer:
         return encode_jpeg(renderer.render(data, "view"), _QUALITY)

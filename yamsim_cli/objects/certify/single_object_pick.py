@@ -1,4 +1,4 @@
-"""A single thing on a table in front of one arm, and how the skill `pick` picks it up."""
+"""Simulate the skill `pick` with one arm and a single object on a table."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.random_streams import Stream, random_generator
 
-#: The rig whose hand picks things up.
+#: Rig that picks objects up.
 PICK_RIG = "single_linear"
 
-_THING = "thing"
-_PLACE = (0.33, 0.15)  # m, in `world`: middle of the thing; well within reach, beside the hand's start
-_HEADINGS = (0.0, 90.0)  # degrees, of the thing; the second is tried if `pick` fails with the first
-_JOB = AttemptJob(0, 0)  # the seed and number from which everything random follows
+_ROLE = "thing"
+_POSITION = (0.33, 0.15)  # m, position of the object in `world`: within reach, beside the hand's start
+_HEADINGS = (0.0, 90.0)  # degrees, of the object; the second is tried if `pick` fails at the first
+_JOB = AttemptJob(0, 0)  # fixed seed and number, so that every run gives the same result
 
 
 @dataclass(frozen=True)
 class PickedGrasp:
-    """The grasp of a thing that `pick` has lifted.
+    """The grasp of an object that `pick` has lifted.
 
     Attributes:
-        T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
-        opening: commanded opening of each finger around the thing, m.
-        force: of each finger, N.
+        T_thing_in_pinch: pose (4, 4) of the object in the hand's pinch frame.
+        opening: commanded opening of each finger around the object, m.
+        force: grip force of each finger, N.
     """
 
     T_thing_in_pinch: Array
@@ -61,13 +61,13 @@ class PickedGrasp:
 
 
 def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
-    """Run `pick` on a thing in physics, and return the resulting grasp.
+    """Run `pick` on an object in physics, and return the resulting grasp.
 
     Args:
-        locations: with the folders of the thing's meshes, if it collides by meshes.
+        locations: with the object's mesh folders, if its collision geometry has meshes.
 
     Raises:
-        SkillFailedError: `pick` failed in each heading of the thing; the error is that of the last one.
+        SkillFailedError: `pick` failed at each heading of the object; the last error is raised.
         SimulationError: the scene cannot be compiled.
     """
     *first, last = _HEADINGS
@@ -78,16 +78,16 @@ def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
 
 
 def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
-    """Return the grasp points of a thing that `pick` can use, those with the least lean of the hand first.
+    """Return the grasp points of an object that `pick` can use, those with the least tilt of the hand first.
 
-    Nothing is simulated: a grasp point counts if in one of the headings the arm reaches it without contacts. A thing
-    that one hand cannot lift has none.
+    A grasp point counts if the arm reaches it without contacts at one of the headings; physics does not run. Fixed or
+    articulated objects, and objects without a grasp by friction, have no such points.
 
     Args:
-        locations: as of `simulate_pick`.
+        locations: as in `simulate_pick`.
 
     Raises:
-        SkillFailedError: the thing has no room on the table.
+        SkillFailedError: the table has no room for the object.
         SimulationError: the scene cannot be compiled.
     """
     if item.grasp is None or item.grasp.friction is None or item.links or item.base == "fixed":
@@ -103,21 +103,17 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
 
 
 def _least_tilt(context: PlanningContext, item: ObjectConfig) -> float:
-    """Return the least lean of a hand from straight down at an object's grasp points, in whole degrees.
-
-    Returns:
-        Infinity if the hand cannot use any of them.
-    """
-    pick, hand = Pick(thing=_THING), context.hands[0]
-    for grip in friction_candidates(item):
-        if isinstance(pick.find_reachable_grasp(context, hand, _THING, grip), ReachableGrasp):
-            return round(math.degrees(math.acos(np.clip(-grip.T_pinch_in_thing[2, 2], -1, 1))))
+    """Return the hand's least tilt from straight down at usable grasp points, in whole degrees, or infinity."""
+    pick, hand = Pick(thing=_ROLE), context.hands[0]
+    for candidate in friction_candidates(item):
+        if isinstance(pick.find_reachable_grasp(context, hand, _ROLE, candidate), ReachableGrasp):
+            return round(math.degrees(math.acos(np.clip(-candidate.T_pinch_in_thing[2, 2], -1, 1))))
     return math.inf
 
 
 @dataclass(frozen=True)
 class _PickSetup:
-    """A thing at rest on the table, with the engine, the bench and the program."""
+    """An object at rest on the table, with the episode, the planning context and the program."""
 
     scene: CompiledScene
     episode: Episode
@@ -131,14 +127,14 @@ def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Ite
     session = Session(_config(item, locations, heading), locations)
     task = session.config.task
     with Simulator(session) as simulator:
-        cast = simulator.roles
+        roles = simulator.roles
         attempt = sample_attempt(simulator, _JOB)
         if attempt.start is None:
             raise SkillFailedError(FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt))
         episode = open_episode(simulator, attempt, EpisodeRules())
-        stands, rng = list(start_postures(session.config)), random_generator(_JOB, Stream.SEARCH)
-        bench = simulator.expert_tools.planning_context(episode.world, stands, rng)
-        yield _PickSetup(simulator.scene, episode, bench, build_program(task, cast), cast)
+        postures, rng = list(start_postures(session.config)), random_generator(_JOB, Stream.SEARCH)
+        context = simulator.expert_tools.planning_context(episode.world, postures, rng)
+        yield _PickSetup(simulator.scene, episode, context, build_program(task, roles), roles)
 
 
 def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -> PickedGrasp:
@@ -150,18 +146,17 @@ def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -
 
 
 def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
-    """Return the config of a recording whose program is `pick` alone."""
-    x, y = _PLACE
+    x, y = _POSITION
     task = ProgramTask.model_validate(
         {
             "name": "take",
             "kind": PROGRAM,
             "rig": PICK_RIG,
-            "things": {_THING: {"of": (item,)}},
-            "starts": {_THING: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},
+            "things": {_ROLE: {"of": (item,)}},
+            "starts": {_ROLE: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},
             "phrasings": {"training": ("take it",)},
-            "goal": {"all": [{"above": {"thing": _THING, "other": TABLE, "by": 0.03}}]},
-            "expert": [{"pick": {"thing": _THING}}],
+            "goal": {"all": [{"above": {"thing": _ROLE, "other": TABLE, "by": 0.03}}]},
+            "expert": [{"pick": {"thing": _ROLE}}],
         }
     )
     return RecordConfig.model_validate(

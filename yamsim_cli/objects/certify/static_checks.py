@@ -1,4 +1,4 @@
-"""Checks without physics: size, surfaces, mass and inertia, and whether collision geoms match visual surfaces."""
+"""Checks without physics: size, surfaces, mass, inertia, and the match of collision geoms and visual surfaces."""
 
 from __future__ import annotations
 
@@ -19,48 +19,46 @@ from .tested_object import TestedObject
 
 NO_MESHES = "its meshes are not here: run `yamsim assets fetch`"
 
-_SIZES = (0.002, 1.5)  # m, plausible lengths of a thing on a table
-_OPEN_SHARE = 1e-3  # share of open edges that is allowed: scans have some where two patches meet
-_DENSITIES = (15.0, 12_000.0)  # kg/m3, from foam and folded cloth to lead
-_ROUNDING = 5e-4  # m, distance of the centre of mass outside the hull that rounding explains
-_SLACK = 0.01  # relative error of the triangle inequality of moments that rounding explains
-# Least principal moment, as a share of that of the mass spread evenly in the bounding box along the principal axes. The
-# lowest of the YCB and kitchen objects is a banana with 0.37, a ball has 0.6, and a shell above 1.
-_LEAST_OF_BOX = 0.1
-_POINTS, _SEEN = 30_000, 2000  # points with which volumes are measured, and points on the visual surfaces
-_OF_HULL = 1.25  # most collision volume, as a share of the hull's: a solid shape may stand for a hollow thing
-_OF_MESH = 0.25  # least collision volume, as a share of the mesh's: a few wires may stand for a plate
-_OUT, _OUT_SHARE = (
-    0.006,
-    0.05,
-)  # m and share of the size: most distance of 95 % of the surface outside the geoms
-_SKIN = 0.006  # m, depth under the hull up to which visual surfaces count
+_PLAUSIBLE_SIZES = (0.002, 1.5)  # m, plausible lengths of an object on a table
+_MAX_OPEN_SHARE = 1e-3  # allowed share of open edges; scans have some where two patches meet
+_PLAUSIBLE_DENSITIES = (15.0, 12_000.0)  # kg/m3, plausible densities, from foam and folded cloth to lead
+_ROUNDING = 5e-4  # m, allowed distance of the centre of mass outside the hull, for rounding
+_SLACK = 0.01  # allowed relative error of the triangle inequality of moments, for rounding
+# Least principal moment over that of a solid bounding box of the same mass, along the principal axes. A banana has the
+# lowest ratio of the YCB and kitchen objects, 0.37; a ball has 0.6, and a shell more than 1.
+_MIN_BOX_SHARE = 0.1
+_VOLUME_SAMPLES, _SURFACE_SAMPLES = 30_000, 2000  # samples for volumes, and samples on the visual surfaces
+_MAX_HULL_SHARE = 1.25  # largest collision volume over the hull's; a solid shape may represent a hollow object
+_MIN_MESH_SHARE = 0.25  # least collision volume over the mesh's; a few wires may represent a plate
+# m, and share of the size: the larger one limits the distance of 95 % of the surface outside the geoms.
+_MAX_DISTANCE, _MAX_DISTANCE_SHARE = 0.006, 0.05
+_MAX_DEPTH = 0.006  # m, depth under the hull up to which visual surfaces are compared
 
 
 def check_size(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the size is plausible: a thing of 60 m was modelled in millimetres."""
+    """Check that the size is plausible; an object of 60 m was modelled in millimetres."""
     extent = np.ptp(tested_object.outline, axis=0)
     longest = float(extent.max())
     figures = {f"{axis}_m": round_significant(value) for axis, value in zip("xyz", extent, strict=True)}
-    fits = _SIZES[0] <= longest <= _SIZES[1]
-    note = "" if fits else f"{longest:.4g} m long; valid are {_SIZES[0]:g} to {_SIZES[1]:g} m"
+    fits = _PLAUSIBLE_SIZES[0] <= longest <= _PLAUSIBLE_SIZES[1]
+    note = "" if fits else f"{longest:.4g} m long; valid are {_PLAUSIBLE_SIZES[0]:g} to {_PLAUSIBLE_SIZES[1]:g} m"
     return CheckOutcome(fits, figures, note, (object_view(tested_object, "as it stands"),) if fits else ())
 
 
 def check_closed(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the visual surfaces are closed."""
+    """Check that the visual surfaces are closed."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
     open_ = sum(open_edges(faces) for _, faces in tested_object.visual_surfaces)
-    allowed = _OPEN_SHARE * edges
+    allowed = _MAX_OPEN_SHARE * edges
     note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: there are holes in it"
     views = (object_view(tested_object, "from below", steep=-0.9),)
     return CheckOutcome(open_ <= allowed, {"open_edges": open_, "edges": edges}, note, views)
 
 
 def check_normals(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the faces of the visual surfaces look outwards."""
+    """Check that the faces of the visual surfaces point outwards."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     volumes = [uniform_mass_properties(*surface).volume for surface in tested_object.visual_surfaces]
@@ -71,7 +69,7 @@ def check_normals(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_density(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the density is plausible."""
+    """Check that the density is plausible."""
     mass = tested_object.item.inertia.mass
     if not tested_object.visual_surfaces:
         return CheckOutcome(None, {"mass_kg": round_significant(mass)}, NO_MESHES)
@@ -82,14 +80,14 @@ def check_density(tested_object: TestedObject) -> CheckOutcome:
         "volume_cm3": round_significant(volume * 1e6),
         "density_kg_m3": round_significant(found),
     }
-    fits = _DENSITIES[0] <= found <= _DENSITIES[1]
-    low, high = _DENSITIES
+    fits = _PLAUSIBLE_DENSITIES[0] <= found <= _PLAUSIBLE_DENSITIES[1]
+    low, high = _PLAUSIBLE_DENSITIES
     note = "" if fits else f"{found:,.{0 if found > 1 else 4}f} kg/m3; valid are {low:,g} to {high:,g}"
     return CheckOutcome(fits, figures, note, (object_view(tested_object, "from the side", steep=0.1),))
 
 
 def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the centre of mass lies within the convex hull."""
+    """Check that the centre of mass lies in the convex hull."""
     deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.outline)[0])
     note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside of it"
     return CheckOutcome(
@@ -101,7 +99,7 @@ def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_inertia(tested_object: TestedObject) -> CheckOutcome:
-    """Whether a body of this mass and size can have these principal moments of inertia, each about its own axis."""
+    """Check that a body of this mass and size can have these principal moments of inertia."""
     found = tested_object.item.inertia
     moments = np.array(found.diagonal)
     along = (tested_object.outline - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
@@ -127,10 +125,10 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
         axis = int((moments / most).argmax())
         note = f"{moments[axis]:.3g} kg m2 is more than its mass at its farthest point has, {most[axis]:.3g}"
         return CheckOutcome(False, figures, note, views)
-    if (moments < _LEAST_OF_BOX * filled).any():
+    if (moments < _MIN_BOX_SHARE * filled).any():
         axis = int((moments / filled).argmin())
         note = (
-            f"{moments[axis]:.3g} kg m2 is less than {_LEAST_OF_BOX:.0%} of what its mass has, spread evenly in its "
+            f"{moments[axis]:.3g} kg m2 is less than {_MIN_BOX_SHARE:.0%} of what its mass has, spread evenly in its "
             f"bounding box, {filled[axis]:.3g}"
         )
         return CheckOutcome(False, figures, note, views)
@@ -138,7 +136,7 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
-    """Whether the collision geoms have about the volume and the place of the visual surfaces."""
+    """Check that the collision geoms match the visual surfaces in volume and position."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     parts = tested_object.item.collision
@@ -147,18 +145,18 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     surface = tested_object.surface
     points = np.concatenate([surface[0], tested_object.collision_points])
     low, high = points.min(axis=0), points.max(axis=0)
-    filled = spread_points(low, high, _POINTS)
+    filled = spread_points(low, high, _VOLUME_SAMPLES)
     block = float(np.prod(high - low))
     touches = _distance(tested_object, parts, filled) <= 0
     volume = block * float(touches.mean())
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
     mesh = sum(uniform_mass_properties(*each).volume for each in tested_object.visual_surfaces)
-    seen = sample_surface(surface, _SEEN, np.random.default_rng(0))[0]
-    # Deep points are out of reach, or belong to a hollow, which has its own check; scans are poor there.
-    seen = seen[depth_in_hull(seen, surface[0]) < _SKIN]
+    seen = sample_surface(surface, _SURFACE_SAMPLES, np.random.default_rng(0))[0]
+    # Deep points are out of reach or in a hollow, which has a separate check. Scans of hollows are poor.
+    seen = seen[depth_in_hull(seen, surface[0]) < _MAX_DEPTH]
     out = np.maximum(_distance(tested_object, parts, seen), 0)
     reach = float(np.linalg.norm(np.ptp(surface[0], axis=0)))
-    most, allowed = float(np.percentile(out, 95)), max(_OUT, _OUT_SHARE * reach)
+    most, allowed = float(np.percentile(out, 95)), max(_MAX_DISTANCE, _MAX_DISTANCE_SHARE * reach)
     figures = {
         "collision_cm3": round_significant(volume * 1e6, 3),
         "mesh_cm3": round_significant(mesh * 1e6, 3),
@@ -167,9 +165,9 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
         "sticks_out_mm": round_significant(most * 1000, 3),
     }
     views = (collision_view(tested_object),)
-    if volume > _OF_HULL * hull:
+    if volume > _MAX_HULL_SHARE * hull:
         return CheckOutcome(False, figures, f"what touches is {volume / hull:.2f} times its hull", views)
-    if volume < _OF_MESH * mesh:
+    if volume < _MIN_MESH_SHARE * mesh:
         return CheckOutcome(False, figures, f"what touches is {volume / mesh:.2f} of what is seen", views)
     if most > allowed:
         return CheckOutcome(False, figures, f"it sticks out of what touches by {most * 1000:.3g} mm", views)
@@ -177,13 +175,13 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
 
 
 def collision_kinds(parts: Sequence[CollisionPart]) -> str:
-    """The kinds of collision parts: "primitives", "hulls", "distance" or several of these."""
+    """Return the kinds of collision parts: "primitives", "hulls", "distance" or several of these."""
     names = {"hull": "hulls", "sdf": "distance"}
     return " and ".join(sorted({names.get(part.type, "primitives") for part in parts}))
 
 
 def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
-    """The signed distance (n,) of points (n, 3) from the collision parts, m; too small beside the edges of a hull."""
+    """Return signed distances (n,) of points (n, 3) from the collision parts, m; too small near a hull's edges."""
     nearest = np.full(len(points), np.inf)
     primitives = [part for part in parts if not isinstance(part, HullPart | SdfPart)]
     if primitives:

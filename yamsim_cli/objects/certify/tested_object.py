@@ -1,4 +1,4 @@
-"""The thing under test: its config, visual surfaces and collision points, and scenes of the thing alone."""
+"""An object under test: its config, visual surfaces and collision points, and scenes with the object alone."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.core.sim.geom_shapes import body_surface, geom_corners
 
-_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # as the table's in configs/scenes/tabletop.yaml
-_GROUND_HALF = (1.0, 1.0, 0.05)  # m, half size: thick, so that no thing falls through
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # as for the table in configs/scenes/tabletop.yaml
+_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m, half size; thick, so that no object falls through
 _TIMESTEP = 0.002  # s
-_BACKGROUND = (0.80, 0.81, 0.82)  # colour behind the thing in pictures
+_BACKGROUND = (0.80, 0.81, 0.82)  # background colour of pictures
 
 
 @dataclass(frozen=True)
 class TestedObject:
-    """A thing under test.
+    """An object under test.
 
     Attributes:
-        meshes: asset set -> folder, None where the set is not here.
-        locations: of the hand's model.
-        visual_surfaces: each visual mesh of the base as a surface with merged vertices, in the thing's frame; empty if a set is
-            not here.
-        collision_points: points (n, 3) on the base's collision geoms, in the thing's frame, m.
+        item: config of the object.
+        meshes: mesh set -> folder, or None if the set is missing.
+        locations: folders with the rig that tests the grasp.
+        visual_surfaces: visual meshes of the base with merged vertices, in the object's frame, m; empty if a set is
+            missing.
+        collision_points: points (n, 3) on the base's collision geoms, in the object's frame, m.
     """
 
     item: ObjectConfig
@@ -46,12 +47,12 @@ class TestedObject:
 
     @property
     def surface(self) -> Surface:
-        """All visual surfaces as one."""
+        """The visual surfaces as one surface."""
         return concatenate_surfaces(self.visual_surfaces)
 
     @property
     def outline(self) -> Array:
-        """Points (n, 3) on the visual surfaces, or on the collision geoms if the meshes are not here."""
+        """Points (n, 3) on the visual surfaces, or on the collision geoms if meshes are missing, m."""
         return self.surface[0] if self.visual_surfaces else self.collision_points
 
     @property
@@ -61,11 +62,11 @@ class TestedObject:
 
 
 def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> TestedObject:
-    """The thing of a config.
+    """Return the tested object of a config.
 
     Raises:
-        ResourceError: a mesh cannot be read, or a mesh that the thing collides by is not here.
-        UsageError: the thing is cloth.
+        ResourceError: a mesh cannot be read, or a collision mesh is missing.
+        UsageError: the object is cloth.
     """
     if item.cloth is not None:
         raise UsageError(f"{item.name} is cloth, and certificates are of stiff things; give another object")
@@ -83,10 +84,10 @@ def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], lo
 
 
 def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed: bool = False) -> mujoco.MjSpec:
-    """A thing alone, without ground."""
+    """Return a scene with the object alone, without ground."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits = True
-    spec.compiler.balanceinertia = True  # impossible inertias compile, and fail their check
+    spec.compiler.balanceinertia = True  # impossible inertias compile, and fail `check_inertia`
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = _TIMESTEP
     add_object(spec, item, meshes, fixed=fixed)
@@ -97,13 +98,13 @@ def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed:
 
 
 def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
-    """The thing and a slab with its top at z = 0."""
+    """Return a scene with the object and a slab whose top is at z = 0."""
     spec = object_spec(tested_object.item, tested_object.meshes)
     spec.worldbody.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=_GROUND_HALF,
-        pos=[0, 0, -_GROUND_HALF[2]],
+        size=_GROUND_HALF_SIZE,
+        pos=[0, 0, -_GROUND_HALF_SIZE[2]],
         friction=_GROUND_FRICTION,
         condim=4,
         rgba=[0.62, 0.58, 0.53, 1],
@@ -114,7 +115,7 @@ def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
 def with_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """The spec with lights, and a camera `view` that shows `size` (m) around a place from a height of `steep` sizes."""
+    """Add lights, and a camera `view` that shows `size` (m) around a point; a larger `steep` raises the camera."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
     light = Light(direction=(-0.35, 0.30, -1), diffuse=(0.6, 0.6, 0.6))
@@ -136,10 +137,10 @@ def with_camera(
 
 
 def compile_or_raise(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The compiled spec. Raises `ResourceError`."""
+    """Compile a spec. Raises `ResourceError`."""
     return compile_spec(spec, "the thing", ResourceError)
 
 
 def step_seconds(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
-    """Step physics for a time."""
+    """Step physics for a duration, s."""
     mujoco.mj_step(model, data, round(seconds / model.opt.timestep))

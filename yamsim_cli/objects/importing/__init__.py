@@ -1,1 +1,1 @@
-"""Object configs from the YCB set, and from files of things."""
+"""Import of object configs from the YCB set and from object files."""

@@ -1,4 +1,4 @@
-"""Import a thing from a file: its meshes go into a set named by their content, and its config is written."""
+"""Import an object from a file: publish its meshes as a set named by content, and write its config."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from ..building import BuiltObject, ImportOptions, build_object
 from ..convex_decomposition import CACHE, Share
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT = "imports"  # folder of the configs of files that were given in place of a config's name
+_DIRECT_FOLDER = "imports"  # folder of configs of files that are given in place of a config's name
 
 
 @dataclass(frozen=True)
 class ImportedObjectFile:
-    """A written config, and the thing it describes."""
+    """A written config file, its config, and the imported object."""
 
     path: Path
     config: ObjectConfig
@@ -35,7 +35,7 @@ class ImportedObjectFile:
 
 
 def object_name_of(path: Path) -> str:
-    """The name of a thing by its file, or by its folder if the file has a generic name such as `model`."""
+    """Return an object's name from its file, or from its folder if the file has a generic name such as `model`."""
     stem = path.parent.name if path.stem.lower() in ("model", "mesh", "scene", "object", "textured") else path.stem
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "thing"
     return name if name[0].isalpha() else f"thing_{name}"
@@ -52,12 +52,12 @@ def import_file(
     """Import a file in one of the formats of `objects.readers`.
 
     Args:
-        out: the YAML file to write; by default `<name>.yaml` in the user's own configs.
-        share: called with the share of the work that is done, 0 to 1.
+        out: YAML file to write; by default `<name>.yaml` in the user's config folder.
+        share: called with the completed share of the work, 0 to 1.
 
     Raises:
-        UsageError: the name is invalid, the config's file exists or has no folder, or the file states no unit or axis.
-        ResourceError: the file is refused, no config can be made of it, or a file cannot be written.
+        UsageError: the name is invalid, the config's file exists or has no folder, or the unit or up axis is unknown.
+        ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", options.name):
         raise UsageError(f"--name {options.name!r} is not valid: letters, digits and underscores, a letter first")
@@ -68,19 +68,19 @@ def import_file(
 
 
 def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
-    """Import a file without options; the config is written beside the meshes. Raises as `import_file`."""
+    """Import a file with default options; the config is written beside the meshes. Raises as `import_file`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
-    path = locations.assets / _DIRECT / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
+    path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
         write_config(path, yaml)
     return ImportedObjectFile(path, config, made)
 
 
 def config_path(locations: Locations, name: str, out: Path | None) -> Path:
-    """The path of a new config: `out`, or the place of a config of this name among the user's own.
+    """Return the path of a new config: `out`, or by default `<name>.yaml` in the user's config folder.
 
     Raises:
-        UsageError: there is no folder for the user's own configs, or the file exists.
+        UsageError: the user has no config folder, or the file exists.
     """
     if out is None and len(locations.data) < 2:
         raise UsageError("no folder for configs of your own: set YAMSIM_DATA_DIR, or give --out FILE.yaml")
@@ -91,7 +91,7 @@ def config_path(locations: Locations, name: str, out: Path | None) -> Path:
 
 
 def write_config(path: Path, yaml: str) -> None:
-    """Write a config, and create its folder. Raises `ResourceError`."""
+    """Write a config file, and create its folder. Raises `ResourceError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, yaml.encode())
@@ -102,9 +102,9 @@ def write_config(path: Path, yaml: str) -> None:
 def _build_and_publish(
     file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
 ) -> tuple[ObjectConfig, BuiltObject, str]:
-    """The config, the thing and the config's YAML; the meshes are published."""
+    """Build an object and publish its meshes; return the config, the object and the config's YAML."""
     if file.suffix.lower() == ".stl":
-        # STL states neither; most files for robots are in metres, z up.
+        # STL files state no unit and no up axis; most of those for robots are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")
     made = build_object(read_object(file, units), options, locations.assets / CACHE, share)
     sha256 = sha256_file(file)
@@ -127,9 +127,9 @@ def _build_and_publish(
 
 
 def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
-    """The config with only those grasps that the skill `pick` can use.
+    """Return the config with only those grasp points that the skill `pick` can use.
 
-    If the skill can use none, all of them stay, and the certificate reports the fault.
+    If no grasp point is usable, all of them stay, and the certificate reports the fault.
     """
     with suppress(SkillFailedError):
         if places := reachable_grasp_points(config, locations):

@@ -1,4 +1,4 @@
-"""Files of things in place of a config's name: `--object my_mug.glb`."""
+"""Import of object files that are given in place of a config's name, such as `--object my_mug.glb`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def import_if_file(name: str, locations: Locations, notify: Callable[[str], None]) -> str:
-    """The name of a thing's config: a file of a thing is imported, and any other name is returned as it is.
+    """Import `name` if it is an object file, and return the config's path; return any other name unchanged.
 
     Args:
         notify: called with a note about a guessed mass.
 
     Raises:
-        UsageError, ResourceError: as `from_file.import_directly`.
+        UsageError, ResourceError: as `file_import.import_directly`.
     """
     if Path(name).suffix.lower() not in ENDINGS:
         return name

@@ -2,7 +2,7 @@
 
 Source of the masses: B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel, A. M. Dollar, "Benchmarking in
 Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3),
-2015, its table of objects. The mass of a real object may differ: cans and boxes are weighed full.
+2015, its table of objects. Real objects may have another mass: the table gives full cans and boxes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .file_import import config_path, write_config
 _Rgba = tuple[float, float, float, float]
 
 
-# Id -> mass, g; of sets of cups, blocks and bricks the mass of one.
+# Id -> mass, g. For sets of cups, blocks and bricks, the mass of one piece.
 MASS_G: Mapping[str, float] = {
     "002_master_chef_can": 414,
     "003_cracker_box": 411,
@@ -115,28 +115,28 @@ _RGBA: Mapping[str, _Rgba] = {
     "077_rubiks_cube": (0.90, 0.90, 0.88, 1),
 }
 _GREY: _Rgba = (0.6, 0.6, 0.6, 1)
-# The set's name in an id -> the name of one object.
-_ONE_OF = {"cups": "cup", "colored_wood_blocks": "wood_block"}
+# Name of a set in an id -> name of one piece.
+_PIECE_NAMES = {"cups": "cup", "colored_wood_blocks": "wood_block"}
 
 
 @dataclass(frozen=True)
 class ImportedYcbObject:
-    """A written config, and its content."""
+    """A written config file, and its content."""
 
     path: Path
     description: YcbConfig
 
 
 def import_ycb(ycb_id: str, locations: Locations, mass_g: float | None, out: Path | None) -> ImportedYcbObject:
-    """Import an object of the YCB set from its locked scan.
+    """Import an object of the YCB set from its scan in the asset lock.
 
     Args:
-        mass_g: mass in place of the published one.
-        out: the YAML file to write; by default `<id>.yaml` in the user's own configs.
+        mass_g: mass in place of the published one, g.
+        out: YAML file to write; by default `<id>.yaml` in the user's config folder.
 
     Raises:
         UsageError: the object is unknown or has no published mass, or the config's file exists or has no folder.
-        ResourceError: the scan is not here, or the config cannot be written.
+        ResourceError: the scan is not fetched, or the config cannot be written.
     """
     lock = load_lock(locations)
     file = f"{ycb_id}.stl"
@@ -153,7 +153,7 @@ def import_ycb(ycb_id: str, locations: Locations, mass_g: float | None, out: Pat
         raise ResourceError(f"the scan of {ycb_id} is not here: run `yamsim assets fetch {sets[file].name}`")
     name = ycb_id.partition("_")[2]
     rgba, source = _RGBA.get(ycb_id, _GREY), f"YCB {ycb_id}, {mass:g} g"
-    thing = ScannedObject(_ONE_OF.get(name, name), mass, rgba, sets[file].name, file, source)
+    thing = ScannedObject(_PIECE_NAMES.get(name, name), mass, rgba, sets[file].name, file, source)
     description = build_ycb_config(thing, Scan.read((folder / file).read_bytes()))
     write_config(path, description.yaml)
     return ImportedYcbObject(path, description)

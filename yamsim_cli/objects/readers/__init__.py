@@ -1,4 +1,4 @@
-"""Readers of files of things, which run in a child process with limits; see `read.read_object`."""
+"""Readers of object files, which run in a child process with limits; see `object_reader.read_object`."""
 
-# The file types that are read. Nothing else is loaded to know them.
+# Endings of supported files, kept here so that no reader needs to be imported for them.
 ENDINGS = (".sdf", ".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml", ".mjcf")

@@ -1,4 +1,4 @@
-"""Parts of a thing from the links and joints of a description file."""
+"""Parts of an object from the links and joints of a description file."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from yamsim_cli.core.geometry.se3 import Array, inverse
 
 from .object_parts import MassProperties, RigidPart, Surface
 
-_MOST_LINKS = 64
-_ENDLESS_DEG = 1800.0  # degrees, range to each side of a hinge without stops: enough for anything that a hand can do
-_HANDLE_OPENING = 0.01  # m, opening of each finger at a handle that a file only marks
+_MAX_LINKS = 64  # of a file
+_UNLIMITED_DEG = 1800.0  # degrees, range to each side of a hinge without limits, enough for every motion of a hand
+_HANDLE_OPENING = 0.01  # m, opening of each finger at a handle for which the file has only a frame
 
 
 @dataclass
 class LinkDescription:
-    """A link, and its pose (4, 4) in the model with every joint at 0."""
+    """A link, and its pose `T` (4, 4) in the model's frame with every joint at 0."""
 
     name: str
     T: Array
@@ -33,10 +33,11 @@ class LinkDescription:
 
 @dataclass(frozen=True)
 class JointDescription:
-    """A joint between links by name; the parent is None for the world.
+    """A joint between two links.
 
     Attributes:
-        moves: data of a `config.things.articulation.LinkJoint` in the child's frame; None for a fixed joint.
+        parent, child: names of the links; the parent is None for the world.
+        moves: data of a `core.config.objects.articulation.LinkJoint` in the child's frame; None for a fixed joint.
     """
 
     name: str
@@ -48,17 +49,17 @@ class JointDescription:
 def build_parts(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[tuple[RigidPart, ...], bool]:
-    """The parts, parents first, and whether the base is fixed to the world. Rigidly joined links become one part.
+    """Return the parts, parents first, and whether the base is fixed to the world. Fixed joints merge links.
 
     Raises:
-        RefusedError: the links are too many, or form no tree, or several.
+        RefusedError: the number of links is 0 or too large, or the links do not form one tree.
     """
     if not links:
         raise RefusedError("empty", "it has no link")
-    if len(links) > _MOST_LINKS:
-        raise RefusedError("too-large", f"it has {len(links)} links; at most {_MOST_LINKS}")
+    if len(links) > _MAX_LINKS:
+        raise RefusedError("too-large", f"it has {len(links)} links; at most {_MAX_LINKS}")
     by_name, root, fixed = _find_root(links, joints)
-    order, owner = _order(root.name, joints), {root.name: root}
+    order, owner = _breadth_first(root.name, joints), {root.name: root}
     kept: list[tuple[LinkDescription, JointDescription | None]] = [(root, None)]
     for joint in order:
         link, parent = by_name[joint.child], owner[joint.parent or ""]
@@ -91,7 +92,7 @@ def build_parts(
 def _find_root(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[dict[str, LinkDescription], LinkDescription, bool]:
-    """Name -> link, the root link, and whether the root is fixed to the world. Raises `RefusedError`."""
+    """Return the links by name, the root, and whether the root is fixed to the world. Raises `RefusedError`."""
     by_name = {link.name: link for link in links}
     if len(by_name) < len(links):
         raise RefusedError("damaged", "two of its links have the same name")
@@ -120,7 +121,7 @@ def _find_root(
     return by_name, root, fixed
 
 
-def _order(root: str, joints: Sequence[JointDescription]) -> list[JointDescription]:
+def _breadth_first(root: str, joints: Sequence[JointDescription]) -> list[JointDescription]:
     found: list[JointDescription] = []
     wave = [root]
     while wave:
@@ -137,7 +138,7 @@ def _merge(parent: LinkDescription, link: LinkDescription) -> None:
     parent.handles += [_moved_handle(handle, T) for handle in link.handles]
     if link.weight is not None:
         moved = transform_mass_properties(link.weight, T)
-        parent.weight = moved if parent.weight is None else _sum(parent.weight, moved)
+        parent.weight = moved if parent.weight is None else _add_mass_properties(parent.weight, moved)
 
 
 def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
@@ -146,7 +147,7 @@ def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
 
 
 def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, Any] | Surface:
-    """A collision shape at a pose (4, 4)."""
+    """Return a collision shape moved by a pose (4, 4)."""
     from .primitive_shapes import collision_shape
 
     if isinstance(shape, Surface):
@@ -169,12 +170,12 @@ def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str
 
 
 def transform_mass_properties(weight: MassProperties, T: Array) -> MassProperties:
-    """A weight in another frame, of which T (4, 4) is the pose of its own."""
+    """Return mass properties in another frame, in which their own frame has the pose T (4, 4)."""
     R = T[:3, :3]
     return MassProperties(weight.mass, (T @ [*weight.centre, 1.0])[:3], R @ weight.tensor @ R.T)
 
 
-def _sum(first: MassProperties, second: MassProperties) -> MassProperties:
+def _add_mass_properties(first: MassProperties, second: MassProperties) -> MassProperties:
     mass = first.mass + second.mass
     centre = (first.mass * first.centre + second.mass * second.centre) / max(mass, 1e-12)
     tensor = np.zeros((3, 3))
@@ -185,7 +186,7 @@ def _sum(first: MassProperties, second: MassProperties) -> MassProperties:
 
 
 def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassProperties | None:
-    """A weight as in a file; None without mass. Raises `RefusedError` if the mass is impossible."""
+    """Return mass properties; None if the mass is 0. Raises `RefusedError` for an impossible mass."""
     if mass == 0:
         return None
     if not 0 < mass <= 1e4:
@@ -194,19 +195,19 @@ def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassPrope
 
 
 def joint_range(low: float, high: float, *, turns: bool, name: str) -> list[float]:
-    """The range of a joint, m or degrees, from the stops in a file, m or rad; endless hinges get some turns."""
+    """Return a joint's range, m or degrees, from its limits, m or rad. An unlimited hinge gets 5 turns each way."""
     if not turns:
         if not (abs(low) <= 2 and abs(high) <= 2):
             raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
         ends = [low, high]
     else:
-        ends = [max(math.degrees(low), -_ENDLESS_DEG), min(math.degrees(high), _ENDLESS_DEG)]
+        ends = [max(math.degrees(low), -_UNLIMITED_DEG), min(math.degrees(high), _UNLIMITED_DEG)]
     if not ends[0] < ends[1]:
         raise RefusedError("impossible", f"joint {name!r} has an empty range: {low:g} to {high:g}")
     return ends
 
 
 def handle_from_frame(name: str, T: Array) -> Mapping[str, Any]:
-    """Data of a handle at a marked frame (4, 4) in its link: z into the handle, y along the closing axis."""
+    """Return handle data for a frame (4, 4) in a link: z points into the handle, and y along the closing axis."""
     position, approach, axis = (column.tolist() for column in (T[:3, 3], T[:3, 2], T[:3, 1]))
     return {"name": name, "position": position, "approach": approach, "axis": axis, "opening": _HANDLE_OPENING}

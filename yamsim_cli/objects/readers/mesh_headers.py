@@ -1,4 +1,4 @@
-"""Checks of mesh files' headers before any memory is allocated for their content."""
+"""Checks of mesh file headers, before memory is allocated for the content."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
-# Bytes and number of an accessor's components. Source: glTF 2.0 specification, section 3.6.2.2.
+# Bytes of each component type, and components of each accessor type. Source: glTF 2.0 specification, section 3.6.2.2.
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _PLY_BYTES = {
@@ -21,7 +21,7 @@ _PLY_BYTES = {
 
 
 def check_header(data: bytes, suffix: str, most_faces: int) -> None:
-    """Raise `RefusedError` if a file states more elements than its bytes can hold, or than a thing needs."""
+    """Raise `RefusedError` if a header states more elements than the file can hold, or more than `most_faces`."""
     if not data:
         raise RefusedError("empty", "it has no bytes")
     match suffix:
@@ -102,7 +102,7 @@ def _json(text: bytes) -> Any:
 
 
 def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
-    """Check that accessors lie in their views, views in their buffers, and that nodes form trees."""
+    """Check that accessors lie in their views, that views lie in their buffers, and that nodes form trees."""
     try:
         _accessors(tree, binary, maximum)
         _nodes(tree)

@@ -1,4 +1,4 @@
-"""Surfaces and materials of mesh files: glTF, OBJ, STL, PLY and COLLADA, by trimesh, which opens no files itself."""
+"""Surfaces and materials of glTF, OBJ, STL, PLY and COLLADA files, read by trimesh, which opens no files itself."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
 from .textures import bake_colours, encode_png_texture, open_image
 
-MOST_FACES = 2_000_000  # more than any scan needs; users reduce larger ones themselves
+MOST_FACES = 2_000_000  # of a file: more than any scan needs; users must reduce larger meshes
 
-# Ending -> trimesh's name, unit (m) and up axis; None where the format does not state them.
+# Ending -> trimesh's file type, unit (m) and up axis; None if the format does not define them.
 FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     # Source: glTF 2.0 specification, section 3.4: metres, +Y up.
     ".glb": ("glb", 1.0, "y"),
@@ -31,7 +31,7 @@ FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     ".obj": ("obj", None, None),
     ".stl": ("stl", None, None),
     ".ply": ("ply", None, None),
-    # Each file states both.
+    # Each file states its unit and up axis.
     ".dae": ("dae", None, None),
 }
 
@@ -41,7 +41,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", "
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh file's surfaces in the file's unit, and its unit and up axis if stated."""
+    """The surfaces of a mesh file in the file's unit, and the unit and up axis, if known."""
 
     surfaces: tuple[Surface, ...]
     unit_m: float | None
@@ -49,7 +49,7 @@ class MeshFile:
 
 
 class _Resolver:
-    """The resolver by which trimesh reads the files that a mesh names."""
+    """Resolver through which trimesh reads the files that a mesh names, in a confined folder."""
 
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -57,7 +57,7 @@ class _Resolver:
     def get(self, name: str) -> bytes:
         data = self._folder.read(name, self._base)
         if Path(name).suffix.lower() in _PICTURES:
-            # trimesh ignores images that it cannot open.
+            # Check images here, because trimesh ignores those that it cannot open.
             try:
                 open_image(data, name)
             except RefusedError as error:
@@ -78,10 +78,11 @@ class _Resolver:
 
 
 def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> MeshFile:
-    """The surfaces of a mesh file.
+    """Return the surfaces of a mesh file.
 
     Args:
         suffix: the file's ending, which decides the format.
+        folder: folder of all files that the mesh may name.
         base: the file's folder, below `folder`.
 
     Raises:
@@ -92,7 +93,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     check_header(data, suffix, MOST_FACES)
     kind, unit, up = FORMATS[suffix]
     if suffix == ".stl" and is_binary_stl(data):
-        return MeshFile((_plain_stl(data),), unit, up)
+        return MeshFile((_binary_stl(data),), unit, up)
     try:
         import trimesh
     except ImportError:
@@ -126,7 +127,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     return MeshFile(surfaces, unit, up)
 
 
-def _plain_stl(data: bytes) -> Surface:
+def _binary_stl(data: bytes) -> Surface:
     try:
         vertices, faces = read_stl(data)
     except ResourceError as error:
@@ -142,7 +143,7 @@ def _damaged(suffix: str, error: Exception) -> RefusedError:
 
 
 def _meshes(scene: Any) -> list[tuple[Any, Array]]:
-    """Every mesh of a scene with its pose (4, 4), once per use."""
+    """Return every mesh of a scene with its pose (4, 4), once per use."""
     import trimesh
 
     found, faces = [], 0
@@ -182,7 +183,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     elif visual.kind == "vertex":
         colours = np.asarray(visual.vertex_colors, np.uint8)
     elif visual.kind == "face":
-        # Each triangle gets its own corners.
+        # Each triangle gets separate corners.
         colours = np.repeat(np.asarray(visual.face_colors, np.uint8), 3, axis=0)
         vertices = vertices[triangles].reshape(-1, 3)
         triangles = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
@@ -195,7 +196,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
 
 
 def _textured(material: Any) -> tuple[Rgba, Any]:
-    """Colour and base texture of trimesh's materials: PBR ones and those of OBJ and COLLADA."""
+    """Return the colour and the base texture of a trimesh material of glTF (PBR), OBJ or COLLADA."""
     from trimesh.visual.material import PBRMaterial
 
     if isinstance(material, PBRMaterial):
@@ -203,7 +204,7 @@ def _textured(material: Any) -> tuple[Rgba, Any]:
     else:
         factor, image = getattr(material, "diffuse", None), getattr(material, "image", None)
         if image is not None:
-            # In OBJ and COLLADA a texture replaces the colour, and exporters write any grey.
+            # In OBJ and COLLADA a texture replaces the colour, for which exporters write an arbitrary grey.
             return (1.0, 1.0, 1.0, 1.0), image
     if factor is None:
         return ((1.0, 1.0, 1.0, 1.0) if image is not None else GREY), image
@@ -225,7 +226,7 @@ def _rgba(values: Any) -> Rgba:
 
 
 def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -> None:
-    """Refuse a glTF file whose texture trimesh could not read and left out."""
+    """Refuse a glTF file with a texture that trimesh could not read and therefore omitted."""
     text = data if suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(text)
     named = {
@@ -246,9 +247,9 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
 def mesh_surfaces(
     folder: ConfinedFolder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
 ) -> list[Surface]:
-    """The surfaces of a mesh that a description names, m, with another material if one is given.
+    """Return the surfaces of a mesh that a description names, m, with `material` if given.
 
-    The up axis of the mesh file is ignored, as in the simulators for which descriptions are written.
+    The function ignores the up axis of the mesh file, like the simulators for which descriptions are written.
     """
     if not uri:
         raise RefusedError("damaged", "it has a mesh without a name")
@@ -264,14 +265,14 @@ def mesh_surfaces(
 
 
 def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
-    """The surface with a description's material; a texture of the mesh stays if the description has none."""
+    """Return the surface with a description's material. If this has no texture, a texture of the mesh stays."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)
 
 
 def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
-    """A material with a colour and, if named, a texture."""
+    """Return a material with a colour and, if named, a texture."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:

@@ -1,7 +1,7 @@
-"""MJCF of one thing: compiled by MuJoCo from bytes alone, then read out of the compiled model.
+"""Reader of MJCF with one object, which MuJoCo compiles from bytes.
 
-MuJoCo itself resolves classes, units and frames. MuJoCo would open any path that a file names, so the text is rewritten
-first: yamsim reads every file, and hands it to MuJoCo under a new name.
+MuJoCo resolves classes, units and frames, but would open any path that a file names. Therefore yamsim reads every named
+file, and passes its content to MuJoCo under a new name.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from .primitive_shapes import collision_shape, visual_surface
 from .textures import encode_png_texture, open_image
 from .untrusted_xml import Element, parse_untrusted_xml
 
-# Elements that run code of others, or multiply a file's content.
-_NOT_READ = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
+# Refused elements: they run foreign code, or multiply a file's content.
+_REFUSED_TAGS = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
 _FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}
-_MOST_BUILTIN = 4096  # px, side of a built-in texture
-_SEEN_GROUPS = 3  # geom groups that a viewer shows by default
-_NO_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour
+_MAX_BUILTIN = 4096  # px, side of a built-in texture
+_VIEW_GROUPS = 3  # geom groups that a viewer shows by default
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour
 
-_KINDS = {
+_SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
     mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
@@ -53,7 +53,7 @@ _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
 def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """The thing that an MJCF file describes. Raises `RefusedError`."""
+    """Return the object that an MJCF file describes. Raises `RefusedError`."""
     root = with_includes(data, folder, base, parse_untrusted_xml)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
@@ -74,7 +74,7 @@ def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
 
 
 def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
-    """Read all files that a document names, and rename them in the document: new name -> content."""
+    """Read all files that a document names, rename them in the document, and return new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
         compiler |= element.attrib
@@ -82,7 +82,7 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
             element.attrib.pop(key, None)
     assets: dict[str, bytes] = {}
     for element in root.iter():
-        if element.tag in _NOT_READ:
+        if element.tag in _REFUSED_TAGS:
             raise RefusedError("damaged", f"<{element.tag}> is not read here")
         for key in [key for key in element.attrib if key.startswith("file")]:
             named = element.attrib[key]
@@ -104,7 +104,7 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
         if element.tag == "texture":
             for key in ("width", "height"):
                 text = element.get(key, "0")
-                if not text.strip().isdecimal() or int(text) > _MOST_BUILTIN:
+                if not text.strip().isdecimal() or int(text) > _MAX_BUILTIN:
                     raise RefusedError("texture-too-large", f"a texture is {text} pixels wide or high")
     return assets
 
@@ -140,11 +140,11 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link
     geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == body]
     touches = [bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in geoms]
     only_seen = [
-        geom for geom, touch in zip(geoms, touches, strict=True) if not touch and model.geom_group[geom] < _SEEN_GROUPS
+        geom for geom, touch in zip(geoms, touches, strict=True) if not touch and model.geom_group[geom] < _VIEW_GROUPS
     ]
     for geom, touch in zip(geoms, touches, strict=True):
         T = pose_from_quat(model.geom_pos[geom], model.geom_quat[geom])
-        kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
+        kind = _SHAPE_KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
         if kind is None and model.geom_dataid[geom] < 0:
             notes.append("left out: planes and what else is no body")
             continue
@@ -215,7 +215,7 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
         at = int(model.mesh_texcoordadr[mesh])
         coordinates = model.mesh_texcoord[at : at + int(model.mesh_texcoordnum[mesh])]
         uv = coordinates[model.mesh_facetexcoord[first : first + faces]].astype(np.float64)
-        # MuJoCo counts v from the picture's upper edge.
+        # MuJoCo measures v from the upper edge of the image.
         uv[..., 1] = 1 - uv[..., 1]
     elif material.texture is not None:
         material = SurfaceMaterial(material.rgba)
@@ -227,7 +227,7 @@ def _material(model: mujoco.MjModel, geom: int) -> SurfaceMaterial:
     texture = None
     specular, shininess = 0.2, 0.3
     if number >= 0:
-        if np.allclose(rgba, _NO_RGBA):
+        if np.allclose(rgba, _DEFAULT_RGBA):
             rgba = model.mat_rgba[number]
         specular, shininess = float(model.mat_specular[number]), float(model.mat_shininess[number])
         place = int(model.mat_texid[number, mujoco.mjtTextureRole.mjTEXROLE_RGB])

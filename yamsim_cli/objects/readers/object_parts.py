@@ -1,4 +1,4 @@
-"""A thing that was read from a file: parts with surfaces, collision shapes and weight, in metres, z up."""
+"""An object that was read from a file: parts with surfaces, collision shapes and mass properties."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class SurfaceMaterial:
     """A material.
 
     Attributes:
-        rgba: the colour; with a texture, the factor of the texture.
-        texture: a PNG file, or None.
+        rgba: colour; with a texture, the factor by which the texture is multiplied.
+        texture: content of a PNG file, or None.
     """
 
     rgba: Rgba = GREY
@@ -35,7 +35,7 @@ class Surface:
     """Triangles (m, 3) over vertices (n, 3), m, with one material.
 
     Attributes:
-        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the picture's lower left; or None.
+        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the lower left of the image; or None.
         convex: whether the surface collides by its convex hull.
     """
 
@@ -46,7 +46,7 @@ class Surface:
     convex: bool = False
 
     def moved(self, T: Array) -> Surface:
-        """The surface under an affine map (4, 4); a reflection reverses the triangles."""
+        """Return the surface transformed by an affine map (4, 4); a reflection reverses the triangles."""
         vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
         if np.linalg.det(T[:3, :3]) >= 0:
             return replace(self, vertices=vertices)
@@ -65,17 +65,17 @@ class MassProperties:
 
 @dataclass(frozen=True)
 class RigidPart:
-    """One body of a thing.
+    """One rigid body of an object.
 
     Attributes:
-        name: in the file.
-        parent: index of the parent part, None for the base; parents come first.
+        name: name in the file.
+        parent: index of the parent part, which comes first; None for the base.
         T_in_parent: pose (4, 4) with the joint at 0; the identity for the base.
-        joint: data of a `config.things.articulation.LinkJoint`; None for the base.
-        weight: as in the file, or None.
+        joint: data of a `core.config.objects.articulation.LinkJoint`; None for the base.
+        weight: mass properties in the file, or None.
         looks: visual surfaces.
-        shapes: collision shapes of the file: data of `config.things.primitives`, or surfaces; None if there are none.
-        handles: data of `config.things.articulation.Handle`.
+        shapes: collision shapes in the file: data of `core.config.objects.primitives`, or surfaces; None without any.
+        handles: data of `core.config.objects.articulation.Handle`.
     """
 
     name: str
@@ -90,16 +90,16 @@ class RigidPart:
 
 @dataclass(frozen=True)
 class ObjectDescription:
-    """A thing as in its file.
+    """An object as in its file.
 
     Attributes:
-        name: in the file, or empty.
-        parts: the base first.
+        name: name in the file, or empty.
+        parts: the parts, the base first.
         fixed: whether the base is fixed to the world.
         unit_m: length of the file's unit, m; None if not stated.
-        up: "x", "y" or "z"; None if not stated.
+        up: up axis of the file, "x", "y" or "z"; None if not stated.
         friction: sliding friction, if stated.
-        notes: what was left out, for users.
+        notes: messages for users about omitted content.
     """
 
     name: str
@@ -111,7 +111,7 @@ class ObjectDescription:
     notes: tuple[str, ...] = ()
 
     def poses(self) -> list[Array]:
-        """Each part's pose (4, 4) in the base's frame with every joint at 0."""
+        """Return each part's pose (4, 4) in the base's frame with every joint at 0."""
         poses: list[Array] = []
         for part in self.parts:
             poses.append(part.T_in_parent if part.parent is None else poses[part.parent] @ part.T_in_parent)

@@ -1,4 +1,4 @@
-"""Read a file of a thing in a child process, and convert the thing to metres with z up."""
+"""Read an object file in a child process, and convert the object to metres with z up."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from .reader_process import REFUSED, read_written
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
-_LARGEST, _SMALLEST = 2.0, 0.003  # m, sizes of things that an arm can handle
-_LIKELY = (0.01, 0.8)  # m, likely sizes, which decide the units that are suggested
-_SECONDS, _SECONDS_A_MB = 15.0, 0.7  # s of a core, time limit, and its growth with each megabyte
-_BUSY = 4.0  # factor of the wall-clock limit on a busy machine
-_NEEDED = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra; binary STL needs none
+_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, sizes of objects that an arm can handle
+_LIKELY = (0.01, 0.8)  # m, likely sizes; the error for a missing unit suggests units that give them
+_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time: limit, and its increase per megabyte
+_WALL_CLOCK_FACTOR = 4.0  # wall-clock limit over the limit of CPU time, for a busy machine
+_PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra `import`; binary STL needs none
 
 
 @dataclass(frozen=True)
 class UnitOptions:
-    """What the user states about a file's lengths and axes, in place of what the file states.
+    """Options for a file's unit and axes, which override the values in the file.
 
     Attributes:
-        unit: one of `UNITS`.
-        up: the file's axis that is up: x, y or z.
+        unit: a key of `UNITS`.
+        up: up axis of the file: x, y or z.
         scale: factor of all lengths.
     """
 
@@ -47,10 +47,10 @@ class UnitOptions:
 
 
 def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
-    """The thing in a file, in metres, z up.
+    """Return the object in a file, in metres, z up.
 
     Raises:
-        UsageError: neither the file nor the user states the unit or the up axis, or the size is implausible.
+        UsageError: the unit or the up axis is in neither the file nor the options, or the size is implausible.
         ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
@@ -61,8 +61,8 @@ def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
 
 
 def _read_as_is(path: Path) -> ObjectDescription:
-    """The thing in a file, with the file's unit and axes. Raises `RefusedError` or `ResourceError`."""
-    missing = [name for name in _NEEDED if find_spec(name) is None]
+    """Return the object in a file, in the file's unit and axes. Raises `RefusedError` or `ResourceError`."""
+    missing = [name for name in _PACKAGES if find_spec(name) is None]
     if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
     if path.suffix.lower() not in ENDINGS:
@@ -75,7 +75,7 @@ def _read_as_is(path: Path) -> ObjectDescription:
         raise RefusedError("not-a-file", "it is no regular file")
     if status.st_size > MOST_BYTES:
         raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MOST_BYTES // 10**6}")
-    seconds = _SECONDS + _SECONDS_A_MB * status.st_size / 1e6
+    seconds = _CPU_SECONDS + _CPU_SECONDS_PER_MB * status.st_size / 1e6
     with scratch_directory("yamsim-read-") as scratch:
         return _read_in_child(path.resolve(), scratch, seconds)
 
@@ -86,7 +86,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
     call = python_call(reader_process.main, str(path), str(path.parent), str(out), int(np.ceil(seconds)))
     # One thread, since each thread reserves memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
-    limit = _BUSY * seconds
+    limit = _WALL_CLOCK_FACTOR * seconds
     try:
         result = run_child([*quiet, *call], scratch, limit_s=limit, idle_s=limit)
     except SourceError as error:
@@ -108,7 +108,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
 
 
 def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
-    """A thing converted to metres, z up. Raises `RefusedError`."""
+    """Return an object converted to metres, z up. Raises `RefusedError`."""
     size = _extent(thing)
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:
@@ -126,7 +126,7 @@ def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription
 
 def _check_size(size: Array, units: UnitOptions) -> None:
     longest = float(size.max())
-    if _SMALLEST <= longest <= _LARGEST:
+    if _MIN_SIZE <= longest <= _MAX_SIZE:
         return
     bare = longest / (UNITS[units.unit] if units.unit else 1.0)
     mends = {f"--unit {unit}": bare * metre for unit, metre in UNITS.items()}
@@ -136,7 +136,7 @@ def _check_size(size: Array, units: UnitOptions) -> None:
     mend = "; ".join(fitting) or "give --scale"
     raise RefusedError(
         "size",
-        f"it would be {_format_size(size)} large, and a thing is {_SMALLEST * 1000:g} mm to {_LARGEST:g} m: {mend}",
+        f"it would be {_format_size(size)} large, and a thing is {_MIN_SIZE * 1000:g} mm to {_MAX_SIZE:g} m: {mend}",
     )
 
 
@@ -155,7 +155,7 @@ def _extent(thing: ObjectDescription) -> Array:
 
 
 def _rotation_to_z(up: str) -> Array:
-    """The rotation (3, 3) that turns an axis to +z."""
+    """Return the rotation (3, 3) that turns the axis `up` to +z."""
     if up == "y":
         return np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     if up == "x":
@@ -164,7 +164,7 @@ def _rotation_to_z(up: str) -> Array:
 
 
 def _converted(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
-    """The thing with all lengths scaled, and the base rotated with its frame."""
+    """Return the object with all lengths scaled, and with the base's shapes and child parts rotated."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts

@@ -14,12 +14,12 @@ from yamsim_cli.core.geometry.stl import Faces
 
 from .object_parts import Surface, SurfaceMaterial
 
-_SEGMENTS = 40  # faces around an axis
-_ALIGNED = 1e-6  # most deviation of an axis from the vertical
+_SEGMENTS = 40  # facets around an axis
+_AXIS_TOLERANCE = 1e-6  # largest deviation of an axis's vertical component from 1
 
 
 def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
-    """A surface of revolution of an outline (n, 2) of radius and height, from the lowest point on the axis upwards."""
+    """Return the surface of revolution of an outline (n, 2) of radius and height, from its lowest point upwards."""
     middle = outline[1:-1]
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     x, y = (np.outer(middle[:, 0], turn) for turn in (np.cos(angle), np.sin(angle)))
@@ -41,11 +41,11 @@ def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
 
 
 def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Surface:
-    """The collision shape of a primitive at a pose (4, 4): data of a config's primitive, or else its surface.
+    """Return a primitive at a pose (4, 4) as config data, or as a surface if configs cannot express the primitive.
 
     Args:
         kind: "box", "cylinder", "capsule", "sphere" or "ellipsoid".
-        size: half sizes; radius and half the length (twice); radius; radii, m.
+        size: half sizes of a box; radius and half length of a cylinder or capsule; radius; radii of an ellipsoid, m.
     """
     centre = [float(x) for x in T[:3, 3]]
     R = T[:3, :3]
@@ -56,9 +56,9 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
             along = R[:, 2] * size[1]
             ends = ([float(x) for x in T[:3, 3] - along], [float(x) for x in T[:3, 3] + along])
             return {"type": "capsule", "start": ends[0], "end": ends[1], "radius": float(size[0])}
-        case "cylinder" if abs(abs(R[2, 2]) - 1) < _ALIGNED:
+        case "cylinder" if abs(abs(R[2, 2]) - 1) < _AXIS_TOLERANCE:
             return {"type": "cylinder", "centre": centre, "radius": float(size[0]), "half_height": float(size[1])}
-        case "box" if abs(np.abs(R[2]).max() - 1) < _ALIGNED:
+        case "box" if abs(np.abs(R[2]).max() - 1) < _AXIS_TOLERANCE:
             up = int(np.abs(R[2]).argmax())
             first = (up + 1) % 3
             yaw = math.degrees(math.atan2(R[1, first], R[0, first]))
@@ -68,7 +68,7 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
 
 
 def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
-    """The surface of a primitive around the origin; see `touching`. Raises `RefusedError` for an impossible size."""
+    """Return a primitive's surface at the origin; see `collision_shape`. Raises `RefusedError` for a bad size."""
     if not all(1e-6 <= length <= 1e4 for length in size):
         raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:

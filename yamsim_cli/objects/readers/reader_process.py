@@ -1,7 +1,7 @@
-"""The child process that reads one file within limits, and the files by which it hands the thing to its parent.
+"""Child process that reads one object file within limits, and the files that pass the object to the parent process.
 
-The thing is handed over as JSON, plain arrays and PNG. The parent does not trust the child: arrays are read without
-pickles, and every number is checked again.
+The files are JSON, plain arrays and PNG. The parent does not trust the child: the parent loads arrays without pickle,
+and checks vertices and triangles again.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface,
 REFUSED = "refused.json"
 _THING, _ARRAYS = "thing.json", "arrays.npz"
 
-_BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, mostly only reserved
-_FACTOR = 60  # further address space, as a multiple of the file's size
-_MOST_MEMORY = 12_000_000_000  # bytes
-_MOST_WRITTEN = 2_000_000_000  # bytes of one written file: arrays of the most faces
+_BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, most of it only reserved
+_MEMORY_FACTOR = 60  # further address space over the file's size
+_MAX_MEMORY = 12_000_000_000  # bytes, limit of the address space
+_MAX_WRITTEN = 2_000_000_000  # bytes of one written file, enough for arrays of the most faces
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
-    """Read `file`, which may name others below `root`, and write the thing, or the refusal, into `out`."""
+    """Read `file`, which may name files below `root`, and write the object or the refusal into `out`."""
     path = Path(file)
     _set_process_limits(path.stat().st_size, seconds)
     try:
-        _write_thing(read_file(path, Path(root)), Path(out))
+        _write_object(read_file(path, Path(root)), Path(out))
     except RefusedError as error:
         _refuse(out, error.code, str(error))
     except MemoryError:
@@ -45,14 +45,14 @@ def main(file: str, root: str, out: str, seconds: int) -> None:
 
 
 def _set_process_limits(size: int, seconds: int) -> None:
-    memory = min(_MOST_MEMORY, _BASE_BYTES + _FACTOR * size)
+    memory = min(_MAX_MEMORY, _BASE_BYTES + _MEMORY_FACTOR * size)
     for kind, limit in (
         (resource.RLIMIT_AS, memory),
         (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_FSIZE, _MOST_WRITTEN),
+        (resource.RLIMIT_FSIZE, _MAX_WRITTEN),
         (resource.RLIMIT_CORE, 0),
     ):
-        # A lower limit that is already set stays.
+        # A lower existing limit stays.
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (limit, limit))
 
@@ -62,7 +62,7 @@ def _refuse(out: str, code: str, text: str) -> None:
 
 
 def read_file(path: Path, root: Path) -> ObjectDescription:
-    """The thing in a file, which may name others below `root`. Raises `RefusedError`."""
+    """Return the object in a file, which may name files below `root`. Raises `RefusedError`."""
     folder, base, suffix = ConfinedFolder(root), path.parent.resolve(), path.suffix.lower()
     if path.stat().st_size > MOST_BYTES:
         raise RefusedError("too-large", f"it has more than {MOST_BYTES // 10**6} MB")
@@ -77,7 +77,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
 
 
 def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """A description by its root element: `.xml` may be any of the formats."""
+    """Read a description file. Its root element gives the format, because `.xml` may be any of the formats."""
     from .untrusted_xml import parse_untrusted_xml
 
     match parse_untrusted_xml(data).tag:
@@ -95,7 +95,7 @@ def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescr
             return read_mjcf(data, folder, base)
 
 
-def _write_thing(thing: ObjectDescription, folder: Path) -> None:
+def _write_object(thing: ObjectDescription, folder: Path) -> None:
     arrays: dict[str, Any] = {}
     pictures: dict[bytes, str] = {}
 
@@ -120,7 +120,7 @@ def _write_thing(thing: ObjectDescription, folder: Path) -> None:
 
 
 def read_written(folder: Path) -> ObjectDescription:
-    """The thing that the child wrote into a folder.
+    """Return the object that the child wrote into a folder.
 
     Raises:
         OSError, ValueError, KeyError, TypeError: the files are missing, incomplete or invalid.

@@ -1,4 +1,4 @@
-"""SDFormat: one model with links, joints, and frames that are relative to each other.
+"""Reader of SDFormat with one model of links, joints, and frames that are relative to each other.
 
 Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
 """
@@ -28,15 +28,15 @@ from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMat
 from .primitive_shapes import collision_shape, visual_surface
 from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
-_DEEPEST_INCLUDE = 8
+_MAX_INCLUDE_DEPTH = 8
 _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
 def read_sdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """The thing that an SDFormat file describes.
+    """Return the object that an SDFormat file describes.
 
     Raises:
-        RefusedError: the file is damaged, has several models, or has something that no config can express.
+        RefusedError: the file is damaged, has several models, or has content that no config can express.
     """
     model, where = _model(data, folder, base, ())
     reader = _Reader(folder, where)
@@ -65,7 +65,7 @@ def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Pa
 def _included(
     include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
 ) -> tuple[Element, Path]:
-    """The model that an include names: an SDF file, or a folder with `model.sdf`."""
+    """Return the model that an include names, from an SDF file or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
     try:
         path = folder.find(uri, base)
@@ -73,13 +73,13 @@ def _included(
         if error.code == "outside":
             raise
         path = folder.find(f"{uri}/model.sdf", base)
-    if path in seen_files or len(seen_files) >= _DEEPEST_INCLUDE:
-        raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
+    if path in seen_files or len(seen_files) >= _MAX_INCLUDE_DEPTH:
+        raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_MAX_INCLUDE_DEPTH} levels deep")
     return _model(folder.read(path.name, path.parent), folder, path.parent, (*seen_files, path))
 
 
 class _Reader:
-    """Reads a model whose files are relative to the folder `base`."""
+    """Reader of a model; `base` is the folder of relative file names."""
 
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -120,7 +120,7 @@ class _Reader:
         mesh = geometry.find("mesh")
         if mesh is not None:
             return self._mesh(mesh, material)
-        found = _plain(geometry)
+        found = _primitive(geometry)
         if found is None:
             self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
             return []
@@ -140,7 +140,7 @@ class _Reader:
         mesh = geometry.find("mesh")
         if mesh is not None:
             return [surface.moved(T) for surface in self._mesh(mesh, None)]
-        found = _plain(geometry)
+        found = _primitive(geometry)
         return [] if found is None else [collision_shape(*found, T)]
 
     def _joint(self, element: Element, frames: _Frames) -> JointDescription:
@@ -168,7 +168,7 @@ class _Reader:
     def _handle(
         self, element: Element, frames: _Frames, by_name: dict[str, LinkDescription], links: list[LinkDescription]
     ) -> None:
-        """Add the handle that a frame named `handle...` marks."""
+        """Add a handle if the frame's name begins with `handle`."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
@@ -199,8 +199,8 @@ def _weight(inertial: Element | None) -> MassProperties | None:
     return make_mass_properties(number(inertial.findtext("mass")), T[:3, 3], T[:3, :3] @ tensor @ T[:3, :3].T)
 
 
-def _plain(geometry: Element) -> tuple[str, Array] | None:
-    """Kind and size of a primitive, see `solids.touching`."""
+def _primitive(geometry: Element) -> tuple[str, Array] | None:
+    """Return the kind and size of a primitive as in `primitive_shapes.collision_shape`; None for other geometry."""
     if (found := geometry.find("box")) is not None:
         return "box", np.array(numbers(found.findtext("size"), 3)) / 2
     if (found := geometry.find("sphere")) is not None:
@@ -227,7 +227,7 @@ def _joint_data(element: Element, axis: Element, kind: str, direction: Array, po
         "friction": number(axis.findtext("dynamics/friction"), 0.0),
     }
     if kind == "screw":
-        # The older element is negative radians a metre; the newer one metres a turn.
+        # `screw_thread_pitch` is in metres per turn; the older `thread_pitch` is in negative radians per metre.
         lead = element.findtext("screw_thread_pitch")
         old = number(element.findtext("thread_pitch"), 1.0)
         moves["pitch"] = number(lead) if lead else -2 * math.pi / old if old else 0.0
@@ -242,7 +242,7 @@ class _Frames:
     """
 
     def __init__(self, model: Element) -> None:
-        # Name -> pose (4, 4) relative to a frame by name; "" is the model's own.
+        # Name -> pose (4, 4), and the frame to which the pose is relative; "" is the model's frame.
         self._frames: dict[str, tuple[Array, str]] = {}
         self._attached: dict[str, str] = {}
         self._links = {_name_of(element) for element in model.findall("link")}
@@ -253,7 +253,7 @@ class _Frames:
             self._attached[_name_of(element)] = attached
             self._add(element, attached)
         for element in model.findall("joint"):
-            # A joint's pose is relative to its child.
+            # A joint's pose is relative to its child link.
             child = (element.findtext("child") or "").strip()
             self._attached[_name_of(element)] = child
             self._add(element, child)
@@ -268,11 +268,11 @@ class _Frames:
         self._frames[name] = _pose_of(element), default
 
     def relative(self, name: str) -> str:
-        """The frame to which a frame's pose is relative."""
+        """Return the name of the frame to which a frame's pose is relative."""
         return self._frames[name][1]
 
     def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
-        """The pose (4, 4) of a frame in the model's. Raises `RefusedError` if it is missing or relative to itself."""
+        """Return the pose (4, 4) of a frame in the model's frame. Raises `RefusedError` if missing or circular."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
@@ -285,7 +285,7 @@ class _Frames:
         return self._known[name]
 
     def link_of(self, name: str) -> str | None:
-        """The link that a frame is attached to; None for the world. Raises `RefusedError` if there is none."""
+        """Return the link of a frame; None for the world. Raises `RefusedError` if missing or circular."""
         steps = 0
         while name not in self._links:
             if name in ("world", "__model__", ""):
@@ -306,7 +306,7 @@ def _name_of(element: Element) -> str:
 
 
 def _pose_of(element: Element) -> Array:
-    """The pose (4, 4) in an element's <pose>, by default the identity."""
+    """Return the pose (4, 4) in an element's <pose>, by default the identity."""
     found = element.find("pose")
     if found is None:
         return np.eye(4)

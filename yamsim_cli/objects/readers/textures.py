@@ -1,4 +1,4 @@
-"""Textures: decoded within limits, reduced in size, and written as PNG; baked vertex colours."""
+"""Textures: decoding within limits, reduction in size, encoding as PNG, and baking of vertex colours."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces
 
-_MOST_PIXELS = 64_000_000  # decoded at most
-_LARGEST_SIDE = 2048  # px, kept
+_MAX_PIXELS = 64_000_000  # of a decoded image
+_MAX_SIDE = 2048  # px, of a stored texture
 _TILE = 2  # px, side of a triangle's tile: three corners, and a fourth texel for interpolation
 
 
 def open_image(data: bytes, name: str) -> Any:
-    """A Pillow image of encoded bytes, not decoded yet. Raises `RefusedError` if it is none or too large."""
+    """Open encoded bytes as a Pillow image without decoding. Raises `RefusedError` if that is impossible."""
     from PIL import Image, UnidentifiedImageError
 
-    Image.MAX_IMAGE_PIXELS = _MOST_PIXELS
+    Image.MAX_IMAGE_PIXELS = _MAX_PIXELS
     try:
         return _checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
@@ -32,23 +32,23 @@ def open_image(data: bytes, name: str) -> Any:
 
 def _checked(image: Any, name: str) -> Any:
     width, height = image.size
-    if width * height > _MOST_PIXELS:
+    if width * height > _MAX_PIXELS:
         raise RefusedError(
             "texture-too-large",
-            f"the texture {name} has {width} x {height} pixels; at most {_MOST_PIXELS // 10**6} million: make it "
-            f"{_LARGEST_SIDE} wide, more is never drawn",
+            f"the texture {name} has {width} x {height} pixels; at most {_MAX_PIXELS // 10**6} million: make it "
+            f"{_MAX_SIDE} wide, more is never drawn",
         )
     return image
 
 
 def encode_png_texture(image: Any, name: str) -> bytes:
-    """An RGB PNG of a Pillow image, at most 2048 pixels wide and high. Raises `RefusedError`."""
+    """Encode a Pillow image as an RGB PNG, at most 2048 pixels wide and high. Raises `RefusedError`."""
     _checked(image, name)
     try:
         if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):
             image = image.convert("RGBA")
         image = image.convert("RGB")
-        image.thumbnail((_LARGEST_SIDE, _LARGEST_SIDE))
+        image.thumbnail((_MAX_SIDE, _MAX_SIDE))
         out = io.BytesIO()
         image.save(out, format="PNG", compress_level=6)
     except (OSError, ValueError, SyntaxError) as error:
@@ -57,17 +57,17 @@ def encode_png_texture(image: Any, name: str) -> bytes:
 
 
 def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
-    """Texture coordinates (m, 3, 2) and a PNG that show vertex colours (n, 4), interpolated over the triangles.
+    """Return texture coordinates (m, 3, 2) and a PNG for vertex colours (n, 4), interpolated over the triangles.
 
-    Each triangle has its own tile. Tiles of neighbouring triangles are close together, so that the colours of small
-    pictures blend well.
+    Each triangle has its own tile. Tiles of neighbouring triangles are close together, so that a smaller version of the
+    texture blends similar colours.
     """
     from PIL import Image
 
     columns = max(1, int(np.ceil(np.sqrt(len(faces)))))
     rows = -(-len(faces) // columns)
     place = np.empty(len(faces), np.int64)
-    place[_by_neighbourhood(vertices[faces].mean(axis=1))] = np.arange(len(faces))
+    place[_morton_order(vertices[faces].mean(axis=1))] = np.arange(len(faces))
     x, y = _TILE * (place % columns), _TILE * (place // columns)
     corner = colours[faces][..., :3].astype(np.int64)
     texels = np.zeros((_TILE * rows, _TILE * columns, 3), np.uint8)
@@ -81,8 +81,8 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
     return uv, out.getvalue()
 
 
-def _by_neighbourhood(points: Array) -> NDArray[np.int64]:
-    """An order of points (n, 3) that keeps neighbours together (Morton order)."""
+def _morton_order(points: Array) -> NDArray[np.int64]:
+    """Return the Morton order of points (n, 3), which keeps neighbours together."""
     low, high = points.min(axis=0), points.max(axis=0)
     cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
     key = np.zeros(len(points), np.int64)

@@ -1,4 +1,4 @@
-"""XML of untrusted files, without entities and with limits, and the numbers and rotations in it."""
+"""Parser of untrusted XML, without entities and with limits, and readers of its numbers and rotations."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from yamsim_cli.core.geometry.se3 import Array
 
 Element = ElementTree.Element
 
-_MOST_BYTES = 64_000_000
-_MOST_ELEMENTS = 200_000
-_DEEPEST = 64
+_MAX_BYTES = 64_000_000
+_MAX_ELEMENTS = 200_000
+_MAX_DEPTH = 64
 
 
 def parse_untrusted_xml(data: bytes) -> Element:
-    """The root of a document. Raises `RefusedError` if it is no XML, defines entities, or is too large."""
+    """Return the root of a document. Raises `RefusedError` if the data is no XML, defines entities, or is too large."""
     import defusedxml.ElementTree
     from defusedxml import DefusedXmlException
 
-    if len(data) > _MOST_BYTES:
-        raise RefusedError("too-large", f"XML of {len(data) // 10**6} MB; at most {_MOST_BYTES // 10**6}")
+    if len(data) > _MAX_BYTES:
+        raise RefusedError("too-large", f"XML of {len(data) // 10**6} MB; at most {_MAX_BYTES // 10**6}")
     try:
         root: Element = defusedxml.ElementTree.fromstring(data, forbid_dtd=True)
     except DefusedXmlException as error:
@@ -38,17 +38,17 @@ def _check_shape(root: Element) -> None:
     level, depth, count = [root], 0, 0
     while level:
         depth, count = depth + 1, count + len(level)
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
-            raise RefusedError("too-large", f"it has more than {_MOST_ELEMENTS:,} elements, or {_DEEPEST} levels")
+        if depth > _MAX_DEPTH or count > _MAX_ELEMENTS:
+            raise RefusedError("too-large", f"it has more than {_MAX_ELEMENTS:,} elements, or {_MAX_DEPTH} levels")
         level = [child for element in level for child in element]
     for element in root.iter():
-        # Namespaces do not matter here.
+        # Remove the namespace.
         if isinstance(element.tag, str):
             element.tag = element.tag.rpartition("}")[2]
 
 
 def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
-    """A number of finite numbers in a text. Raises `RefusedError` if there are more, fewer or others."""
+    """Return the `count` finite numbers in a text. Raises `RefusedError` for any other content."""
     words = (text or "").split()
     if not words and default is not None:
         return list(default)
@@ -64,12 +64,12 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
 
 
 def number(text: str | None, default: float | None = None) -> float:
-    """One finite number. Raises as `numbers`."""
+    """Return one finite number. Raises as `numbers`."""
     return numbers(text, 1, None if default is None else (default,))[0]
 
 
 def collada_asset(data: bytes) -> tuple[float, str]:
-    """Unit (m) and up axis of a COLLADA file, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
+    """Return unit (m) and up axis of a COLLADA file, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
     root = parse_untrusted_xml(data)
     unit, up = root.find("asset/unit"), root.find("asset/up_axis")
     axis = "" if up is None else (up.text or "").strip()
@@ -80,7 +80,7 @@ def collada_asset(data: bytes) -> tuple[float, str]:
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """The rotation (3, 3) by angles about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
+    """Return the rotation (3, 3) by angles about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     return np.array(
         [
@@ -92,5 +92,5 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def inertia_matrix(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Array:
-    """The symmetric inertia matrix (3, 3) of its six elements."""
+    """Return the symmetric inertia matrix (3, 3) of its six elements."""
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

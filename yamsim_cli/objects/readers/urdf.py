@@ -1,4 +1,4 @@
-"""URDF: links and joints; the frame of each link is that of the joint above the link.
+"""Reader of URDF: links and joints. The frame of each link is that of its parent joint.
 
 Source: wiki.ros.org/urdf/XML, elements link, joint and material.
 """
@@ -21,12 +21,12 @@ from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMat
 from .primitive_shapes import collision_shape, visual_surface
 from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
-_TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+_JOINT_TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 _WORLD = "world"
 
 
 def read_urdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """The thing that a URDF describes. Raises `RefusedError`."""
+    """Return the object that a URDF describes. Raises `RefusedError`."""
     root = parse_untrusted_xml(data)
     if root.tag != "robot":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <robot>")
@@ -48,7 +48,7 @@ def _parent_and_child(joint: Element) -> tuple[str, str]:
 
 
 def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
-    """ReadLink -> pose (4, 4) in the root's frame."""
+    """Return the pose (4, 4) of each link in the root's frame, by name."""
     above = {child: (parent, joint) for joint in joints for parent, child in (_parent_and_child(joint),)}
     known: dict[str, Array] = {}
     for name in links:
@@ -94,7 +94,7 @@ def _link(
             material = _colour(named, folder, base) or palette.get(named.get("name", ""))
         link.looks += [surface.moved(_origin(visual)) for surface in _surfaces(visual, folder, base, material)]
     for collision in element.findall("collision"):
-        found = _plain(collision)
+        found = _primitive(collision)
         if found is None:
             link.shapes += [s.moved(_origin(collision)) for s in _surfaces(collision, folder, base, None)]
         else:
@@ -107,11 +107,11 @@ def _surfaces(element: Element, folder: ConfinedFolder, base: Path, material: Su
     if mesh is not None:
         scale = numbers(mesh.get("scale"), 3, (1.0, 1.0, 1.0))
         return mesh_surfaces(folder, mesh.get("filename", ""), base, scale, material)
-    found = _plain(element)
+    found = _primitive(element)
     return [] if found is None else [visual_surface(*found, material or SurfaceMaterial())]
 
 
-def _plain(element: Element) -> tuple[str, Array] | None:
+def _primitive(element: Element) -> tuple[str, Array] | None:
     if (found := element.find("geometry/box")) is not None:
         return "box", np.array(numbers(found.get("size"), 3)) / 2
     if (found := element.find("geometry/sphere")) is not None:
@@ -142,15 +142,15 @@ def _joint(element: Element) -> JointDescription:
     above = None if parent == _WORLD else parent
     if kind == "fixed":
         return JointDescription(name, above, child, None)
-    if kind not in _TYPES:
-        raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_TYPES)}")
+    if kind not in _JOINT_TYPES:
+        raise RefusedError("joint-kind", f"joint {name!r} is {kind!r}; valid: fixed, {', '.join(_JOINT_TYPES)}")
     low, high = -math.inf, math.inf
     if kind != "continuous":
         if element.find("limit") is None:
             raise RefusedError("damaged", f"joint {name!r} has no limit")
         low, high = (number(_attribute(element, "limit", end), 0.0) for end in ("lower", "upper"))
     moves: dict[str, Any] = {
-        "type": _TYPES[kind],
+        "type": _JOINT_TYPES[kind],
         "axis": numbers(_attribute(element, "axis", "xyz"), 3, (1.0, 0.0, 0.0)),
         "range": joint_range(low, high, turns=kind != "prismatic", name=name),
         "damping": number(_attribute(element, "dynamics", "damping"), 0.0),

@@ -113,15 +113,15 @@ def _picture_derivatives(
 
 
 def _surroundings_brightness(
-    photo: NDArray[np.float32], drawn: NDArray[np.float32], predicted_poses: NDArray[np.float32], tile: NDArray[np.int_]
+    photo: NDArray[np.float32], drawn: NDArray[np.float32], outside_shares: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Return the brightness (n, sides) of the surroundings, whose pixel shares are `predicted_poses` (n, sides).
+    """Return the brightness (n, sides) of the surroundings, whose pixel shares are `outside_shares` (n, sides).
 
     The unit is the print's contrast.
     """
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
-    every = np.column_stack([drawn, predicted_poses, photo])[order].astype(np.float64)
+    every = np.column_stack([drawn, outside_shares, photo])[order].astype(np.float64)
     every -= (np.add.reduceat(every, starts) / np.bincount(which)[:, None])[which]
     shapes = every.shape[1] - 1
     first, second = np.tril_indices(shapes + 1)
@@ -136,7 +136,7 @@ def _surroundings_brightness(
     found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
     contrast = found[:, :1]
     of_tile = np.where(contrast > _MIN_CONTRAST, found[:, 1:] / np.maximum(contrast, _MIN_CONTRAST), 0.0)
-    strengths = np.empty(predicted_poses.shape)
+    strengths = np.empty(outside_shares.shape)
     strengths[order] = of_tile[which]
     return strengths
 
@@ -152,13 +152,13 @@ def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
 def _project_out_light(
     photo: NDArray[np.float32],
     drawn: NDArray[np.float32],
-    predicted_poses: NDArray[np.float32],
+    outside_shares: NDArray[np.float32],
     columns: Array,
     tile: NDArray[np.int_],
 ) -> tuple[Array, Array, dict[int, MarkerTile]]:
     """Return residuals and Jacobian with each tile's light projected out (variable projection), and the tiles.
 
-    The light is the tile's brightness, its contrast, and the surroundings, with shares `predicted_poses` (n, sides).
+    The light is the tile's brightness, its contrast, and the surroundings, with shares `outside_shares` (n, sides).
     The last two `columns` are derivatives by a shift in the picture. They give each tile's shift, and the returned
     Jacobian omits them.
     """
@@ -170,9 +170,9 @@ def _project_out_light(
         return np.add.reduceat(values, starts, axis=0)
 
     # Subtract each tile's mean and the surroundings from photo, rendered print and derivatives.
-    every = np.column_stack([predicted_poses, photo, drawn, columns])[order].astype(np.float64)
+    every = np.column_stack([outside_shares, photo, drawn, columns])[order].astype(np.float64)
     every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
-    sides = predicted_poses.shape[1]
+    sides = outside_shares.shape[1]
     for side in range(sides):
         outside_share = every[:, side].copy()
         power = of_tiles(outside_share**2)
