@@ -127,7 +127,7 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
 
     Raises:
         DatasetError: a recording cannot be read, or has a fault that a flag corrects.
-        UsageError: the directory is not empty and the mode is NEW, or `swap_arms` is set for a single arm.
+        UsageError: the mode does not allow a directory that is not empty, or `swap_arms` is set for a single arm.
         ConfigError: the dataset to resume has another rig, format or unit.
         ResourceError: a file cannot be written, or a library is not installed.
     """
