@@ -20,7 +20,6 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
     """Compare the vectors in a message with the checkpoint's inputs.
 
     Args:
-        message: message for the policy.
         expected: key -> shape.
 
     Raises:
@@ -46,7 +45,7 @@ class LeRobotClient:
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
-        mapping: config of the messages; it names the key of the actions in an answer.
+        mapping: config of the messages, with the key of the actions in an answer.
 
     Raises:
         ResourceError: LeRobot is not installed.
@@ -109,8 +108,8 @@ class LeRobotClient:
                 batch[key] = torch.from_numpy(value)[None] if isinstance(value, np.ndarray) else value
         with torch.inference_mode():
             ready = self._before(batch)
-            ask = self._policy.select_action if self._needs_history else self._policy.predict_action_chunk
-            actions = self._after(ask(ready))
+            infer = self._policy.select_action if self._needs_history else self._policy.predict_action_chunk
+            actions = self._after(infer(ready))
         rows = actions.to("cpu", torch.float64).numpy()
         # A chunk is (1, actions, numbers) and an action (1, numbers): the first axis is the batch.
         return {self._key: rows[0]}

@@ -77,10 +77,6 @@ def check_json(data: bytes) -> None:
 def plain_numbers(value: object, key: str) -> np.ndarray:
     """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest.
 
-    Args:
-        value: array, number, or nested lists of numbers.
-        key: name of the value in error messages.
-
     Raises:
         InvalidActionError: the value is no array of numbers, or its rows differ in length.
     """
@@ -189,10 +185,9 @@ def no_answer_error(url: str, error: object) -> ResourceError:
 
 @contextmanager
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
-    """Context of one request and its answer. An error closes the connection, because a late answer might arrive on it.
+    """Context of one request. An error closes the connection, on which a late answer might arrive.
 
     Args:
-        url: address of the server, for error messages.
         hang_up: closes the connection.
 
     Raises:

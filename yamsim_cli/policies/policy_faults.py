@@ -32,7 +32,6 @@ def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
     """Describe an exception that a policy raised.
 
     Args:
-        error: the exception.
         folder: folder to which paths of its files are shown relative.
     """
     trace = error.__traceback__

@@ -92,8 +92,8 @@ class PolicyServer(ThreadingHTTPServer):
             policy = check_policy(self._make(), "of the server")
             session = secrets.token_hex(8)
             self._sessions[session] = policy
-            asks = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
-            return {"session": session, **asks, "ticks": getattr(policy, "ticks", 1)}
+            requests = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
+            return {"session": session, **requests, "ticks": getattr(policy, "ticks", 1)}
         policy = self._sessions[message["session"]]
         if what == "reset":
             reset_policy(policy, message["seed"])

@@ -59,7 +59,7 @@ class RemotePolicy:
         self._url = url
         self._connection = http.client.HTTPConnection(parts.hostname, parts.port or 80, timeout=timeout)
         try:
-            session = self._ask("session", {"protocol": PROTOCOL})
+            session = self._request("session", {"protocol": PROTOCOL})
             self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
             # Older servers do not send `wants`.
             self.wants = tuple(session.get("wants", ()))
@@ -71,7 +71,7 @@ class RemotePolicy:
 
     def reset(self, seed: int) -> None:
         """Reset the server's policy."""
-        self._ask("reset", {"session": self._session, "seed": seed})
+        self._request("reset", {"session": self._session, "seed": seed})
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
         """Return the answer of the server's policy to an observation.
@@ -81,7 +81,7 @@ class RemotePolicy:
             InvalidActionError: the policy's answer cannot be sent, or is not numeric.
             TimeoutError: the server did not answer in time.
         """
-        answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
+        answer = self._request("act", {"session": self._session, "observation": dict(observation)})
         action = answer.get("action")
         if not isinstance(action, dict):
             raise RemoteError(f"{self._url} answers with no action")
@@ -93,10 +93,10 @@ class RemotePolicy:
     def close(self) -> None:
         """End the session and close the connection."""
         with contextlib.suppress(OSError, RemoteError, AttributeError):
-            self._ask("close", {"session": self._session})
+            self._request("close", {"session": self._session})
         self._connection.close()
 
-    def _ask(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
+    def _request(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
         with request_context(self._url, self._connection.close):
             self._connection.request("POST", f"/{what}", pack_message(message), {"Content-Type": "application/msgpack"})
             response = self._connection.getresponse()

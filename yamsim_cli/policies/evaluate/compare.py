@@ -18,8 +18,7 @@ _MAX_BYTES = 500_000_000  # largest size of a report
 def mcnemar(only_first: int, only_second: int) -> float:
     """Return the exact two-sided p-value of McNemar's test, or 1 without trials.
 
-    Args:
-        only_first, only_second: number of trials in which only the first or only the second policy succeeded.
+    Each argument is the number of trials in which only one of the two policies succeeded.
     """
     n, fewer = only_first + only_second, min(only_first, only_second)
     # Use integers, because floats overflow from about a thousand trials on.
@@ -57,7 +56,6 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
     Args:
         expected: result of `describe_run`, or a report, of the other job.
-        report: the report.
 
     Raises:
         UsageError: the two differ in task, rig, grasp, arms or seed.
@@ -70,10 +68,9 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare two reports and return JSON data.
+    """Compare two reports and return JSON data on their pairs of trials, with the p-value of McNemar's exact test.
 
-    The data has policy and success_rate of the second report, n (number of pairs), both, only_first, only_second,
-    neither, and p_value of McNemar's exact test.
+    `policy` and `success_rate` in the data are those of the second report.
 
     Raises:
         UsageError: the reports are not of the same trials.

@@ -98,7 +98,6 @@ class LazyObservation(Mapping[str, Any]):
         numbers: all values except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
         cameras: key of an image -> camera.
-        renderer: renderer of the trial.
     """
 
     def __init__(

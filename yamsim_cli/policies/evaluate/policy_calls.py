@@ -85,10 +85,8 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def _limited(self) -> Iterator[None]:
-        """Raise PolicyTimeoutError in the block after the time limit.
-
-        The worker pool terminates code that never returns to Python.
-        """
+        """Raise PolicyTimeoutError in the block after the time limit."""
+        # The worker pool terminates code that never returns to Python.
 
         def ring(number: int, frame: FrameType | None) -> None:
             raise PolicyTimeoutError

@@ -78,7 +78,7 @@ class _ActionSequencePolicy:
         self._magnet: WeldStates = np.zeros((0, 0), bool)
         self._tick = 0
 
-    def _play(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
+    def _set_actions(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
         """Set the commands to MuJoCo's drives (ticks, nu) and to each arm's weld (ticks, arms)."""
         self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
 
@@ -97,7 +97,7 @@ class ExpertPolicy(_ActionSequencePolicy):
         """Set the expert's actions and return the expert's start."""
         states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
-        self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
+        self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
         return trial.expert_attempt.attempt.start
 
 
@@ -144,7 +144,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         if found is None:
             raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
         start, actions = found
-        self._play(actions.ctrl, actions.magnet, trial.scene)
+        self._set_actions(actions.ctrl, actions.magnet, trial.scene)
         return start if job in self._by_job else None
 
 
@@ -153,7 +153,6 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
 
     Args:
         choice: choice of a policy; its folder has the user's modules, files and datasets.
-        session: session with the config of the rig and the task.
 
     Raises:
         ConfigError: the config of another program's policy is invalid.

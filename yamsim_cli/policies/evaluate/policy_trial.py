@@ -121,8 +121,8 @@ class TrialRunner(Closable):
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
         episode, ended, fault, count = self._drive(simulator, attempt, seconds)
-        played = episode.finish()
-        outcome = build_outcome(simulator, played)
+        result = episode.finish()
+        outcome = build_outcome(simulator, result)
         if scripted:
             outcome = replace(outcome, recoveries=trial.expert_attempt.outcome.recoveries)
         record = OutcomeRecord.from_outcome(outcome)
@@ -142,16 +142,16 @@ class TrialRunner(Closable):
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = ObservationBuilder(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
+        scheduler = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
         try:
-            ended, fault = self._play(player, episode, observer, attempt, renderer, seconds)
+            ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
         finally:
             renderer.finish()
-        return episode, ended, fault, player.count
+        return episode, ended, fault, scheduler.count
 
-    def _play(
+    def _run_policy(
         self,
-        player: ChunkScheduler,
+        scheduler: ChunkScheduler,
         episode: Episode,
         observer: ObservationBuilder,
         attempt: Attempt,
@@ -160,12 +160,12 @@ class TrialRunner(Closable):
     ) -> tuple[TrialEnd, PolicyFault]:
         try:
             self._caller.call(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
-            while episode.end is None and not player.last_chunk_is_over(episode.ticks):
-                if player.is_due(episode.ticks):
+            while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
+                if scheduler.is_due(episode.ticks):
                     answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
-                    player.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
-                ctrl, magnet = player.next_command(episode.ticks)
+                    scheduler.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
+                ctrl, magnet = scheduler.next_command(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
             return TrialEnd.INVALID, PolicyFault(str(error))
@@ -203,5 +203,5 @@ class TrialRunner(Closable):
 
 
 def _policy_seed(job: AttemptJob) -> int:
-    """Return a seed for a trial. It has 32 bits, which all libraries accept."""
+    """Return a seed of 32 bits for a trial, which all libraries accept."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

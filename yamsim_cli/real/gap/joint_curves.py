@@ -23,8 +23,7 @@ _CRUISING_RATE = 1.0  # 1/s; the speed of a cruising joint changes by less than 
 _SETTLING = 0.3  # s after which a still joint is at rest
 # A command stops if it moves by at least _MIN_MOVE (rad) within _MOVE_SECONDS (s) and then stays for _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
-# s after a stop in which overshoot is measured, and s at the end of that time from which the value at rest is computed
-_WATCHED, _END = 1.0, 0.1
+_WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at the end of that time for the value at rest
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
         columns: columns of the values, such as one joint's.
 
     Returns:
-        The delay, or None if a motion is too slow or the correlation too low.
+        None if a motion is too slow or the correlation too low.
     """
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:

@@ -163,7 +163,6 @@ def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
     """Return one sentence for each quantity that these logs, or all logs of this kind, do not determine.
 
     Args:
-        found: estimates of one arm.
         gripper: whether the logs hold the gripper's opening, or the arm has no gripper.
     """
     lines = [

@@ -223,8 +223,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
         side: side of the arm; empty for a single arm.
 
     Raises:
-        DatasetError: the logs are too short, or a joint hardly moves, reverses too rarely, or is always slow. The
-            message names the joint and gives advice on the recording.
+        DatasetError: the logs are too short, or a joint moves too little, reverses too rarely, or is always slow.
     """
     where = ", ".join(log.name for log in logs)
     seconds = sum(log.seconds for log in logs)

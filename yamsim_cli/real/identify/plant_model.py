@@ -171,8 +171,8 @@ class LogSimulation:
             [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
         )
         coarse = np.arange(0, self._steps, max(1, round(_GRAVITY_PERIOD / plant.timestep)))
-        weights = plant.gravity_torques(measured[coarse])
-        self._weights = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in weights.T])
+        torques = plant.gravity_torques(measured[coarse])
+        self._torques = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in torques.T])
         self._data = mujoco.MjData(plant.model)
 
     def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
@@ -185,7 +185,7 @@ class LogSimulation:
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
         controls[0, :, plant.drives] = self._delayed(values.delay - (self.plant.timestep / 2 if plain else 0)).T
-        controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._weights).T
+        controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._torques).T
         data = self._data
         mujoco.mj_resetData(model, data)
         data.qpos[plant.qpos] = log.joints[self.read][0] - values.offset

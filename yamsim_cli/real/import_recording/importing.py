@@ -97,7 +97,7 @@ class ImportReport:
         episodes, frames: number of written episodes and frames.
         kept: number of episodes that existed before.
         problems: name of the episode -> faults of the episode.
-        moved_aside: new path of an older dataset that was moved away; None if there was none.
+        moved_aside: backup of an older dataset; None without an older dataset.
     """
 
     path: Path

@@ -91,7 +91,7 @@ def load_can_config(model: str, gripper: str | None, joints: int, locations: Loc
         joints: number of joints of the arm.
 
     Raises:
-        ConfigError: a file is missing or invalid, the joints lack motors, or two motors share an identifier.
+        ConfigError: a file is missing or invalid, the number of motors is wrong, or two motors share an identifier.
     """
     place = _file("robots", model, locations)
     arm = _read(ArmCanConfig, place)

@@ -211,10 +211,7 @@ class Motor:
         return self._answer()
 
     def drive(self, command: MitCommand, now: float) -> None:
-        """Enable a disabled motor and apply a command as a MIT frame does. A motor with an error keeps the error.
-
-        The position of the command ignores the zero that SET_ZERO set.
-        """
+        """Enable a disabled motor and apply a command, whose position ignores SET_ZERO. An error state stays."""
         if self.lost:
             return
         if self.status is Status.DISABLED:
@@ -225,7 +222,7 @@ class Motor:
         self.control_law_changed = True
 
     def advance(self, now: float, seconds: float) -> None:
-        """Advance time: update the temperature, and fail if the motor is too hot or got no frames until the timeout."""
+        """Advance time: update the temperature, and fail if the motor is too hot or received no frame in time."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:

@@ -33,9 +33,7 @@ def arm_keys(rig: RigConfig) -> list[str]:
 def find_naming(
     columns: Sequence[str], rig: RigConfig, mapping: str | None, source: str, locations: Locations
 ) -> RecordingNames:
-    """Return the naming that fits the columns.
-
-    The candidates are `mapping` alone, or if None, all namings of `configs/recordings/` and then the drives' names.
+    """Return `mapping`, or if None, the first naming that fits: of `configs/recordings/`, else the drives' names.
 
     Raises:
         ConfigError: `mapping` does not exist or does not fit.

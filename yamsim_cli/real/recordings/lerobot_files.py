@@ -40,8 +40,7 @@ _OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _JPEG_START = b"\xff\xd8"
 _MAX_JSONL_BYTES = 1 << 26  # largest size of a JSON lines file
 
-# Fields of `video_path`: version 2 has the first three, version 3 the first and the last two. Source: lerobot 0.4.4
-# and 0.6.1.
+# Fields of `video_path` in lerobot 0.4.4 and 0.6.1: the first three in version 2, the first and the last two in 3.
 _FIELDS = ("video_key", "episode_chunk", "episode_index", "chunk_index", "file_index")
 _FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # number padded to at most 9 digits; wider padding could fill the memory
 _MAX_PATTERN_LENGTH = 1000  # characters of `video_path`; file paths have at most 4096 bytes

@@ -211,18 +211,15 @@ def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array
 
 
 def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
-    """Return the time of the first stall while commanded to open, s.
-
-    Return None if the fingers never stall while opening, or also stall while closing.
-    """
+    """Return the time of the first stall while opening, s, or None if there is none or a stall while closing."""
     ahead = measured - commanded
     still = np.abs(np.gradient(measured, times)) < _STILL_SPEED
-    stands = np.where(still & (np.abs(ahead) > _STALL_DISTANCE), np.sign(ahead), 0)
+    stalls = np.where(still & (np.abs(ahead) > _STALL_DISTANCE), np.sign(ahead), 0)
     first_of: dict[float, float] = {}
-    edges = np.flatnonzero(np.r_[True, np.diff(stands) != 0, True])
+    edges = np.flatnonzero(np.r_[True, np.diff(stalls) != 0, True])
     for first, end in itertools.pairwise(edges):
-        if stands[first] and times[end - 1] - times[first] >= _STALL_SECONDS:
-            first_of.setdefault(float(stands[first]), float(times[first]))
+        if stalls[first] and times[end - 1] - times[first] >= _STALL_SECONDS:
+            first_of.setdefault(float(stalls[first]), float(times[first]))
     return first_of.get(-1.0) if 1.0 not in first_of else None
 
 

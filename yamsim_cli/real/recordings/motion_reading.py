@@ -40,7 +40,7 @@ def detect_format(path: Path) -> str:
     """Return the name of the format of a file or a folder.
 
     Raises:
-        DatasetError: the path does not exist, its format is unknown, or it is a dataset of yamsim's.
+        DatasetError: the path does not exist, its format is unknown, or the path is a dataset of yamsim's.
     """
     if not path.exists():
         raise DatasetError(f"{path} does not exist")

@@ -272,7 +272,7 @@ def _prompt(directory: Path) -> str:
 
 
 def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
-    """Return the faults that `metadata.json` reports. It is compared with `frames`, the number found, if given."""
+    """Return the faults that `metadata.json` reports. If given, `frames` is the number of frames found."""
     metadata, file = _metadata(directory), directory / _METADATA
     problems = []
     if metadata.get("complete") is False:

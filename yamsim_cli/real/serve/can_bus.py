@@ -1,7 +1,7 @@
 """CAN buses for other programs, each on a Unix socket or on a CAN interface of the kernel.
 
-A message is a Linux `struct can_frame` of 16 bytes. On a Unix socket, each program has its own connection and receives
-the frames of the motors and of the other programs, as on a bus.
+A message is a Linux `struct can_frame` of 16 bytes. On a Unix socket, each program has its own connection. As on a bus,
+the program receives the frames of the motors and of the other programs.
 """
 
 from __future__ import annotations

@@ -81,10 +81,10 @@ class MotorSimulation:
         self._qpos, self._dof, self._drive = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("qpos", "dof", "drive")
         )
-        self._ratio, self._offset, self._load = (
+        self._ratio, self._offset, self._gravity_scale = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("ratio", "offset", "gravity_scale")
         )
-        self._weights = _weights(model, self._shafts)
+        self._weight_factors = _weight_factors(model, self._shafts)
         model.actuator_gainprm[self._drive] = 0.0
         # The stiffness of contacts and joint limits depends on the armatures, which have changed.
         mujoco.mj_setConst(model, self.data)
@@ -102,7 +102,7 @@ class MotorSimulation:
 
     def gravity_torques(self, arm: int) -> list[float]:
         """Return the torques of an arm's motors, N m, that hold the arm against gravity in its current posture."""
-        torques = self._load * self.data.qfrc_gravcomp[self._dof] / self._ratio
+        torques = self._gravity_scale * self.data.qfrc_gravcomp[self._dof] / self._ratio
         return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
 
     def step(self) -> None:
@@ -115,7 +115,7 @@ class MotorSimulation:
         # MuJoCo's gravity compensation cancels the links' weight. The applied force restores the weight, scaled by each
         # joint's load. `qfrc_gravcomp` is that of the previous step, 2 ms ago.
         data = self.data
-        data.qfrc_applied[:] = -self._weights * data.qfrc_gravcomp
+        data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
         self.steps += 1
         now = self.now
@@ -177,17 +177,17 @@ def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm
         data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
-def _weights(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
+def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
     """Return the factor of the links' weight at each degree of freedom (nv,)."""
-    weights = np.ones(model.nv)
+    factors = np.ones(model.nv)
     for shaft in shafts:
         if shaft.gravity_scale:
-            weights[shaft.dof] = shaft.gravity_scale
-    return weights
+            factors[shaft.dof] = shaft.gravity_scale
+    return factors
 
 
 def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, wiring: GripperCanConfig) -> None:
-    """Give each finger half of its motor's armature and friction, and limits from the point where fingers meet."""
+    """Give each finger half of its motor's armature and friction, and a joint limit where the fingers meet."""
     model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):

@@ -32,7 +32,7 @@ _MAX_QUEUED = 32  # waiting actions; further actions are discarded
 _SIDE = 384  # px, side of the square to which each image is stretched
 
 _IK_ITERATIONS = 20  # iterations for one pose, which is near the previous pose
-_ROTATION_COSTS = (1.0, 1.0, 1.0)  # give way to the position where the arm cannot reach the whole pose
+_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority if the arm cannot reach the whole pose
 _MIN_ROW_LENGTH = 1e-3  # shorter rows, or rows whose angle has a smaller sine, define no rotation
 
 
@@ -122,7 +122,6 @@ class PolicyRobot:
 
     Args:
         sides, followers, hands: side, follower and kinematics of each arm, the left arm first.
-        source: process that renders the cameras.
         names: camera -> its name for the policy.
     """
 

@@ -34,7 +34,7 @@ class PolledServer(Protocol):
         """Receive from the readers that are ready."""
 
     def flush(self) -> None:
-        """Do work that needs no new input, such as sending outgoing bytes. The loop calls it at least once per step."""
+        """Do work that needs no new input, such as sending bytes. The loop calls this method at least once per step."""
 
 
 @dataclass(frozen=True)

@@ -50,10 +50,6 @@ class ServedArms:
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the arms' buses: the given names, or else `can0`, or `can_left` and `can_right`.
 
-    Args:
-        sides: sides of the arms.
-        given: one name for each arm, in the order of the arms; empty for the default names.
-
     Raises:
         UsageError: the number of names is wrong, two names are equal, or a name is invalid.
     """
@@ -71,10 +67,7 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
 
 
 def served_cameras(config: RecordConfig) -> tuple[str, ...]:
-    """Return the names of the served cameras.
-
-    These are the recorded cameras if the config or the rig names cameras, else the scene camera and all wrist cameras.
-    """
+    """Return the recorded cameras if the config or the rig names any, else the scene camera and all wrist cameras."""
     if config.cameras is not None or config.rig.cameras:
         return config.recorded_cameras
     return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recording_order)
@@ -99,7 +92,6 @@ def serve_arms(
 
     Args:
         channels: names of the buses, see `channel_names`.
-        faults: faults to inject on the buses.
         start: one of STARTS.
 
     Raises:
@@ -136,12 +128,12 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     if layout is None:
         raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its things")
-    stands = []
+    postures = []
     for arm in scene.arms:
         robot = config.rig.arms[arm.number].robot
         joints = {"rest": np.zeros(arm.dof), "home": robot.home, "task": robot.start}[start]
-        stands.append(ArmPosture(np.array(joints), 0.0))
-    return scene.start_qpos(layout, stands)
+        postures.append(ArmPosture(np.array(joints), 0.0))
+    return scene.start_qpos(layout, postures)
 
 
 def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
