@@ -21,8 +21,8 @@ _MIN_ERROR = 1e-4  # rad, least error from which the weight of a joint is comput
 _ACCELERATION_PERIOD = 0.04  # s between the positions from which accelerations are computed
 _MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # descent steps with the timestep of tasks, and with the fine timestep
 _DELAYS = tuple(0.01 * k for k in range(11))  # s, delays tried first: a descent from a wrong delay fails
-# A fit has converged when a step changes no parameter by more than _MIN_STEP of its scale, or reduces the cost by less
-# than the share _MIN_GAIN.
+# A fit has converged when a step changes each parameter by less than _MIN_STEP of its scale. A step that reduces the
+# cost by less than the share _MIN_GAIN also ends the fit.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
 
 
