@@ -129,7 +129,7 @@ class ParametricArm:
     def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
         """Return the plain model, corrected for the timestep, with friction that rises with the speed."""
         model = self.plain_model(values)
-        # The integrator evaluates damping at the end of a step. That acts as inertia, which the fit would subtract.
+        # The integrator evaluates damping at the end of a step. Uncorrected, a fit would find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
         model.dof_armature[self.dof] = np.maximum(taken, _MIN_INERTIA - self._links / 2)
         # MuJoCo's friction is -(a + b v) / r up to its full value. With b = 1 / timestep, friction is a damping of
