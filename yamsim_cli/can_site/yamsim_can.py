@@ -1,7 +1,7 @@
-"""A python-can bus to the sockets of `yamsim serve-robot`, for programs that `yamsim can-run` starts.
+"""python-can bus on the sockets of `yamsim serve-robot`, for programs that `yamsim can-run` starts.
 
-python-can finds the class by the entry point beside this file, which has the name of python-can's own bus for Linux.
-The module needs nothing of yamsim. A channel that is not served is opened on the machine itself.
+python-can finds the class by the entry point beside this file, which replaces python-can's `socketcan` interface. The
+module does not import yamsim. A channel that yamsim does not serve is opened as a CAN interface of the machine.
 """
 
 import os
@@ -24,10 +24,10 @@ def _place(channel):
 
 
 class Bus(can.BusABC):
-    """A connection to a simulated bus; for another channel, python-can's own `SocketcanBus`."""
+    """A connection to a simulated bus. For other channels, the constructor returns python-can's `SocketcanBus`."""
 
     def __new__(cls, channel, **kwargs):
-        """The bus of a channel."""
+        """Return the bus of a channel."""
         if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
@@ -48,7 +48,7 @@ class Bus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def send(self, msg, timeout=None):
-        """Put a message onto the bus."""
+        """Send a message on the bus."""
         flags = _EXTENDED * msg.is_extended_id | _REMOTE * msg.is_remote_frame | _ERROR * msg.is_error_frame
         data = bytes(msg.data)
         wire = _FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)
@@ -97,11 +97,11 @@ class Bus(can.BusABC):
 
     @property
     def state(self):
-        """Always active."""
+        """State of the bus, which is always active."""
         return can.BusState.ACTIVE
 
     def fileno(self):
-        """The file descriptor to select for reading."""
+        """Return the file descriptor to select for reading."""
         return self._socket.fileno()
 
     def shutdown(self):

@@ -1,6 +1,6 @@
-"""The protocol /act of MolmoAct2's and GR00T's servers for YAM: an HTTP POST of JSON for each answer.
+"""Client of the protocol /act of MolmoAct2's and GR00T's servers for YAM: an HTTP POST of JSON for each inference.
 
-Arrays are written as the package json_numpy writes them: base64 of the bytes, the dtype's name and the shape.
+Arrays have the format of the package json_numpy: base64 of the bytes, the name of the dtype, and the shape.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _ARRAY_KEY = "__numpy__"
 
 
 class ActClient:
-    """Asks a server over one connection, which is made again when it is lost.
+    """Client of an /act server. A lost connection is restored for the next request.
 
     Args:
-        url: `act://HOST:PORT`, or with a path other than `/act`.
-        timeout: for a part of an answer, s.
+        url: `act://HOST:PORT`, with a path if the path is not `/act`.
+        timeout: time limit for each part of an answer, s.
 
     Raises:
-        UsageError: the URL is not valid.
-        ResourceError: no server listens there.
+        UsageError: the URL is invalid.
+        ResourceError: no server listens at the address.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -54,13 +54,13 @@ class ActClient:
             raise no_answer_error(url, error) from error
 
     def begin(self, seed: int) -> None:
-        """Do nothing: the server keeps no state of a trial."""
+        """Do nothing, because the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The server's answer.
+        """Return the server's answer to a message.
 
         Raises:
-            RemoteError: the server is gone, or answers with an error or with no message.
+            RemoteError: the server is gone, or its answer is an error or invalid.
             TimeoutError: the server did not answer in time.
         """
         with request_context(self._url, self._connection.close):
@@ -83,7 +83,7 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may close an idle connection, so the request is sent once more on a new one.
+            # A server may close an idle connection, so the request is sent again on a new connection.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
@@ -91,15 +91,15 @@ class ActClient:
 
 
 def dump_json(message: Any) -> bytes:
-    """A message of plain containers, text, numbers and arrays."""
+    """Encode a message of plain containers, text, numbers and arrays as JSON."""
     return json.dumps(message, default=_encode).encode()
 
 
 def load_json(data: bytes) -> Any:
-    """The message in bytes; arrays in it are read-only.
+    """Decode a JSON message. Its arrays are read-only.
 
     Raises:
-        DamagedError: the bytes are no JSON, hold too many values, or an array is damaged.
+        DamagedMessageError: the bytes are no JSON, hold too many values, or an array is damaged.
     """
     try:
         check_json(data)

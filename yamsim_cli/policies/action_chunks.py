@@ -1,4 +1,4 @@
-"""The action at each control tick, from chunks of actions that can overlap, arrive late, or run out."""
+"""Select the action at each control tick from action chunks that can overlap, arrive late, or run out."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks: a smaller part of a tick is a rounding error
-_MAX_LATENCY = 60.0  # s, that is simulated
+_ROUNDING = 1e-6  # ticks; a smaller part of a tick is a rounding error
+_MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
 @dataclass(frozen=True)
 class ChunkSettings:
-    """How chunks of actions are used.
+    """Settings for the use of action chunks.
 
     Attributes:
-        execute: actions of a chunk that act before the next chunk is requested; None for all.
-        ensemble: overlapping chunks are averaged, each with exp(-ensemble) times the weight of the chunk requested
-            before it; None for the newest chunk alone.
-        latency: simulated time from a request until the answer acts, s; meanwhile earlier chunks act. None for the
-            time that the answer really took.
+        execute: executed actions of a chunk before the next inference; None for all.
+        ensemble: averages overlapping chunks, each with exp(-ensemble) times the weight of the previous chunk; None
+            uses the newest chunk alone.
+        latency: simulated time from a request until its chunk acts, s, during which earlier chunks act; None for the
+            measured time of the answer.
     """
 
     execute: int | None = None
@@ -35,10 +35,10 @@ class ChunkSettings:
 
 
 def read_latency(text: str) -> float | None:
-    """Seconds of a time such as `80ms` or `0.08s`; None for `measured`.
+    """Parse a time such as `80ms` or `0.08s` and return it in s. Return None for `measured`.
 
     Raises:
-        UsageError: the text is no such time, or the time is more than a minute.
+        UsageError: the text is invalid, or the time exceeds a minute.
     """
     if text == "measured":
         return None
@@ -51,12 +51,12 @@ def read_latency(text: str) -> float | None:
 
 @dataclass(frozen=True)
 class ChunkStats:
-    """Counts of a trial's actions.
+    """Counts of a trial's action chunks.
 
     Attributes:
-        chunks, actions: how many were received.
-        stale: actions whose time had passed when they arrived.
-        waited: control ticks for which there was no action, so that the last command stayed.
+        chunks, actions: number of received chunks and actions.
+        stale: number of actions whose time had passed on arrival.
+        waited: number of control ticks without an action, during which the last command was held.
     """
 
     chunks: int = 0
@@ -73,7 +73,7 @@ class _TimedChunk:
     per_action: float  # ticks
 
     def index(self, now: int) -> int:
-        """Index of the action for a tick; at least `actions` once they have run out."""
+        """Return the index of the action for a tick, which is `actions` or more after the last action."""
         return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
@@ -82,20 +82,21 @@ class _TimedChunk:
 
     @property
     def ends(self) -> int:
-        """The first tick for which there is no action."""
+        """First tick after the last action."""
         return self.requested + _ticks(self.actions * self.per_action)
 
 
 class ChunkScheduler:
-    """Decides when a policy's next answer is requested, and which action acts at each tick.
+    """Decides when to request the next inference, and which action to execute at each tick.
 
-    The times of a chunk's actions count from the request. Of a chunk that arrives late, the actions whose time has
-    passed are skipped. If the time of all actions has passed, the last action acts.
+    The times of a chunk's actions count from the request. If a chunk arrives late, actions whose time has passed are
+    skipped. If the time of all actions has passed, the last action is held.
 
     Args:
+        chunking: settings for the use of chunks.
         tick: length of a control tick, s.
-        hold: control ticks that an action lasts, where its chunk has no period.
-        rest: commands to each arm's drives before the first chunk arrives (arms, drives).
+        hold: duration of an action in control ticks, if its chunk has no period.
+        rest: commands to each arm's drives (arms, drives) until the first chunk arrives.
     """
 
     def __init__(self, chunking: ChunkSettings, tick: float, hold: int, rest: Array) -> None:
@@ -105,26 +106,26 @@ class ChunkScheduler:
         self.count = ChunkStats()
 
     def is_due(self, now: int) -> bool:
-        """Whether the next answer is to be requested at a tick."""
+        """Whether the next inference is due at a tick."""
         return now >= self._next and not self.has_ended
 
     def last_chunk_is_over(self, now: int) -> bool:
-        """Whether the policy's last chunk has acted to its end by a tick."""
+        """Whether the last chunk of a finished policy has ended by a tick."""
         return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrival_tick)
 
     @property
     def has_ended(self) -> bool:
-        """Whether the policy is finished after its last chunk."""
+        """Whether the newest chunk is the policy's last."""
         return bool(self._chunks) and self._chunks[-1].chunk.done
 
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:
-        """Add the answer to a request of a tick; `seconds` is the time that the answer really took."""
+        """Add the chunk that was requested at tick `now`. The answer took `seconds` s of real time."""
         chunking = self._chunking
         per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
         timed = _TimedChunk(chunk, now, now + late, per_action)
         execute = min(chunking.execute or timed.actions, timed.actions)
-        # At least a tick passes between two requests, and a request waits for the answer to the one before.
+        # At least a tick passes between two requests, and a request waits for the previous answer.
         self._next = max(timed.arrival_tick, now + max(1, _ticks(execute * per_action)))
         self._chunks.append(timed)
         count = self.count
@@ -132,7 +133,7 @@ class ChunkScheduler:
         self.count = ChunkStats(count.chunks + 1, count.actions + timed.actions, count.stale + stale, count.waited)
 
     def next_command(self, now: int) -> tuple[Array, WeldStates]:
-        """Commands to the drives (arms, drives) and welds (arms,) at a tick; call once for each tick, in order."""
+        """Return the commands to drives (arms, drives) and welds (arms,) at a tick. Call it once per tick, in order."""
         self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]
         acting = [timed for timed in here if timed.index(now) < timed.actions]
@@ -152,9 +153,9 @@ class ChunkScheduler:
         return ctrl, weights @ np.array([magnet for _, magnet in rows], dtype=float) >= 0.5
 
     def _drop_chunks(self, now: int) -> None:
-        """Drop chunks that will not act any more. The newest chunk that has arrived stays, for its last action.
+        """Drop chunks that no longer act, except the newest that has arrived, whose last action may be held.
 
-        Without averaging, a chunk acts no more once a newer chunk has arrived that lasts as long.
+        Without averaging, a chunk no longer acts after the arrival of a newer chunk that lasts as long.
         """
         kept: list[_TimedChunk] = []
         covered = -1
@@ -168,5 +169,4 @@ class ChunkScheduler:
 
 
 def _ticks(amount: float) -> int:
-    """An amount of ticks, rounded up."""
     return math.ceil(amount - _ROUNDING)

@@ -1,4 +1,4 @@
-"""A policy of another program, whose names, units and order of values a config describes."""
+"""Policies of other programs. A config describes the names, units and order of the values in their messages."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from .policy_protocol import OBJECTS, InvalidActionError, Observation
 
 
 class PolicyClient(Protocol):
-    """The client of a policy server, or a checkpoint in this process."""
+    """Interface of the client of a policy server, or of a checkpoint in this process."""
 
     def begin(self, seed: int) -> None:
-        """Begin a trial of a seed."""
+        """Begin a trial with a seed."""
         ...
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The answer to a message: text, numbers, arrays, and mappings of them."""
+        """Return the answer to a message of text, numbers, arrays, and mappings of these."""
         ...
 
     def close(self) -> None:
-        """Close the connection, if there is one."""
+        """Close the connection, if any."""
         ...
 
 
 @dataclass(frozen=True)
 class PolicyStation:
-    """The arms, cameras and things that a policy acts on.
+    """Arms, cameras and objects that a policy acts on.
 
     Attributes:
-        rig: its name, for messages.
-        sides: of the arms, in the order of observations and actions.
-        drives: how many each arm has, its gripper last.
-        openings: the opening of one finger of each fully open gripper, m; 0 without fingers.
-        cameras: name that a policy requests -> key of the picture in observations.
-        things: name -> key of its pose in observations, in the order of a row.
-        T_base_in_world: pose (4, 4) of the base to which a dataset's poses refer.
+        rig: name of the rig, for error messages.
+        sides: sides of the arms, in the order of observations and actions.
+        drives: number of drives of each arm, of which the gripper is the last.
+        openings: opening of one finger of each fully open gripper, m; 0 without fingers.
+        cameras: name that a policy requests -> key of the image in observations.
+        things: name of an object -> key of its pose in observations, in the order of the environment state.
+        T_base_in_world: pose (4, 4) of the base to which the poses of a dataset refer.
     """
 
     rig: str
@@ -57,15 +57,15 @@ class PolicyStation:
 
 
 class MappedPolicy:
-    """Converts observations to a client's messages, and the client's answers to actions.
+    """Policy that converts observations to a client's messages, and the client's answers to actions.
 
     Attributes:
-        images: the cameras whose pictures the messages have.
-        wants: further values that the messages have, see `base.STATE`.
-        execute: actions of a chunk that act before the next answer is requested, by default; None for all.
+        images: names of the cameras whose images the messages contain.
+        wants: further values that the messages contain, see `policy_protocol.STATE`.
+        execute: default number of executed actions of a chunk before the next inference; None for all.
 
     Args:
-        wanted: the client's inputs, by their keys in the config; None for all.
+        wanted: inputs of the client, by their keys in the config; None for all.
 
     Raises:
         UsageError: the config does not fit the station.
@@ -81,7 +81,7 @@ class MappedPolicy:
             raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
             raise self._unfit("arms", f"nobody drives the {unused[0]} arm")
-        # Indices that reorder the station's arms to the client's, and back.
+        # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
@@ -111,7 +111,7 @@ class MappedPolicy:
         self._client.begin(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """The client's actions for an observation.
+        """Return the client's actions for an observation.
 
         Raises:
             InvalidActionError: the client's answer has no valid actions.
@@ -119,7 +119,7 @@ class MappedPolicy:
         return self._actions(self._client.infer(self.message(observation)))
 
     def message(self, observation: Observation) -> dict[str, Any]:
-        """The client's message for an observation."""
+        """Return the client's message for an observation."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
         if config.state is not None:
@@ -162,7 +162,7 @@ class MappedPolicy:
         return found
 
     def _things(self, observation: Observation) -> Array:
-        """The row of the things' poses in the base, see `environment_state`."""
+        """Return the vector of the objects' poses in the base, see `core.dataset.environment_state`."""
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(
             [
@@ -172,7 +172,7 @@ class MappedPolicy:
         )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
-        """The first of a picture's cameras on the station; None if there is none and the picture is optional."""
+        """Return the first camera of an image that the station has, or None if an optional image has no camera."""
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)

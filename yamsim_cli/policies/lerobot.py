@@ -1,4 +1,4 @@
-"""A LeRobot checkpoint with its processors, in this process."""
+"""Client that runs a LeRobot checkpoint with its processors in this process."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsi
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
-    """Compare the rows of numbers in a message with the checkpoint's inputs.
+    """Compare the vectors in a message with the checkpoint's inputs.
 
     Args:
         expected: key -> shape.
 
     Raises:
-        UsageError: a row has another length.
+        UsageError: a vector has another length.
     """
     for key, shape in expected.items():
         if key in message and (found := np.shape(message[key])) != shape:
@@ -34,21 +34,22 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
 
 
 class LeRobotClient:
-    """A policy that was trained by LeRobot.
+    """Policy that was trained by LeRobot.
 
-    A policy of one observation answers with its whole chunk; a policy of several observations, action by action.
+    A policy that uses one observation answers with a whole action chunk. A policy that uses several observations
+    answers with one action.
 
     Attributes:
-        input_keys: keys of all its inputs, pictures and rows of numbers.
-        execute: actions of a chunk that act before the next answer is requested; None for all.
+        input_keys: keys of all inputs, images and vectors.
+        execute: executed actions of a chunk before the next inference; None for all.
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
-        mapping: the config of its messages, whose key of actions is that of the answer.
+        mapping: config of the messages, with the key of the actions in an answer.
 
     Raises:
         ResourceError: LeRobot is not installed.
-        UsageError: there is no such checkpoint, or it cannot be read.
+        UsageError: the checkpoint does not exist or cannot be loaded.
     """
 
     def __init__(self, checkpoint: str, mapping: PolicyConfig) -> None:
@@ -71,7 +72,7 @@ class LeRobotClient:
             self._before, self._after = make_pre_post_processors(
                 config, pretrained_path=checkpoint, preprocessor_overrides=device
             )
-        # LeRobot's code for the kind of policy may raise any exception.
+        # LeRobot's code for a kind of policy may raise any exception.
         except Exception as error:
             text = " ".join(str(error).split())[:300]
             raise UsageError(f"--policy {SCHEME}:{checkpoint}: it cannot be loaded: {text}") from error
@@ -80,18 +81,18 @@ class LeRobotClient:
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
         self.input_keys = tuple(config.input_features)
         self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
-        # The queues of earlier observations are filled by select_action alone.
+        # Only select_action fills the queues of earlier observations.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._needs_history = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
         self.execute: int | None = None if self._needs_history else getattr(config, "n_action_steps", None)
 
     def begin(self, seed: int) -> None:
-        """Reset the policy, and seed torch."""
+        """Seed torch and reset the policy."""
         self._torch.manual_seed(seed)
         self._policy.reset()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The policy's actions for an observation, after its processor.
+        """Return the policy's actions for an observation, after its postprocessor.
 
         Raises:
             UsageError: see `check_rows`.
@@ -107,11 +108,11 @@ class LeRobotClient:
                 batch[key] = torch.from_numpy(value)[None] if isinstance(value, np.ndarray) else value
         with torch.inference_mode():
             ready = self._before(batch)
-            ask = self._policy.select_action if self._needs_history else self._policy.predict_action_chunk
-            actions = self._after(ask(ready))
+            infer = self._policy.select_action if self._needs_history else self._policy.predict_action_chunk
+            actions = self._after(infer(ready))
         rows = actions.to("cpu", torch.float64).numpy()
-        # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is the batch's.
+        # A chunk is (1, actions, numbers) and an action (1, numbers): the first axis is the batch.
         return {self._key: rows[0]}
 
     def close(self) -> None:
-        """Do nothing: nothing is open."""
+        """Do nothing, because no connection is open."""

@@ -1,4 +1,4 @@
-"""openpi's protocol: a WebSocket on which the server sends first, and msgpack with arrays as mappings."""
+"""Client of openpi's protocol: a WebSocket on which the server sends first, and msgpack with arrays as mappings."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from .policy_client import (
 )
 
 SCHEME = "ws"
-_CLOSE_S = 0.5  # s, that closing a connection waits for the other side
+_CLOSE_S = 0.5  # s that closing a connection waits for the server
 _MESSAGE_TOO_BIG = 1009  # status code. Source: RFC 6455, section 7.4.1
 
 
 class WebSocketError(ConnectionError):
-    """The server does not speak WebSocket, sends too long a message, or has closed."""
+    """The server does not speak WebSocket, sent a message that is too long, or closed the connection."""
 
 
 class WebSocket:
-    """A WebSocket client whose waits and messages are bounded.
+    """WebSocket client with limits on waiting times and message sizes.
 
     Args:
-        url: `ws://HOST:PORT`, and a path.
-        timeout: for the connection, and for each whole message, s.
+        url: `ws://HOST:PORT` with an optional path.
+        timeout: time limit for the connection and for each message, s.
 
     Raises:
         ResourceError: websockets is not installed.
         TimeoutError: the connection is not made in time.
-        OSError: no server listens there.
+        OSError: no server listens at the address.
         WebSocketError: the server speaks another protocol.
     """
 
@@ -54,11 +54,11 @@ class WebSocket:
         try:
             self._connection = connect(
                 url,
-                # Pictures hardly compress.
+                # Images hardly compress.
                 compression=None,
-                # The address is that of the server itself.
+                # The address is the server's, so no proxy is needed.
                 proxy=None,
-                # While openpi computes an action, it answers no ping.
+                # openpi answers no ping while it computes an action.
                 ping_interval=None,
                 open_timeout=timeout,
                 close_timeout=_CLOSE_S,
@@ -71,7 +71,7 @@ class WebSocket:
         """Send a binary message.
 
         Raises:
-            WebSocketError: the server has closed.
+            WebSocketError: the server has closed the connection.
         """
         try:
             self._connection.send(data)
@@ -79,11 +79,11 @@ class WebSocket:
             raise WebSocketError(str(error)) from error
 
     def receive(self) -> bytes | str:
-        """The next message: bytes, or a text.
+        """Return the next message as bytes or text.
 
         Raises:
-            TimeoutError: no message is received in time.
-            WebSocketError: the message is too long or damaged, or the server has closed.
+            TimeoutError: no message was received in time.
+            WebSocketError: the message is too long or damaged, or the server has closed the connection.
         """
         try:
             return self._connection.recv(self._timeout)
@@ -100,15 +100,15 @@ class WebSocket:
 
 
 class OpenpiClient:
-    """Asks a server over one connection, which is made again for the next trial when it is lost.
+    """Client of an openpi server. A lost connection is restored for the next trial or request.
 
     Args:
         url: `ws://HOST:PORT`.
-        timeout: for a part of an answer, s.
+        timeout: time limit for the connection and for each message, s.
 
     Raises:
-        UsageError: the URL is not valid.
-        ResourceError: msgpack is not installed, or no such server answers.
+        UsageError: the URL is invalid.
+        ResourceError: msgpack or websockets is not installed, or no openpi server answers.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -124,14 +124,14 @@ class OpenpiClient:
             raise ResourceError(str(no_answer_error(url, error))) from error
 
     def begin(self, seed: int) -> None:
-        """Connect again if the connection is lost: the server closes it after an error. Raises as `ask`."""
+        """Reconnect if the connection is lost: the server closes it after an error. Raises the errors of `infer`."""
         self._connection()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The server's answer.
+        """Return the server's answer to a message.
 
         Raises:
-            RemoteError: the server is gone, or answers with an error or with no message.
+            RemoteError: the server is gone, or its answer is an error or invalid.
             TimeoutError: the server did not answer in time.
         """
         return self._receive(self._connection(), pack_openpi(message))
@@ -147,7 +147,7 @@ class OpenpiClient:
             return self._socket
         with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
-        # The server first sends its metadata, which are not needed.
+        # Discard the metadata, which the server sends first.
         self._receive(made)
         return made
 
@@ -166,17 +166,17 @@ class OpenpiClient:
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:
-    """A message as openpi's packer writes it."""
+    """Encode a message as openpi's packer does."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_encode))
 
 
 def unpack_openpi(data: bytes) -> dict[str, Any]:
-    """The mapping in bytes; arrays in it are read-only.
+    """Decode a mapping. Its arrays are read-only.
 
     Raises:
-        DamagedError: the bytes are no mapping, hold too many values, or an array is damaged.
+        DamagedMessageError: the bytes are no mapping, hold too many values, or an array is damaged.
     """
     import msgpack
 
@@ -191,7 +191,7 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
         )
     except DamagedMessageError:
         raise
-    # Containers that are nested thousands of times, or keys that cannot be hashed.
+    # RecursionError: thousands of nested containers. TypeError: keys that cannot be hashed.
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise DamagedMessageError(f"no msgpack: {str(error)[:100]}") from error
     if not isinstance(found, dict):
@@ -211,5 +211,5 @@ def _encode(value: object) -> dict[bytes, Any]:
 def _decode(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
         return array_from_bytes(found.get(b"data"), found.get(b"dtype"), found.get(b"shape"))
-    # A scalar has its number and the name of its dtype; the number suffices.
+    # A scalar has its value and the name of its dtype. The value suffices.
     return found.get(b"data") if b"__npgeneric__" in found else found

@@ -1,7 +1,4 @@
-"""What the clients of policy servers share: addresses, lost connections, and limits of an answer.
-
-No code in an answer is run.
-"""
+"""Common code of policy clients: addresses, lost connections, and limits of an answer. Answers never execute code."""
 
 from __future__ import annotations
 
@@ -19,25 +16,25 @@ from ..core.geometry.se3 import Array
 from .policy_faults import PolicyFault
 from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
-MAX_ANSWER_BYTES = 4_000_000  # a thousand actions of two arms take 150,000 as JSON
+MAX_ANSWER_BYTES = 4_000_000  # size of an answer; 1000 actions of two arms take 150,000 bytes as JSON
 MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms as plain numbers
-MAX_TEXT = 2_000  # characters of an error text that are kept; one text is kept for each trial
-_MAX_TRACEBACK = 50_000  # characters of a traceback that are kept, from its end
+MAX_TEXT = 2_000  # kept characters of an error text, of which each trial has one
+_MAX_TRACEBACK = 50_000  # kept characters of a traceback, from its end
 
 _MAX_AXES = 8
-_DTYPE_KINDS = "biuf"  # booleans, whole and floating-point numbers
+_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
 _MAX_ITEM_BYTES = 8
 
 
 class DamagedMessageError(ValueError):
-    """An answer that is no message of the protocol; the text says what is wrong."""
+    """An answer is no message of the protocol."""
 
 
 class RemoteError(RuntimeError):
     """The server's policy raised an exception, or the server is gone.
 
     Attributes:
-        fault: the description of what went wrong.
+        fault: description of the fault.
     """
 
     def __init__(self, text: str, traceback: str = "") -> None:
@@ -47,19 +44,19 @@ class RemoteError(RuntimeError):
 
 
 class ValueBudget:
-    """Counts the values of one message while msgpack decodes it; `spend` is msgpack's hook.
+    """Limit of the number of values in one message. `spend` is a hook for msgpack.
 
-    Small containers take far more memory decoded than encoded, so the count is checked before the message is complete.
+    Small containers take far more memory decoded than encoded, so the limit applies while msgpack decodes the message.
     """
 
     def __init__(self) -> None:
         self._left = MAX_VALUES
 
     def spend(self, found: Any) -> Any:
-        """The container itself, after its values were counted.
+        """Count the values of a container and return the container.
 
         Raises:
-            DamagedError: the message has more than `MAX_VALUES` values.
+            DamagedMessageError: the message has more than `MAX_VALUES` values.
         """
         self._left -= 1 + len(found)
         if self._left < 0:
@@ -68,17 +65,17 @@ class ValueBudget:
 
 
 def check_json(data: bytes) -> None:
-    """Check how many values a JSON text can hold at most, before it is decoded.
+    """Check the number of values in a JSON text before decoding.
 
     Raises:
-        DamagedError: the text may hold more than `MAX_VALUES` values.
+        DamagedMessageError: the text may hold more than `MAX_VALUES` values.
     """
     if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
         raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
 
 
 def plain_numbers(value: object, key: str) -> np.ndarray:
-    """A server's numbers as an array. Texts are refused first, since numpy makes each as wide as the longest.
+    """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest.
 
     Raises:
         InvalidActionError: the value is no array of numbers, or its rows differ in length.
@@ -101,10 +98,10 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
 
 
 def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarray:
-    """An array from its bytes, the name of its dtype and its shape.
+    """Return a read-only array from its bytes, the name of its dtype, and its shape.
 
     Raises:
-        DamagedError: the dtype is not one of plain numbers, or the bytes are not as many as the shape says.
+        DamagedMessageError: the dtype or the shape is invalid, or the number of bytes does not fit the shape.
     """
     if not isinstance(content, bytes | bytearray) or not isinstance(dtype, str | bytes):
         raise DamagedMessageError("an array needs bytes and the name of a dtype")
@@ -128,7 +125,7 @@ def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarra
 
 
 def action_rows(value: object, key: str, width: int) -> Array:
-    """A server's actions as finite numbers (actions, width); a single row is one action.
+    """Return a server's actions as finite numbers (actions, width). A single row is one action.
 
     Raises:
         InvalidActionError: the shape or the number of actions is wrong, or a number is not finite.
@@ -148,10 +145,10 @@ def action_rows(value: object, key: str, width: int) -> Array:
 
 
 def action_period(value: Any, key: str) -> float | None:
-    """The duration of an action (s), from a server's number of ms; None for none, or for 0.
+    """Return the duration of an action in s, from a server's value in ms. Return None for None or 0.
 
     Raises:
-        InvalidActionError: the value is no number, or outside the range that a robot could use.
+        InvalidActionError: the value is no number, or outside `MIN_PERIOD` to `MAX_PERIOD`.
     """
     if value is None:
         return None
@@ -166,10 +163,10 @@ def action_period(value: Any, key: str) -> float | None:
 
 
 def parse_address(url: str, scheme: str, port: int) -> tuple[str, int]:
-    """Host and port of a URL; `port` where the URL names none.
+    """Return host and port of a URL; `port` is the default.
 
     Raises:
-        UsageError: the URL has another scheme, or no host.
+        UsageError: the URL has another scheme or no host, or has a query, a fragment or a user name.
     """
     try:
         parts = urlsplit(url)
@@ -182,13 +179,13 @@ def parse_address(url: str, scheme: str, port: int) -> tuple[str, int]:
 
 
 def no_answer_error(url: str, error: object) -> ResourceError:
-    """The error that no policy server answers at a URL."""
+    """Return the error for a URL at which no policy server answers."""
     return ResourceError(f"--policy {url}: no policy answers there: {error}; start its server first")
 
 
 @contextmanager
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
-    """Context of one request and its answer. An error closes the connection, on which a late answer might arrive.
+    """Context of one request. An error closes the connection, on which a late answer might arrive.
 
     Args:
         hang_up: closes the connection.
@@ -207,7 +204,7 @@ def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
 
 
 def read_body(response: http.client.HTTPResponse) -> bytes:
-    """The whole body of an HTTP answer.
+    """Return the body of an HTTP answer.
 
     Raises:
         http.client.HTTPException: the body is longer than `MAX_ANSWER_BYTES`.

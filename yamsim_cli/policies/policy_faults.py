@@ -1,4 +1,4 @@
-"""Descriptions of exceptions in a policy's code: one line for a person, and the traceback."""
+"""Describe exceptions in a policy's code by one line and the traceback."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pathlib import Path
 from types import TracebackType
 
 _YAMSIM = str(Path(__file__).resolve().parents[1])
-# Folders of Python and of installed packages: the description names the user's line that called them.
+# Folders of Python and of installed packages. The description names the user's line that called their code.
 _INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-_MAX_CHARACTERS = 300  # of an exception's message
+_MAX_CHARACTERS = 300  # length of an exception's message
 
 
 @dataclass(frozen=True)
 class PolicyFault:
-    """What went wrong in a policy.
+    """Fault of a policy.
 
     Attributes:
-        text: one line: the exception, and in brackets the last line of the user's own code that ran.
-        traceback: the traceback from the policy's first line on; empty if there is none.
+        text: one line with the exception, and in brackets the last executed line of the user's code.
+        traceback: traceback from the policy's first line on; empty if unknown.
     """
 
     text: str
@@ -29,13 +29,13 @@ class PolicyFault:
 
 
 def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
-    """The description of an exception that a policy raised.
+    """Describe an exception that a policy raised.
 
     Args:
-        folder: paths of files below it are given relative to it.
+        folder: folder to which paths of its files are shown relative.
     """
     trace = error.__traceback__
-    # yamsim's own calls at the beginning are left out.
+    # Skip yamsim's calls at the beginning.
     while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
         trace = trace.tb_next
     whole = "".join(traceback.format_exception(type(error), error, trace))
@@ -43,10 +43,10 @@ def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
 
 
 def summarize_exception(error: BaseException) -> str:
-    """An exception in one line: its type and message."""
+    """Return the type and the message of an exception in one line."""
     try:
         message = str(error)
-    # The text of a user's exception may itself raise any exception.
+    # The conversion of a user's exception to text may raise any exception.
     except Exception:  # noqa: BLE001
         message = "its message cannot be shown"
     message = textwrap.shorten(message, _MAX_CHARACTERS, placeholder=" ...")
@@ -54,11 +54,11 @@ def summarize_exception(error: BaseException) -> str:
 
 
 def _place(trace: TracebackType | None, folder: Path) -> str:
-    """The last line of the user's own code, in brackets; empty if none ran."""
+    """Return the last executed line of the user's code in brackets, or an empty text."""
     frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
     frames = [frame for frame in frames if not frame.filename.startswith("<")]
     own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]
-    # A policy may be an installed package itself.
+    # A policy may itself be an installed package.
     if not (frames := own or frames):
         return ""
     path = Path(frames[-1].filename)

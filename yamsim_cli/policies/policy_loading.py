@@ -1,4 +1,4 @@
-"""Loads policies by name: a class in a module, or in a file of the user."""
+"""Load policies by name: a class in a module, or in a file of the user."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _OWN = "module:Class or file.py:Class"
 EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
 FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
 
-_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies for which nothing has to be rendered
+_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no rendering
 
 
 def sees_images(name: str) -> bool:
-    """Whether a policy of this name may read images."""
+    """Whether the policy with a name may read images."""
     return name.partition(":")[0] not in _WITHOUT_IMAGES
 
 
 def is_external(name: str) -> bool:
-    """Whether a policy of this name belongs to another program."""
+    """Whether the policy with a name belongs to another program."""
     kind, colon, _ = name.partition(":")
     return bool(colon) and kind in (form.partition(":")[0] for form in EXTERNAL_FORMS)
 
 
 def takes_keywords(name: str) -> bool:
-    """Whether a policy of this name is a class of the user, which is made with keywords."""
+    """Whether the policy with a name is a class of the user, which is made with keywords."""
     return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
 
 
@@ -52,13 +52,13 @@ def load_policy(
 
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
-        folder: where modules and files are searched first.
-        forms: the forms of a name that the caller accepts, for the error message.
+        folder: folder that is searched first for modules and files.
+        forms: forms of a name that the caller accepts, for the error message.
         arguments: keywords for the class.
-        known_only: leave out the keywords that the class does not have.
+        known_only: whether to leave out keywords that the class does not accept.
 
     Raises:
-        UsageError: there is no such policy, or it cannot be loaded or made.
+        UsageError: the policy does not exist, or cannot be loaded or made.
     """
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")
@@ -77,7 +77,7 @@ def load_policy(
 
 
 def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords that a function has parameters for."""
+    """Return the keywords that a function accepts."""
     parameters = inspect.signature(function).parameters
     if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return dict(keywords)
@@ -85,10 +85,10 @@ def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[st
 
 
 def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
-    """Keywords for a policy's class, from texts `KEY=VALUE`; numeric values become numbers.
+    """Parse texts `KEY=VALUE` to keywords for a policy's class. Numeric values become numbers.
 
     Raises:
-        UsageError: a text has another form, or a key is given twice.
+        UsageError: a text is invalid, or a key is given twice.
     """
     arguments: dict[str, int | float | str] = {}
     for text in given:
@@ -113,7 +113,7 @@ def _load_file(path: Path) -> ModuleType:
         raise UsageError(f"--policy {path}: there is no such file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    # The file can import its neighbours, as a script can.
+    # Like a script, the file can import modules from its folder.
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     spec.loader.exec_module(module)
@@ -138,10 +138,10 @@ def _find(module: ModuleType, attribute: str, name: str) -> Any:
 
 
 def check_policy(policy: Any, name: str) -> Policy:
-    """The object itself, if it is a policy.
+    """Return the object if it is a policy.
 
     Raises:
-        UsageError: the object has no `reset`, cannot be called, or requests something unknown.
+        UsageError: the object has no `reset`, is not callable, or has invalid `images`, `wants` or `ticks`.
     """
     if not callable(policy) or not callable(getattr(policy, "reset", None)):
         raise UsageError(
@@ -162,17 +162,17 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """The ones of `IMAGES` that a policy requests."""
+    """Return the images that a policy requests, from `IMAGES`."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """The ones of `STATE` that a policy requests."""
+    """Return the further values that a policy requests, from `STATE`."""
     return tuple(getattr(policy, "wants", ()))
 
 
 def reset_policy(policy: Any, seed: int) -> None:
-    """Reset a policy, with the seed if its `reset` has a parameter of that name."""
+    """Reset a policy, with the seed if its `reset` has a parameter `seed`."""
     if "seed" in inspect.signature(policy.reset).parameters:
         policy.reset(seed=seed)
     else:

@@ -1,4 +1,4 @@
-"""The protocol of a policy: its observations, its answers, and what it can request."""
+"""Protocol of policies: observations, answers, and optional requests."""
 
 from __future__ import annotations
 
@@ -13,73 +13,71 @@ from ..core.attempt_data import WeldStates
 from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.se3 import Array
 
-# The images that a policy can request. "wrist" stands for all wrist cameras.
+# Images that a policy can request. "wrist" stands for all wrist cameras.
 SCENE, WRIST = "scene", "wrist"
 IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 
-# Further numbers that a policy can request: the objects' poses, which only a simulation knows, and joint velocities.
+# Further values that a policy can request: poses of objects, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 
-MAX_ACTIONS = 1000  # in one answer
-MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, duration of one action
+MAX_ACTIONS = 1000  # actions in one answer
+MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, limits of the duration of one action
 _ANGLE = QuantityBounds(
     "rad", -2 * math.pi, 2 * math.pi
-)  # of a joint: no joint turns farther, and values in degrees do
+)  # range of joint angles: no joint turns farther, so larger values are degrees
 _MAX_CHUNK_S = 100.0  # s, duration of a chunk: 1000 actions at 10 Hz; chunks are kept until they run out
 
-# An observation. The values of two arms are the left one's, then the right one's.
-# - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
-#   rendered when it is first read
-# - `joints` (drives,) as in a dataset's frame; `gripper`, the arms' openings: a number, or (2,), 0 without fingers
-# - `ee_pose_world` (4, 4) or (2, 4, 4) of `grasp_site`
-# - `K_scene` (3, 3), `T_cam_in_world` (4, 4) of the scene camera in OpenCV's convention
-# - `time` in s since the start, `prompt`
-# - for "objects", `T_object_in_world` (4, 4) of the object, `T_target_in_world` (4, 4) of the thing it is placed on;
-#   in tasks as data `T_<thing>_in_world` of each thing, and `<thing>_joints` (n,) of things with moving parts
-# - for "velocities", `joint_velocities` (drives,) in the order of `joints`, rad/s and m/s
+# Keys of an observation. Values of two arms have the left arm's first.
+# - `scene_rgb` (height, width, 3), uint8, and `wrist_rgb`, or for two arms `left_wrist_rgb` and `right_wrist_rgb`:
+#   images, each rendered at the first access
+# - `joints` (drives,) as in a dataset's frame; `gripper`: opening of the arm, or (2,) of two arms, 0 without fingers
+# - `ee_pose_world` (4, 4) or (2, 4, 4): pose of `grasp_site`
+# - `K_scene` (3, 3), `T_cam_in_world` (4, 4): scene camera, in OpenCV's convention
+# - `time`, s since the start; `prompt`
+# - if "objects" is requested: `T_object_in_world` (4, 4) of the object, `T_target_in_world` (4, 4) of its target; in
+#   tasks as data `T_<thing>_in_world` of each object, and `<thing>_joints` (n,) of objects with moving parts
+# - if "velocities" is requested: `joint_velocities` (drives,) in the order of `joints`, rad/s and m/s
 Observation = Mapping[str, Any]
 
 
 class Policy(Protocol):
-    """Any object with these two methods.
+    """Interface of a policy: any object with these two methods.
 
-    Optional attributes, of the class or the object:
+    Optional attributes of the class or the object:
 
-    - `images`: the requested ones of `IMAGES`; by default "scene" and "wrist".
-    - `wants`: the requested ones of `STATE`; by default none.
-    - `ticks`: control ticks of 32 ms that an action lasts; by default 1. 2 is the rate of datasets.
-    - `execute`: actions of a chunk that act before the next answer is requested; by default all.
-
-    `reset` gets the trial's seed if it has a parameter `seed`.
+    - `images`: requested images, from `IMAGES`; by default "scene" and "wrist".
+    - `wants`: requested values, from `STATE`; by default none.
+    - `ticks`: duration of an action in control ticks of 32 ms; by default 1. Datasets use 2.
+    - `execute`: executed actions of a chunk before the next inference; by default all.
     """
 
     @property
     def reset(self) -> Callable[..., None]:
-        """Forget the previous trial: a method with or without a parameter `seed`."""
+        """Method that forgets the previous trial. It gets the trial's seed if it has a parameter `seed`."""
         ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Answer an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, by default False.
+        """Return an action for an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, by default False.
 
         For two arms, `ctrl` and `magnet` (2,) have the left arm's values first. `ctrl` (n, drives), and `magnet` (n,)
-        or (n, 2), are a chunk of n actions; `period` is the duration of each action, s, where it is not `ticks`.
+        or (n, 2), are a chunk of n actions. `period` is the duration of each action, s, instead of `ticks`.
         """
         ...
 
 
 def squeeze_single_arm(poses: Array) -> Array:
-    """Poses (arms, 4, 4) as in observations: of a single arm, its pose (4, 4)."""
+    """Return poses (arms, 4, 4) in the shape of observations: (4, 4) for a single arm."""
     return poses if len(poses) > 1 else poses[0]
 
 
 @dataclass(frozen=True)
 class ActionChunk:
-    """A policy's answer after its check: consecutive actions.
+    """Checked answer of a policy: consecutive actions.
 
     Attributes:
         ctrl: commands to each arm's drives (actions, arms, drives), rad and m.
-        magnet: whether each arm's weld is commanded to hold (actions, arms).
+        magnet: whether each arm's weld is commanded on (actions, arms).
         done: whether the policy is finished after these actions.
         period: duration of each action, s; None for the policy's `ticks`.
     """
@@ -91,18 +89,18 @@ class ActionChunk:
 
 
 class InvalidActionError(ValueError):
-    """A policy's answer that is no valid action; the text says what is wrong."""
+    """A policy's answer is no valid action."""
 
 
 def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
-    """Check a policy's answer.
+    """Check a policy's answer and return its actions.
 
     Args:
-        arms, each: how many arms it drives, and how many drives each of them has.
+        answer: answer of the policy.
+        arms, each: number of arms, and number of drives of each arm.
 
     Raises:
-        InvalidActionError: the answer is no mapping, `ctrl` is not a finite number for each drive, or another value is
-            not valid.
+        InvalidActionError: the answer is no mapping, lacks a finite number for a drive, or has an invalid value.
     """
     if not isinstance(answer, Mapping):
         raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
@@ -124,7 +122,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
 
 
 def _magnet(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
-    """Of each action, whether each arm's weld is commanded to hold."""
+    """Return for each action whether each arm's weld is commanded on."""
     rows = _values(value, "magnet")
     if is_chunk and rows.size == count * arms:
         return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]
@@ -148,7 +146,7 @@ def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
 
 
 def _check_angles(ctrl: Array) -> None:
-    """Refuse joint angles that are not in rad; the last drive may be a gripper's."""
+    """Refuse joint angles that are not in rad. The last drive is not checked, because it may be a gripper."""
     joints = ctrl[..., :-1]
     if joints.size == 0:
         return

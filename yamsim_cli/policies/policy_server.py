@@ -6,8 +6,8 @@
         print(server.url)
         server.serve_forever()
 
-Needs numpy and msgpack alone. The given function makes a policy for each client. The policies of all clients are called
-one at a time. The server listens on 127.0.0.1 by default, and asks for no password.
+The server needs numpy and msgpack only. It calls the given function to make a policy for each client, and calls the
+policies of all clients one at a time. It listens on 127.0.0.1 by default, without a password.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message
 
 LOOPBACK = "127.0.0.1"
 
-_MAX_BYTES = 64_000_000  # of a message that is read; two pictures of 1920 x 1080 take a fifth
+_MAX_BYTES = 64_000_000  # largest accepted message; two images of 1920 x 1080 take a fifth
 _MAX_SESSIONS = 256
 
 
 class PolicyServer(ThreadingHTTPServer):
-    """Answers clients until `shutdown`; leaving it as a context manager closes the port.
+    """HTTP server that answers clients until `shutdown`. As a context manager, it closes its port at the end.
 
     Args:
-        make_policy: makes a policy, see `policies.policy_protocol.Policy`; called for each client.
-        host: address to listen on; beyond 127.0.0.1, anybody who reaches the port can use it.
-        port: 0 takes a free one.
+        make_policy: makes a policy for each client, see `policies.policy_protocol.Policy`.
+        host: address to listen on; with an address other than 127.0.0.1, other machines can use the policy.
+        port: port to listen on; 0 selects a free port.
 
     Raises:
-        ResourceError: msgpack is not installed, or the port cannot be had.
+        ResourceError: msgpack is not installed, or the server cannot listen on the port.
     """
 
     daemon_threads = True
@@ -54,7 +54,7 @@ class PolicyServer(ThreadingHTTPServer):
         require_library("a policy in another process", "msgpack", "remote")
         self._make, self.host = make_policy, host
         self._sessions: dict[str, Any] = {}
-        # Most models must not be called from two threads at once.
+        # Most models do not support calls from two threads at once.
         self._one_at_a_time = threading.Lock()
         try:
             super().__init__((host, port), _Handler)
@@ -63,15 +63,15 @@ class PolicyServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """The address that clients connect to."""
+        """Address for clients."""
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
     def answer(self, what: str, message: Any) -> bytes:
-        """The answer to a message, as bytes; an error too becomes an answer."""
+        """Return the encoded answer to a message. An error becomes an answer too."""
         with self._one_at_a_time:
             try:
-                # A fork by the policy would answer the client a second time.
+                # Otherwise, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._answer(what, message))
             # The policy may raise any exception, which is sent to the client.
@@ -79,7 +79,7 @@ class PolicyServer(ThreadingHTTPServer):
                 return _fault(error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore lost connections, such as those of workers that were ended."""
+        """Ignore lost connections, such as those of terminated workers."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -92,8 +92,8 @@ class PolicyServer(ThreadingHTTPServer):
             policy = check_policy(self._make(), "of the server")
             session = secrets.token_hex(8)
             self._sessions[session] = policy
-            asks = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
-            return {"session": session, **asks, "ticks": getattr(policy, "ticks", 1)}
+            requests = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
+            return {"session": session, **requests, "ticks": getattr(policy, "ticks", 1)}
         policy = self._sessions[message["session"]]
         if what == "reset":
             reset_policy(policy, message["seed"])
@@ -107,25 +107,25 @@ class PolicyServer(ThreadingHTTPServer):
 
 
 def _fault(error: Exception) -> bytes:
-    """The answer that reports an exception."""
+    """Return the answer that reports an exception."""
     if isinstance(error, MessageError):
         report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
         fault = describe_fault(error, Path.cwd())
         report = {"error": fault.text, "traceback": fault.traceback}
-        # File names may hold bytes that are no valid text.
+        # File names may contain bytes that are no valid text.
         report = {key: text.encode(errors="backslashreplace").decode() for key, text in report.items()}
     return pack_message(report)
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: PolicyServer
-    # HTTP/1.1 keeps the connection open: a new one for each action would take longer than the action.
+    # HTTP/1.1 keeps the connection open, because a new connection for each action takes longer than the action.
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
     def do_POST(self) -> None:
-        """Answer one message; requests of web pages from other sites are refused."""
+        """Answer one message. Requests from web pages of other sites are refused."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if refusal_reason(hosts, origins, self.server.host) is not None:
             self.send_error(403)
@@ -146,4 +146,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing, since there are thirty requests a second."""
+        """Log nothing, because clients send about thirty requests per second."""

@@ -1,6 +1,6 @@
-"""A policy in another process, on this machine or another, called over HTTP with messages in msgpack.
+"""Client of a policy in another process or on another machine, over HTTP with msgpack messages.
 
-Arrays are sent as dtype, shape and content. Reading a message runs no code of it.
+Arrays are sent as dtype, shape and content. Reading a message never executes code from it.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from ..core.errors import ResourceError, UsageError
 from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
 from .policy_protocol import InvalidActionError, Observation
 
-PROTOCOL = 1  # version of the protocol, on which both sides have to agree
+PROTOCOL = 1  # version of the protocol, which both sides must share
 
 _ARRAY = 1  # msgpack's extension type of an array
-_DTYPE_KINDS = "biuf"  # that can be sent: booleans, whole and floating-point numbers
+_DTYPE_KINDS = "biuf"  # supported kinds: booleans, integers and floating-point numbers
 
 
 class MessageError(ValueError):
-    """Bytes that are no message of this protocol."""
+    """Received bytes are no message of the protocol."""
 
 
 class UnsendableError(MessageError):
-    """A policy's answer that cannot be sent; the text says which part of it, and why."""
+    """A policy's answer cannot be sent."""
 
 
 class RemotePolicy:
-    """Requests every action from a server, see `yamsim_cli.policies.policy_server`.
+    """Policy that requests each action from a server, see `yamsim_cli.policies.policy_server`.
 
     The server keeps a session for each policy. One connection serves all calls.
 
     Attributes:
-        images, wants, ticks: those of the server's policy.
+        images, wants, ticks: attributes of the server's policy, see `policy_protocol.Policy`.
 
     Args:
-        url: the server's URL, such as `http://127.0.0.1:8080`.
-        timeout: seconds to wait for an answer.
+        url: URL of the server, such as `http://127.0.0.1:8080`.
+        timeout: time limit for an answer, s.
 
     Raises:
-        UsageError: the URL is not valid.
-        ResourceError: no server answers there, or one with another protocol.
+        UsageError: the URL is invalid.
+        ResourceError: no server answers, the server has another protocol, or msgpack is not installed.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -59,9 +59,9 @@ class RemotePolicy:
         self._url = url
         self._connection = http.client.HTTPConnection(parts.hostname, parts.port or 80, timeout=timeout)
         try:
-            session = self._ask("session", {"protocol": PROTOCOL})
+            session = self._request("session", {"protocol": PROTOCOL})
             self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
-            # Older servers do not send this.
+            # Older servers do not send `wants`.
             self.wants = tuple(session.get("wants", ()))
             self._session = session["session"]
         except (OSError, RemoteError, KeyError, TypeError, ValueError) as error:
@@ -71,17 +71,17 @@ class RemotePolicy:
 
     def reset(self, seed: int) -> None:
         """Reset the server's policy."""
-        self._ask("reset", {"session": self._session, "seed": seed})
+        self._request("reset", {"session": self._session, "seed": seed})
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """The answer of the server's policy.
+        """Return the answer of the server's policy to an observation.
 
         Raises:
             RemoteError: the policy raised an exception, or the server is gone.
-            InvalidActionError: the policy's answer cannot be sent.
+            InvalidActionError: the policy's answer cannot be sent, or is not numeric.
             TimeoutError: the server did not answer in time.
         """
-        answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
+        answer = self._request("act", {"session": self._session, "observation": dict(observation)})
         action = answer.get("action")
         if not isinstance(action, dict):
             raise RemoteError(f"{self._url} answers with no action")
@@ -91,12 +91,12 @@ class RemotePolicy:
         return action
 
     def close(self) -> None:
-        """End the session, and close the connection."""
+        """End the session and close the connection."""
         with contextlib.suppress(OSError, RemoteError, AttributeError):
-            self._ask("close", {"session": self._session})
+            self._request("close", {"session": self._session})
         self._connection.close()
 
-    def _ask(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
+    def _request(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
         with request_context(self._url, self._connection.close):
             self._connection.request("POST", f"/{what}", pack_message(message), {"Content-Type": "application/msgpack"})
             response = self._connection.getresponse()
@@ -115,34 +115,34 @@ class RemotePolicy:
 
 
 def pack_message(message: Any) -> bytes:
-    """A message as bytes: plain containers, text, numbers and numpy arrays of numbers."""
+    """Encode a message of plain containers, text, numbers and arrays of numbers."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_pack_array, use_bin_type=True))
 
 
 def require_sendable(answer: Any) -> dict[str, Any]:
-    """A policy's answer, if it can be sent.
+    """Return a policy's answer as a dictionary.
 
     Raises:
-        UnsendableError: it cannot be sent.
+        UnsendableError: the answer is no mapping, or a value cannot be sent.
     """
     if not isinstance(answer, Mapping):
         raise UnsendableError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     for key, value in answer.items():
         try:
             unpack_message(pack_message({key: value}))
-        # Converting arrays of other libraries, recursion and huge numbers may raise any exception.
+        # Arrays of other libraries, recursion and huge numbers may raise any exception.
         except Exception as error:
             raise UnsendableError(f"{key} of the answer: {error}") from error
     return dict(answer)
 
 
 def unpack_message(data: bytes) -> Any:
-    """The message in bytes.
+    """Decode a message.
 
     Raises:
-        WireError: the bytes are no message, or the message has too many values.
+        MessageError: the bytes are no message, or the message has too many values.
     """
     import msgpack
 
@@ -166,7 +166,7 @@ def _pack_array(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     try:
-        # This converts tensors of any library, except those on a GPU or with gradients.
+        # `asarray` converts tensors of all libraries, except tensors on a GPU or with gradients.
         array = np.asarray(value)
     except Exception as error:
         raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error

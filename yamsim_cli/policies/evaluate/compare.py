@@ -1,4 +1,4 @@
-"""Comparison of two policies on the same starts, with McNemar's test."""
+"""Compare two policies on the same starts by McNemar's test."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from typing import Any
 
 from yamsim_cli.core.errors import UsageError
 
-_SAME = ("task", "rig", "grasp", "arms", "seed")  # equal in two reports whose trials are pairs
-_MAX_BYTES = 500_000_000  # of a report that is read
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys that must be equal in two reports with paired trials
+_MAX_BYTES = 500_000_000  # largest size of a report
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The exact two-sided p-value of McNemar's test, of the trials in which exactly one of two policies succeeded.
+    """Return the exact two-sided p-value of McNemar's test, or 1 without trials.
 
-    The probability that fair coins split at least as unevenly; 1 where there is no such trial.
+    Each argument is the number of trials in which only one of the two policies succeeded.
     """
     n, fewer = only_first + only_second, min(only_first, only_second)
-    # Floats overflow from about a thousand trials on.
+    # Use integers, because floats overflow from about a thousand trials on.
     as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
     return min(1.0, float(Fraction(as_uneven, 1 << n)))
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """A report that `yamsim eval --out` wrote.
+    """Read a report that `yamsim eval --out` wrote.
 
     Raises:
-        UsageError: the file cannot be read, or is no such report.
+        UsageError: the file cannot be read, or is no report of an evaluation.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -52,10 +52,10 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Make sure that a report's trials can be paired with those of another job.
+    """Check that the trials of a report can be paired with those of another job.
 
     Args:
-        expected: of the other job, the result of `describe_run` or a report.
+        expected: result of `describe_run`, or a report, of the other job.
 
     Raises:
         UsageError: the two differ in task, rig, grasp, arms or seed.
@@ -68,8 +68,9 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """The comparison of two reports, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
-    only_second, neither, p_value (McNemar's exact test).
+    """Compare two reports and return JSON data on their pairs of trials, with the p-value of McNemar's exact test.
+
+    `policy` and `success_rate` in the data are those of the second report.
 
     Raises:
         UsageError: the reports are not of the same trials.
@@ -96,7 +97,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
 
 
 def _same_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    # A trial whose worker was lost has no layout.
+    # Trials with a lost worker have no layout.
     if not one or not other:
         return True
     return one.keys() == other.keys() and all(list(one[name]) == list(other[name]) for name in one)

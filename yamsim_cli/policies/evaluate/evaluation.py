@@ -1,4 +1,4 @@
-"""Evaluation of a policy: trials in worker processes, their statistics, and films of failures."""
+"""Evaluate a policy: trials in worker processes, their statistics, and films of failures."""
 
 from __future__ import annotations
 
@@ -38,11 +38,13 @@ from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All trials of a policy, in their order.
+    """Results of all trials of a policy.
 
     Attributes:
+        choice: the evaluated policy.
+        results: results of the trials, in order.
         seconds: real time of all trials, s.
-        instances: which thing has which role in each trial, see `instance_of`.
+        instances: objects and roles of each trial, see `describe_objects`.
     """
 
     choice: PolicyChoice
@@ -54,14 +56,14 @@ class Evaluation:
 def evaluate(
     session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
 ) -> Evaluation:
-    """Run trials of a policy, as many as the config's `episodes`, from the starts of `trials` with the same seed.
+    """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with the same seed.
 
     Args:
-        trial_seconds: real time after which a worker that does not finish its trial is ended, s.
+        trial_seconds: real time after which a worker with an unfinished trial is terminated, s.
 
     Raises:
         UsageError, ResourceError: the policy cannot be made.
-        InterruptedJobError: stopped by the user.
+        InterruptedJobError: the user stopped the evaluation.
     """
     began = time.monotonic()
     config = session.config
@@ -75,13 +77,13 @@ def evaluate(
 
 
 def describe_objects(session: Session, job: AttemptJob) -> str:
-    """The kinds of a trial's things, such as "object banana, plate"."""
+    """Return the role assignment of a trial as text, such as "object banana, plate"."""
     kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
 
 def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """For each instance, JSON-ready: instance, n, n_success, success_rate, wilson95, policy_s."""
+    """Return JSON data for each instance: instance, n, n_success, success_rate, wilson95, policy_s."""
     rows = []
     for name in dict.fromkeys(sorted(evaluation.instances)):
         found = [result for result, own in zip(evaluation.results, evaluation.instances, strict=True) if own == name]
@@ -100,7 +102,7 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    """Counts of all trials: chunks, actions, stale actions, and the time without an action for it, s."""
+    """Return counts of all trials: chunks, actions, stale actions, and the time without an action, s."""
     counts = [result.count for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -120,10 +122,10 @@ def _lost_trial(lost: LostJobError) -> TrialResult:
 
 
 def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
-    """An evaluation as JSON-ready data: policy, stats, rig, task, grasp, arms, seed, seconds, trials.
+    """Return an evaluation as JSON data, with policy, stats, rig, task, grasp, arms, seed, seconds and trials.
 
     Args:
-        thresholds: m, by which the outcomes are scored beside the task's own.
+        thresholds: distances, m, by which outcomes are scored in addition to the task's own.
     """
     results, tick = evaluation.results, config.task.timing.tick
     calls = [seconds for result in results for seconds in result.seconds]
@@ -153,13 +155,13 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
 
 
 def require_measured(report: Mapping[str, Any]) -> None:
-    """Make sure that an evaluation measured the policy's success.
+    """Check that an evaluation measured the policy's success.
 
     Args:
-        report: of `summary`.
+        report: result of `evaluation_report`.
 
     Raises:
-        PartialJobError: no trial came to its end.
+        PartialJobError: all trials ended before they measured the policy.
     """
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED for how in ended):
@@ -192,16 +194,16 @@ class _FilmJob:
 
 
 class PolicyFilmer(TrialFilmer):
-    """Repeats a policy's actions, and renders them."""
+    """Repeats and renders a policy's actions."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
-        """The trial's frames as JPEGs."""
+        """Return the frames of a trial as JPEGs."""
         simulator = self._simulators.get(film.attempt.job)
         return self._film(simulator, run_actions(simulator, film.attempt, film.actions, REPLAY_RULES))
 
 
 def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
-    """The trials that are filmed, see `film`."""
+    """Return the trials to film, see `film_evaluation`."""
     acted = [result for result in results if result.actions is not None]
     failed = [result for result in acted if not result.outcome.success]
     return (acted if successes else failed or acted)[:limit]
@@ -216,15 +218,15 @@ def film_evaluation(
     *,
     successes: bool = False,
 ) -> list[FilmedTrial]:
-    """Film trials in which something acted: the failures, or the successes if there are no failures.
+    """Film trials that have actions: the failures, or the successes if no trial failed.
 
     Args:
-        limit: number of films at most.
-        successes: film failures and successes, in the order of the trials.
+        limit: largest number of films.
+        successes: whether to film failures and successes, in the order of the trials.
 
     Raises:
-        InterruptedJobError: stopped by the user; finished films stay.
-        ResourceError: nothing can be rendered here, or the films cannot be written.
+        InterruptedJobError: the user stopped the job; finished films stay.
+        ResourceError: the machine cannot render, or the films cannot be written.
     """
     config = session.config
     tick = config.task.timing.tick

@@ -1,4 +1,4 @@
-"""A policy's observations, whose pictures are rendered when they are first read."""
+"""Observations of policies, whose images are rendered at the first access."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from yamsim_cli.core.images.image import Image
 
 from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
-# Renders what a camera sees at MuJoCo's positions (nq,).
+# Renders the image of a camera at MuJoCo's positions (nq,).
 Render = Callable[[Array, str], Image]
 
 
 def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
-    """Name of an image that a policy can request -> key in an observation -> camera."""
+    """Return the images that a policy can request: name of the request -> key in an observation -> camera."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
         side = f"{arm.side}_wrist"
@@ -37,10 +37,10 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Key in a policy's observation -> camera, of the requested images.
+    """Return the cameras of the requested images, by their keys in an observation.
 
     Raises:
-        UsageError: this rig and task have no such camera.
+        UsageError: the rig and the task do not have a requested image.
     """
     there = available_cameras(config)
     cameras: dict[str, str] = {}
@@ -55,10 +55,10 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class ObservationRenderer:
-    """Renders for the observations of one trial.
+    """Renderer for the observations of one trial.
 
     Attributes:
-        failure: the exception of a failed rendering, which is not the policy's fault even if the policy handles it.
+        failure: exception of a failed rendering, which is not the policy's fault; None if none failed.
     """
 
     def __init__(self, render: Render) -> None:
@@ -68,10 +68,10 @@ class ObservationRenderer:
         self.failure: Exception | None = None
 
     def render(self, key: str, qpos: Array, camera: str) -> Image:
-        """The picture that an observation has under `key`.
+        """Return the image of a camera for the `key` of an observation.
 
         Raises:
-            RuntimeError: the picture is read in another thread, where OpenGL cannot render, or after its trial.
+            RuntimeError: the image is read in another thread, where OpenGL cannot render, or after its trial.
         """
         hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:
@@ -85,19 +85,19 @@ class ObservationRenderer:
             raise
 
     def finish(self) -> None:
-        """End the trial: pictures of its states can no longer be rendered."""
+        """End the trial, after which its images can no longer be rendered."""
         self._is_over = True
 
 
 class LazyObservation(Mapping[str, Any]):
-    """An observation whose pictures are rendered when they are first read, in the state of the observation.
+    """An observation whose images are rendered at the first access, in the state of the observation.
 
-    `dict(observation)` renders all pictures. Listing and counting the keys renders nothing.
+    `dict(observation)` renders all images. Listing and counting the keys renders no image.
 
     Args:
-        numbers: all values but the pictures.
+        numbers: all values except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
-        cameras: key -> camera of the pictures.
+        cameras: key of an image -> camera.
     """
 
     def __init__(
@@ -124,15 +124,15 @@ class LazyObservation(Mapping[str, Any]):
         return f"{type(self).__name__}({', '.join(self._keys)})"
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        # A copy is a plain dictionary with all pictures.
+        # A copy is a plain dictionary with all images.
         return dict, (dict(self),)
 
 
 class ObservationBuilder:
-    """Makes a policy's observations.
+    """Builds the observations of a policy.
 
     Args:
-        images, wants: the policy's requests, see `policies.policy_protocol.IMAGES` and `STATE`.
+        images, wants: requests of the policy, see `policies.policy_protocol.IMAGES` and `STATE`.
 
     Raises:
         UsageError: a requested camera does not exist.
@@ -145,12 +145,12 @@ class ObservationBuilder:
 
     @property
     def drives(self) -> tuple[int, int]:
-        """The numbers of arms, and of drives of each arm."""
+        """Number of arms, and number of drives of each arm."""
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
-        """The observation of an episode's present state."""
+        """Return the observation of an episode's current state."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
         task = config.task
         replica.show(episode.data.qpos)

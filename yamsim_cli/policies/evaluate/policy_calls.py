@@ -1,4 +1,4 @@
-"""Calls of a policy's code under a time limit, with its errors told apart from yamsim's own."""
+"""Call a policy's code under a time limit, and distinguish its errors from yamsim's."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class PolicyFailedError(Exception):
-    """The policy raised an exception, which `fault` describes."""
+    """The policy raised an exception, described by `fault`."""
 
     def __init__(self, fault: PolicyFault) -> None:
         super().__init__(fault.text)
@@ -33,14 +33,14 @@ class PolicyTimeoutError(Exception):
 
 
 class PolicyCaller:
-    """Calls a policy under a time limit, which is paused while the policy waits for yamsim.
+    """Calls a policy under a time limit, which pauses while the policy waits for yamsim.
 
     Attributes:
-        seconds: duration of the last call without such waits, s.
+        seconds: duration of the last call without these waits, s.
 
     Args:
-        limit: for one call, s.
-        folder: paths of the policy's files are named relative to it.
+        limit: time limit for one call, s.
+        folder: folder to which paths of the policy's files are shown relative.
     """
 
     def __init__(self, limit: float, folder: Path) -> None:
@@ -49,12 +49,12 @@ class PolicyCaller:
         self._waited = 0.0
 
     def call(self, function: Callable[[], T]) -> T:
-        """The result of a function that calls the policy.
+        """Return the result of a function that calls the policy.
 
         Raises:
             PolicyFailedError: the policy raised an exception.
-            TooSlowError: the time limit passed.
-            InvalidActionError: a server reports that the policy's answer is not valid.
+            PolicyTimeoutError: the time limit passed.
+            InvalidActionError: the policy's answer is invalid, as a client or a server reports.
         """
         began, self._waited = time.monotonic(), 0.0
         try:
@@ -66,7 +66,7 @@ class PolicyCaller:
             raise
         except RemoteError as error:
             raise PolicyFailedError(error.fault) from error
-        # A policy may raise any exception, which fails its trial alone.
+        # A policy may raise any exception, which fails only its trial.
         except Exception as error:
             raise PolicyFailedError(describe_fault(error, self._folder)) from error
         finally:
@@ -74,7 +74,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Pause the time limit: in the block the policy waits for yamsim."""
+        """Pause the time limit in a block in which the policy waits for yamsim."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
         try:
@@ -85,15 +85,14 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def _limited(self) -> Iterator[None]:
-        """Raise TooSlowError in the block after the time limit. Code that never returns to Python is ended by the
-        worker pool.
-        """
+        """Raise PolicyTimeoutError in the block after the time limit."""
+        # The worker pool terminates code that never returns to Python.
 
         def ring(number: int, frame: FrameType | None) -> None:
             raise PolicyTimeoutError
 
         before = signal.signal(signal.SIGALRM, ring)
-        # Workers start with the signal blocked.
+        # Workers start with a blocked SIGALRM.
         mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
         signal.setitimer(signal.ITIMER_REAL, self._limit)
         try:
@@ -105,5 +104,5 @@ class PolicyCaller:
 
 
 def output_on_stderr() -> contextlib.AbstractContextManager[Any]:
-    """Redirect what a policy prints to stderr, since stdout may carry a report."""
+    """Redirect a policy's output from stdout, which may carry a report, to stderr."""
     return contextlib.redirect_stdout(sys.stderr)

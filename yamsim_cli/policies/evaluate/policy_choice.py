@@ -1,4 +1,4 @@
-"""The choice of a policy to evaluate, and of how its answers are used."""
+"""Choice of a policy to evaluate, and settings for its answers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..policy_loading import is_external, takes_keywords
 
 @dataclass(frozen=True)
 class PolicyChoice:
-    """A policy, how its answers are used, and its time limits.
+    """A policy with settings for its answers and its time limits.
 
     Attributes:
-        name, folder: see `make_policy`.
-        call_seconds: limit of real time for one answer or reset, s.
-        time_limit: limit of simulated time for a trial, s; None for the task's own.
-        end: who ends a trial.
+        name, folder: name of the policy, and folder of the user's files, see `make_policy`.
+        call_seconds: real-time limit for one answer or reset, s.
+        time_limit: simulated-time limit for a trial, s; None for the task's limit.
+        end: rule that ends a trial.
         arguments: keywords for a class of the user.
-        mapping: name or file of a config of `policies`, for another program's policy; None for the protocol's own.
-        chunking: how chunks of actions are used.
-        known_only: whether a class gets only those of `arguments` that it has parameters for.
+        mapping: name or file of a config of `policies`, for policies of other programs; None for the default.
+        chunking: settings for action chunks.
+        known_only: whether a class gets only the `arguments` that it accepts.
     """
 
     name: str
@@ -38,10 +38,9 @@ class PolicyChoice:
     known_only: bool = False
 
     def compared_with(self, name: str) -> PolicyChoice:
-        """The choice of another policy, by its name, under the same conditions.
+        """Return the choice of another policy by name, under the same conditions.
 
-        A class of the user gets the keywords that it has parameters for. A policy of another program gets the same
-        config.
+        A class of the user gets the keywords that it accepts. A policy of another program gets the same config.
         """
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""Makes policies by name: the built-in ones, those of the user, and those of other programs."""
+"""Make policies by name: built-in policies, policies of the user, and policies of other programs."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from ..remote_policy import RemotePolicy
 from .observation import available_cameras
 from .policy_choice import PolicyChoice
 
-# Scheme of a policy's name -> config of its messages unless another config is named.
+# Scheme of a policy's name -> default config of its messages.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
 class PrivilegedTrial:
-    """What a privileged policy knows of its trial.
+    """The state of a trial that a privileged policy can read.
 
     Attributes:
-        attempt: as it was sampled.
-        scene: compiled.
+        attempt: the sampled attempt.
+        scene: the compiled scene.
     """
 
     def __init__(self, simulator: Simulator, attempt: Attempt) -> None:
@@ -51,25 +51,25 @@ class PrivilegedTrial:
 
     @functools.cached_property
     def expert_attempt(self) -> SimulatedAttempt:
-        """The attempt of the task's expert, made when it is first read."""
+        """Attempt of the task's expert, which is simulated at the first access."""
         return demonstrate(self._simulator, self.attempt)
 
 
 @runtime_checkable
 class PrivilegedPolicy(Protocol):
-    """A policy that knows what a robot cannot see."""
+    """A policy that reads the simulator's state."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
         """Prepare for a trial, before `reset`.
 
         Returns:
-            MuJoCo's positions (nq,) at which the trial begins; None for the sampled ones.
+            MuJoCo's initial positions (nq,) for the trial; None for the sampled positions.
         """
         ...
 
 
 class _ActionSequencePolicy:
-    """Answers with given actions, tick by tick."""
+    """Policy that answers with given actions, one per control tick."""
 
     images = ()
 
@@ -78,8 +78,8 @@ class _ActionSequencePolicy:
         self._magnet: WeldStates = np.zeros((0, 0), bool)
         self._tick = 0
 
-    def _play(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
-        """Set the actions: of MuJoCo's drives (ticks, nu) and of each arm's weld (ticks, arms)."""
+    def _set_actions(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
+        """Set the commands to MuJoCo's drives (ticks, nu) and to each arm's weld (ticks, arms)."""
         self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
 
     def reset(self) -> None:
@@ -91,18 +91,18 @@ class _ActionSequencePolicy:
 
 
 class ExpertPolicy(_ActionSequencePolicy):
-    """The task's expert, as in `trials` and `record`."""
+    """Policy that repeats the actions of the task's expert, as in `trials` and `record`."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Take the expert's actions and start."""
+        """Set the expert's actions and return the expert's start."""
         states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
-        self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
+        self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
         return trial.expert_attempt.attempt.start
 
 
 class HoldStillPolicy:
-    """Holds the joints of the first observation."""
+    """Policy that holds the joints of the first observation."""
 
     images = ()
 
@@ -110,21 +110,21 @@ class HoldStillPolicy:
         self._ctrl: Any = None
 
     def reset(self) -> None:
-        """Hold the joints of the next observation."""
+        """Forget the joints, so that the next observation sets them."""
         self._ctrl = None
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Command the joints of the first observation."""
+        """Return the joints of the first observation as the command."""
         self._ctrl = observation["joints"] if self._ctrl is None else self._ctrl
         return {"ctrl": self._ctrl}
 
 
 class ReplayPolicy(_ActionSequencePolicy):
-    """Repeats a dataset's actions: those of the trial's own seed and number, or else those of another episode.
+    """Policy that repeats the actions of a dataset's episode with the trial's seed and number, or of another episode.
 
     Raises:
-        UsageError: there are no episodes.
-        DatasetError: an episode is damaged, or of another scene.
+        UsageError: the dataset has no episodes.
+        DatasetError: an episode is damaged, or belongs to another scene.
     """
 
     def __init__(self, dataset: Path) -> None:
@@ -136,7 +136,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         self._by_job = {AttemptJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Read the trial's episode, and take its recorded start."""
+        """Set the actions of the trial's episode and return its start, or None if the episode is another one."""
         job = trial.attempt.job
         other = self._episodes[job.attempt % len(self._episodes)]
         episode = self._by_job.get(job, other)
@@ -144,20 +144,20 @@ class ReplayPolicy(_ActionSequencePolicy):
         if found is None:
             raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
         start, actions = found
-        self._play(actions.ctrl, actions.magnet, trial.scene)
+        self._set_actions(actions.ctrl, actions.magnet, trial.scene)
         return start if job in self._by_job else None
 
 
 def make_policy(choice: PolicyChoice, session: Session) -> Policy:
-    """The policy of a name.
+    """Return the chosen policy.
 
     Args:
-        choice: its folder is where the user's modules, files and datasets are looked up.
+        choice: choice of a policy; its folder has the user's modules, files and datasets.
 
     Raises:
-        ConfigError: the config of another program's policy is not valid.
-        UsageError: there is no such policy, it cannot be loaded, or does not fit the rig.
-        ResourceError: no server answers at its address, or a package is missing.
+        ConfigError: the config of another program's policy is invalid.
+        UsageError: the policy does not exist, cannot be loaded, or does not fit the rig.
+        ResourceError: no server answers, or a package is missing.
     """
     name, folder = choice.name, choice.folder
     kind, colon, rest = name.partition(":")
@@ -181,7 +181,6 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
 
 
 def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
-    """A policy of another program."""
     kind, _, rest = choice.name.partition(":")
     mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
     station = policy_station(session.config)
@@ -198,7 +197,7 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
 
 
 def policy_station(config: RecordConfig) -> PolicyStation:
-    """The arms, cameras and things that a policy acts on."""
+    """Return the arms, cameras and objects that a policy acts on."""
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     cameras = {name: next(iter(keys)) for name, keys in available_cameras(config).items() if len(keys) == 1}
     return PolicyStation(

@@ -1,4 +1,4 @@
-"""One trial of a policy, with the start and the verdict of `yamsim trials` for the same numbers."""
+"""Trials of a policy, with the same starts and verdicts as `yamsim trials`."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from .policy_factory import ExpertPolicy, PrivilegedPolicy, PrivilegedTrial, mak
 
 
 class TrialEnd(StrEnum):
-    """What ended a trial. From `RAISED` on the policy is at fault, and the trial is no success.
+    """Reason for the end of a trial. From `RAISED` on, the policy is at fault, and the trial is a failure.
 
-    `SUCCESS`: the goal had held for its hold time, under the rule that ends a trial then. `DONE`: the policy's answer.
+    `SUCCESS`: the goal held for its hold time, under the rule `success`. `DONE`: the policy's answer had `done`.
     """
 
     NOT_STARTED = "not_started"
@@ -49,7 +49,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# Ends of trials that measure the policy.
+# Ends of trials that measure the success of a policy.
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
@@ -57,17 +57,18 @@ _NO_FAULT = PolicyFault("")
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The result of a trial.
+    """Result of a trial.
 
     Attributes:
-        attempt: as it began.
-        ended: what ended it.
-        error: the policy's fault, for a person; empty if there is none.
-        traceback: of the policy's exception; empty if there is none.
-        ticks: control ticks that passed.
-        seconds: duration of each of the policy's answers, s.
-        actions: what acted; None if nothing did.
-        count: of the policy's actions.
+        attempt: samples of the attempt.
+        outcome: outcome of the attempt.
+        ended: reason for the end.
+        error: description of the policy's fault; empty without a fault.
+        traceback: traceback of the policy's exception; empty without an exception.
+        ticks: number of simulated control ticks.
+        seconds: duration of each inference, s.
+        actions: executed actions; None if no tick was simulated.
+        count: counts of action chunks.
     """
 
     attempt: Attempt
@@ -82,17 +83,17 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """The rules of a policy's trials: who ends them, and their time limit."""
+    """Return the rules that end a policy's trials, with the time limit."""
     task = config.task
     ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
 
 
 class TrialRunner(Closable):
-    """Runs trials of one policy; a context manager, since it may own a renderer.
+    """Runs trials of one policy. The caller must close the runner, for example as a context manager.
 
     Raises:
-        UsageError, ResourceError: the policy cannot be made, see `make_policy`.
+        ConfigError, UsageError, ResourceError: the policy cannot be made, see `make_policy`.
     """
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
@@ -107,7 +108,7 @@ class TrialRunner(Closable):
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: AttemptJob) -> TrialResult:
-        """Run one trial. The expert runs first only if the policy is the expert, or distractors have to leave room."""
+        """Run one trial. The expert runs first only if it is the policy, or if distractors must leave room for it."""
         simulator, policy = self._simulators.get(job), self._policy
         trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
         scripted = isinstance(policy, ExpertPolicy)
@@ -120,8 +121,8 @@ class TrialRunner(Closable):
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
         episode, ended, fault, count = self._drive(simulator, attempt, seconds)
-        played = episode.finish()
-        outcome = build_outcome(simulator, played)
+        result = episode.finish()
+        outcome = build_outcome(simulator, result)
         if scripted:
             outcome = replace(outcome, recoveries=trial.expert_attempt.outcome.recoveries)
         record = OutcomeRecord.from_outcome(outcome)
@@ -135,22 +136,22 @@ class TrialRunner(Closable):
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
     ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
-        """Let the policy act until the trial ends, or the policy is done or fails."""
+        """Run the policy until the trial ends, or the policy is done or fails."""
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = ObservationBuilder(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
+        scheduler = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
         try:
-            ended, fault = self._play(player, episode, observer, attempt, renderer, seconds)
+            ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
         finally:
             renderer.finish()
-        return episode, ended, fault, player.count
+        return episode, ended, fault, scheduler.count
 
-    def _play(
+    def _run_policy(
         self,
-        player: ChunkScheduler,
+        scheduler: ChunkScheduler,
         episode: Episode,
         observer: ObservationBuilder,
         attempt: Attempt,
@@ -159,12 +160,12 @@ class TrialRunner(Closable):
     ) -> tuple[TrialEnd, PolicyFault]:
         try:
             self._caller.call(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
-            while episode.end is None and not player.last_chunk_is_over(episode.ticks):
-                if player.is_due(episode.ticks):
+            while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
+                if scheduler.is_due(episode.ticks):
                     answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
-                    player.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
-                ctrl, magnet = player.next_command(episode.ticks)
+                    scheduler.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
+                ctrl, magnet = scheduler.next_command(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
             return TrialEnd.INVALID, PolicyFault(str(error))
@@ -175,14 +176,13 @@ class TrialRunner(Closable):
         except PolicyFailedError as error:
             return TrialEnd.RAISED, PolicyFault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
         if episode.end is None:
-            # The policy is done: the last command holds while things settle and for the goal's hold time.
+            # The policy is done. Hold the last command while objects settle, and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.succeeds:
                     episode.step(ctrl, magnet)
         return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), _NO_FAULT
 
     def _answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
-        """The policy's answer to an observation."""
         try:
             return self._caller.call(lambda: self._policy(observation))
         finally:
@@ -203,5 +203,5 @@ class TrialRunner(Closable):
 
 
 def _policy_seed(job: AttemptJob) -> int:
-    """A seed for each trial, of 32 bits, which every library accepts."""
+    """Return a seed of 32 bits for a trial, which all libraries accept."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

@@ -1,4 +1,4 @@
-"""A task's trials, stepped tick by tick by an environment or a simulated station."""
+"""Trials of a task that an environment or a simulated station steps by control ticks."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
+MAX_STARTS = 20  # number of consecutive trials without a start after which `begin` fails
 
 
 class SteppedTask(Closable):
-    """A task's trials, which start as those of `yamsim trials` with the same numbers. Close it, since it may render.
+    """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object to free renderers.
 
     Attributes:
-        config: of the task.
-        rules: of its episodes.
-        simulator: of the trial that was begun last.
-        attempt: the trial as it was sampled.
-        episode: the trial in motion.
+        config: config of the session.
+        rules: rules of the episodes.
+        simulator: simulator of the current trial.
+        attempt: samples of the current trial.
+        episode: simulation of the current trial.
 
     Args:
-        end: who ends a trial, see `EndRule`.
-        max_ticks: control ticks after which a trial ends; by default the task's own limit.
+        end: rule that ends a trial, see `EndRule`.
+        max_ticks: time limit of a trial in control ticks; None for the task's limit.
     """
 
     attempt: Attempt
@@ -48,7 +48,7 @@ class SteppedTask(Closable):
         self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
 
     def begin(self, job: AttemptJob) -> None:
-        """Begin a trial, or the next one that has a start.
+        """Begin a trial, or if it has no start, the next trial with a start.
 
         Raises:
             SimulationError: none of `MAX_STARTS` trials has a start.
@@ -60,10 +60,10 @@ class SteppedTask(Closable):
         raise self._none(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin a trial, or the next one in which the task's expert succeeds, as an episode of `record` does.
+        """Begin a trial, or the next trial in which the task's expert succeeds, from the start of a recorded episode.
 
         Returns:
-            The expert's actions.
+            Actions of the expert.
 
         Raises:
             SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
@@ -79,25 +79,25 @@ class SteppedTask(Closable):
 
     @property
     def succeeded(self) -> bool:
-        """Whether the trial has ended as a success, or would if its actor ended it now."""
+        """Whether the trial ended in success, or would if the actor ended it now."""
         end = self.episode.end
         return self.episode.succeeds if end is None else end.cause is None
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the trial has ended by its time limit."""
+        """Whether the trial ended by its time limit."""
         end = self.episode.end
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
     def failure_reason(self) -> str:
-        """Why the trial is no success at present, in words; empty if it is a success."""
+        """Return the reason why the trial is currently no success, or an empty text if it is a success."""
         if self.succeeded:
             return ""
         end = self.episode.end
         return self.episode.status if end is None or not end.detail else end.detail
 
     def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
-        """Camera -> image (height, width, 3) of the state now, or at MuJoCo's positions (nq,)."""
+        """Return the image (height, width, 3) of each camera, of the current state or of MuJoCo's positions (nq,)."""
         return render_cameras(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
 
     def close(self) -> None:
@@ -105,7 +105,7 @@ class SteppedTask(Closable):
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
-        """The attempts from a job on; `self.simulator` is that of the attempt yielded last."""
+        """Yield the attempts from a job on, and set `self.simulator` for each."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)

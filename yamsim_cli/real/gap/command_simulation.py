@@ -1,4 +1,4 @@
-"""Simulates arms that follow recorded commands, for comparison with the measured motion."""
+"""Simulate arms under recorded commands, for comparison with the measured motion."""
 
 from __future__ import annotations
 
@@ -13,34 +13,33 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
-_CHECK_STEPS = 200  # physics steps between two checks for a breakdown
-_START_SECONDS = 0.2  # s, first part of a recording, which decides between possible starts
-_MIN_IMPROVEMENT = 2.0  # factor by which another start must reduce the misfit of a start at rest
+_CHECK_STEPS = 200  # physics steps between two checks for a breakdown of physics
+_START_SECONDS = 0.2  # s at the start of a recording, whose errors select the initial state
+_MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
 _SLOPE_SAMPLES = 6  # samples from which the initial velocity is estimated
 
 
 def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedMotion:
     """Simulate the scene's arms under a motion's commands, from the first measured joints on.
 
-    A command acts from its time on, also between two steps: a step uses the mean of the commands during the step, which
-    gives a drive the same impulse. All steps have the same length, so that a simulated recording is reproduced by its
-    own commands. Between steps, joints are interpolated.
+    A step uses the mean of the commands during the step, so that a command between two steps gives a drive the same
+    impulse. All steps have the same length, so the commands of a simulated recording reproduce the recording. Joints
+    are interpolated between steps.
 
-    The arms start at the measured joints, and not where they would come to rest under the first command: friction lets
-    a joint rest anywhere within some milliradians. They start at rest, or at the measured velocity if that explains the
-    first tenths of a second much better. Until a delayed first command acts, the drives get the first command too, or
-    hold the start if that explains the first tenths much better.
+    The arms start at the measured joints, because friction lets a joint rest some milliradians beside its command.
+    They start at rest, or with the measured velocity if that start fits the first 0.2 s much better. Until a delayed
+    first command acts, the drives get the first command too, or hold the start if that fits much better.
 
     Args:
-        scene: from `scene.build.build_rig_scene`; its time step is used.
-        motion: with commands. Without commanded openings, fingers are commanded to the measured openings.
+        scene: result of `scene.build.build_rig_scene`; its timestep is used.
+        motion: motion with commands. Without commanded openings, fingers are commanded to the measured openings.
 
     Returns:
-        The same samples with the joints, openings and velocities of the simulation, as the arms' encoders would read
-        them without noise and resolution. The same inputs give the same bits.
+        The same samples with the simulated joints, openings and velocities. They are encoder readings without noise
+        and quantization. The same inputs give the same bits.
 
     Raises:
-        DatasetError: the motion has no commands, or other arms than the scene.
+        DatasetError: the motion has no commands, or its arms differ from the scene's.
         SimulationError: physics broke down.
     """
     check_arms(scene, motion)
@@ -68,18 +67,19 @@ def check_arms(scene: CompiledScene, motion: RecordedMotion) -> None:
     """Check that a scene's arms can follow a motion.
 
     Raises:
-        DatasetError: the motion has other arms, no commands, or no measured joints.
+        DatasetError: the motion's arms differ from the scene's, or commands or measured joints are missing.
     """
     if len(motion.arms) != len(scene.arms):
         raise DatasetError(
-            f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(scene.arms)}; choose another --rig"
+            f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(scene.arms)}; choose another "
+            "--rig"
         )
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         whose = f"{motion.name}{f', {logged.side} arm' if logged.side else ''}"
         if logged.joints.shape[1] != arm.dof:
             raise DatasetError(
-                f"{whose}: has {count_noun(logged.joints.shape[1], 'joint')}, and the rig's arm {arm.dof}; choose another "
-                "--rig"
+                f"{whose}: has {count_noun(logged.joints.shape[1], 'joint')}, and the rig's arm {arm.dof}; choose "
+                "another --rig"
             )
         if logged.commands is None or not np.isfinite(logged.commands).any(axis=0).all():
             raise DatasetError(f"{whose}: holds no commands for its joints, and without them nothing can be followed")
@@ -99,7 +99,7 @@ class _SimulatedRun:
 def _run(
     scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array
 ) -> _SimulatedRun:
-    """Step once for each row of `ctrl` (n, nu), after commands `before` (nu,); None commands to hold the start."""
+    """Step once for each row of `ctrl` (n, nu), after commands `before` (nu,), which are None to hold the start."""
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.reset(data, start, commanded=before)
     data.qvel[:] = speeds
@@ -110,15 +110,15 @@ def _run(
         scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
         if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
-            # MuJoCo has reset its own clock.
+            # The time comes from `k`, because MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
 
 
 def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """MuJoCo's control inputs (n, nu) at each step."""
+    """Return MuJoCo's control inputs (n, nu) for each step."""
     timestep = float(scene.model.opt.timestep)
-    # A sample that rounding puts just after a step needs no further step.
+    # The tolerance avoids a further step for a sample that rounding puts just after a step.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
     edges = np.arange(steps + 1, dtype=np.float64) * timestep
     ctrl = np.zeros((steps, scene.model.nu))
@@ -133,19 +133,19 @@ def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _means(times: Array, values: Array, edges: Array) -> Array:
-    """Means (n - 1, k) between `edges` (n,) of `values` (m, k), each of which holds from its time on."""
+    """Return the means (n - 1, k) of `values` (m, k) between `edges` (n,). Each value holds from its time on."""
     sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(times)[:, None], axis=0)])
     at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, None)
     integral = sums[at] + values[at] * (edges - times[at])[:, None]
     means: Array = np.diff(integral, axis=0) / np.diff(edges)[:, None]
-    # A value that holds for the whole interval is used exactly.
+    # A value that holds for a whole interval is used without rounding.
     alone = at[:-1] == np.clip(np.searchsorted(times, edges[1:], side="left") - 1, 0, None)
     means[alone] = values[at[:-1]][alone]
     return means
 
 
 def forward_filled(values: Array, before: Array) -> Array:
-    """Values (n, k) with each NaN replaced by the last known value, or at the start by the first known of `before`."""
+    """Replace each NaN in values (n, k) by the last known value, or at the start by the first known of `before`."""
     filled = values.copy()
     if np.isfinite(values).all():
         return filled
@@ -158,14 +158,14 @@ def forward_filled(values: Array, before: Array) -> Array:
 
 
 def _first_known(rows: Array) -> Array:
-    """The first finite value of each column (k,); NaN where there is none."""
+    """Return the first finite value of each column (k,), or NaN for a column without finite values."""
     finite = np.isfinite(rows)
     values: Array = np.where(finite.any(axis=0), rows[finite.argmax(axis=0), np.arange(rows.shape[1])], np.nan)
     return values
 
 
 def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
-    """Commanded openings (n,) of an arm's fingers: closed if neither commands nor measurements are recorded."""
+    """Return commanded, or else measured openings (n,) of an arm's fingers; closed if neither was recorded."""
     assert arm.fingers is not None, "asked of arms with fingers"
     closed = np.full((len(logged.joints), 1), arm.fingers.opening_limits[0])
     for openings in (logged.commanded_openings, logged.openings):
@@ -177,7 +177,7 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
 
 
 def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """MuJoCo's positions (nq,) at the first measurements."""
+    """Return MuJoCo's positions (nq,) at the first measurements."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.offset
@@ -191,7 +191,7 @@ def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """MuJoCo's velocities (nv,) at the start, measured or estimated from the first samples."""
+    """Return MuJoCo's velocities (nv,) at the start, measured or estimated from the first samples."""
     speeds = np.zeros(scene.model.nv)
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
@@ -199,13 +199,13 @@ def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
             continue
         rows = np.flatnonzero(np.isfinite(logged.joints).all(axis=1))[:_SLOPE_SAMPLES]
         if len(rows) >= 3 and motion.times[rows[-1]] <= _START_SECONDS:
-            # A parabola separates the velocity from the acceleration.
+            # The fit of a parabola separates the velocity from the acceleration.
             speeds[arm.joint_dof] = np.polyfit(motion.times[rows], logged.joints[rows], 2)[1]
     return speeds
 
 
 def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
-    """RMS difference of a run from the first measured samples, rad."""
+    """Return the RMS difference of a run from the first measured samples, rad."""
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset - logged.joints[:first]
@@ -216,7 +216,7 @@ def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRu
 
 
 def _delayed_rows(arm: ArmAddresses, run: _SimulatedRun, rows: Array, times: Array) -> Array:
-    """Rows (n, k) of a run as an arm's encoders read them at other times (m,), with their delay (m, k)."""
+    """Interpolate rows (n, k) of a run at times (m,), delayed as the arm's encoders are (m, k)."""
     return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
 
 
@@ -233,10 +233,10 @@ def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Ar
 
 
 def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
-    """Poses (n, 4, 4) of an arm's `grasp_site` in its base, for measured joints (n, dof); NaN where a joint is NaN.
+    """Return the poses (n, 4, 4) of `grasp_site` of arm `scene.arms[number]` in the frame of the arm's base.
 
     Args:
-        number: of the arm in `scene.arms`.
+        joints: measured joint positions (n, dof), rad; rows with NaN give poses of NaN.
     """
     arm, data = scene.arms[number], mujoco.MjData(scene.model)
     site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)

@@ -1,4 +1,4 @@
-"""The gap of one motion: measured joints less the joints of simulated arms that follow the same commands."""
+"""The sim-to-real gap of one motion: measured minus simulated joints under the same commands."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .joint_curves import (
     smooth_curves,
 )
 
-_LEAST_SAMPLES = 10  # measured samples that a gap needs
+_MIN_SAMPLES = 10  # least number of measured samples for a gap
 
 
 @dataclass(frozen=True)
 class ErrorStats:
-    """The size of errors: RMS, 95th percentile and maximum of their absolute values, and the number of samples."""
+    """RMS, 95th percentile and maximum of absolute errors, and the number of samples."""
 
     rms: float
     p95: float
@@ -39,7 +39,7 @@ class ErrorStats:
 
     @classmethod
     def from_errors(cls, errors: Array) -> ErrorStats:
-        """The size of errors (n,), at least one."""
+        """Return the statistics of one or more errors (n,)."""
         sizes = np.abs(errors)
         return cls(
             float(np.sqrt(np.mean(sizes**2))), float(np.percentile(sizes, 95)), float(np.max(sizes)), len(errors)
@@ -48,12 +48,12 @@ class ErrorStats:
 
 @dataclass(frozen=True)
 class TrackingFigures:
-    """How one curve of a joint follows another; None if the motion does not determine a figure.
+    """How one curve of a joint tracks another. A figure is None if the motion does not determine it.
 
     Attributes:
-        delay: s.
-        sag: mean difference where both curves are at rest, rad.
-        overshoot: how much farther it goes beyond its value at rest, mean over the stops, rad.
+        delay: delay of the curve, s.
+        sag: mean difference of the curves at rest, rad.
+        overshoot: additional overshoot beyond the value at rest, mean over the stops, rad.
     """
 
     delay: float | None
@@ -63,14 +63,14 @@ class TrackingFigures:
 
 @dataclass(frozen=True)
 class JointGap:
-    """The gap of a joint; errors are measured less simulated.
+    """Gap of a joint. Errors are measured minus simulated values.
 
     Attributes:
-        arm, name: `left`, `right` or empty, and the joint's name in the model.
-        error: rad.
-        measured_vs_simulated: how the measured curve follows the simulated one.
-        measured, simulated: how each curve follows the command.
-        phases: phase -> errors of the samples in that phase; phases without samples are left out.
+        arm, name: side of the arm (`left`, `right` or empty), and name of the joint in the model.
+        error: errors of all samples, rad.
+        measured_vs_simulated: how the measured curve tracks the simulated one.
+        measured, simulated: how each curve tracks the command.
+        phases: phase -> errors of the samples in that phase, rad; phases without samples are left out.
     """
 
     arm: str
@@ -84,14 +84,14 @@ class JointGap:
 
 @dataclass(frozen=True)
 class HandGap:
-    """The gap of a hand, by forward kinematics of measured and simulated joints, and of its fingers.
+    """Gap of a hand by forward kinematics of measured and simulated joints, and gap of its fingers.
 
     Attributes:
-        arm: `left`, `right` or empty.
-        position: m.
-        rotation: rad.
-        delay: of the measured hand, s; None if the motion does not determine it.
-        opening: of one finger, m; None if it was not measured.
+        arm: side of the arm: `left`, `right` or empty.
+        position: distances of the hands, m.
+        rotation: angles between the hands, rad.
+        delay: delay of the measured hand, s; None if the motion does not determine the delay.
+        opening: errors of the opening of one finger, m; None if no opening was measured.
     """
 
     arm: str
@@ -106,9 +106,10 @@ class WorstError:
     """The largest error of any joint.
 
     Attributes:
-        frame: number of the measured sample, from 0: of an episode's frame, or of a file's row.
-        time: of the sample, s after the recording's first sample.
-        error: measured less simulated, rad.
+        frame: number of the measured sample, from 0: the frame of an episode, or the row of a file.
+        time: time of the sample, s after the first sample of the recording.
+        arm, joint: side of the arm, and name of the joint.
+        error: measured minus simulated position, rad.
     """
 
     frame: int
@@ -120,14 +121,17 @@ class WorstError:
 
 @dataclass(frozen=True)
 class MotionGap:
-    """The gap of one motion.
+    """Sim-to-real gap of one motion.
 
     Attributes:
-        seconds: that were compared.
-        error: of all joints, rad.
+        name: name of the motion.
+        seconds: length of the compared time, s.
+        error: errors of all joints, rad.
+        joints, hands: gaps of all joints and of all hands, the left arm's first.
         phases: phase -> errors of all joints, rad.
-        motion, simulated: the measured and the simulated motion, at the same samples.
-        compared: which samples were compared (n,).
+        worst: the largest error.
+        motion, simulated: measured and simulated motion, at the same samples.
+        compared: mask of the compared samples (n,).
     """
 
     name: str
@@ -143,26 +147,26 @@ class MotionGap:
 
 
 def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0, end: float = np.inf) -> MotionGap:
-    """The gap between a motion and the simulation of its commands.
+    """Return the gap between a motion and the simulation of its commands.
 
-    The whole motion is simulated, from the first measured joints; the samples from `begin` to `end` are compared.
+    The whole motion is simulated, from the first measured joints on. Only samples from `begin` to `end` are compared.
 
     Args:
-        scene: of the rig alone, as `scene.build.build_rig_scene` makes it.
-        begin, end: s after the motion's first sample.
+        scene: scene of the rig alone, from `scene.build.build_rig_scene`.
+        begin, end: start and end of the compared time, s after the first sample of the motion.
 
     Raises:
-        DatasetError: the motion has other arms or no commands, or too few measured samples.
+        DatasetError: the arms differ from the scene's, commands are missing, or too few samples were measured.
         SimulationError: physics broke down.
     """
     simulated = simulate_commands(scene, motion)
     counted = (motion.times >= begin) & (motion.times <= end)
     for arm in motion.arms:
         counted = counted & np.isfinite(arm.joints).all(axis=1)
-    if (found := int(counted.sum())) < _LEAST_SAMPLES:
+    if (found := int(counted.sum())) < _MIN_SAMPLES:
         raise DatasetError(
             f"{motion.name}: {found} measured samples from {max(begin, 0):g} s to {min(end, motion.duration):g} s; "
-            f"a gap needs {_LEAST_SAMPLES}: give a longer recording, or another --from and --to"
+            f"a gap needs {_MIN_SAMPLES}: give a longer recording, or another --from and --to"
         )
     pairs = list(zip(scene.arms, motion.arms, simulated.arms, strict=True))
     joints = [_joint_gaps(scene, arm, real, made, motion.times, counted) for arm, real, made in pairs]
@@ -187,10 +191,10 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
 def _joint_gaps(
     scene: CompiledScene, arm: ArmAddresses, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
 ) -> tuple[list[JointGap], NDArray[np.int8]]:
-    """The gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
+    """Return the gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
     assert real.commands is not None, "the simulation followed them"
     at, errors = times[counted], (real.joints - made.joints)[counted]
-    # Commands between measured samples count too.
+    # The command curve also uses commands between measured samples.
     inside = (times >= at[0]) & (times <= at[-1])
     commanded = smooth_curves(times[inside], forward_filled(real.commands, real.joints)[inside], steps=True, like=at)
     measured, simulated = smooth_curves(at, real.joints[counted]), smooth_curves(at, made.joints[counted])
@@ -200,7 +204,7 @@ def _joint_gaps(
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
         beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
-        # A command has no overshoot of its own.
+        # A command has no overshoot.
         already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return TrackingFigures(
             estimate_delay(first, second, k),
@@ -229,7 +233,7 @@ def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
 
 
 def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
-    """Phase -> size of the errors (n,) with that label (n,)."""
+    """Return the statistics of the errors (n,) of each phase, by the phase's index in `labels` (n,)."""
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
     return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
 
@@ -254,8 +258,8 @@ def _hand_gap(
 
 
 def _angles(ones: Array, others: Array) -> Array:
-    """The angles (n,) between rotations (n, 3, 3), rad."""
-    # The Frobenius distance is 2 sqrt(2) sin(angle / 2), which is exact for small angles too; a cosine is not.
+    """Return the angles (n,), rad, between rotation matrices (n, 3, 3)."""
+    # The Frobenius distance is 2 sqrt(2) sin(angle / 2), which is exact for small angles too, unlike a cosine.
     apart = np.linalg.norm(ones - others, axis=(1, 2)) / (2 * np.sqrt(2))
     angles: Array = 2 * np.arcsin(np.clip(apart, 0, 1))
     return angles

@@ -1,4 +1,4 @@
-"""The gap between recordings and their simulation as one HTML page: by joint, hand and phase, and the worst moments."""
+"""HTML page on the gap between recordings and their simulation: by joint, hand and phase, with curves and pictures."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from yamsim_cli.core.markup import (
 from yamsim_cli.core.plots import Values, plot_curves
 
 _UNKNOWN = "\N{EM DASH}"
-_MIN_ERROR_SPAN = 0.2  # mrad, of an error's plot
+_MIN_ERROR_SPAN = 0.2  # mrad, least range of the vertical axis in a plot of an error
 
 
 @dataclass(frozen=True)
 class JointCurves:
-    """A joint's commands and angles over time.
+    """Commanded, measured and simulated positions of a joint over time.
 
     Attributes:
-        name: the arm's and the joint's name.
-        times: (n,), s.
-        commanded, measured, simulated: (n,), rad; NaN where nothing was measured.
-        mark: the time of the worst error of all joints, if it is this joint's, s.
+        name: name of the arm and the joint.
+        times: times of the samples (n,), s.
+        commanded, measured, simulated: positions (n,), rad; NaN where not measured.
+        mark: time of the worst error of all joints, s; None if another joint has the worst error.
     """
 
     name: str
@@ -56,13 +56,13 @@ class CaptionedJpeg:
 def gap_page(
     report: Mapping[str, Any], joints: Sequence[JointCurves], pictures: Sequence[CaptionedJpeg], made: str
 ) -> str:
-    """The page as HTML.
+    """Return the page as HTML.
 
     Args:
-        report: of `gap.report.build_report`.
-        joints: of the recording with the worst error.
-        pictures: the simulated arms over photos of the recordings, the worst first.
-        made: see `markup.document`.
+        report: result of `gap.report.build_report`.
+        joints: curves of the recording with the worst error.
+        pictures: simulated arms over photos of the recordings, the worst first.
+        made: footer of the page, see `core.markup.html_page`.
     """
     recordings = report["recordings"]
     several = len(recordings) > 1

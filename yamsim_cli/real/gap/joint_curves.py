@@ -1,4 +1,4 @@
-"""Joint curves on an even grid: speeds, delays between curves, phases of motion, rest and stops."""
+"""Joint curves on a uniform time grid: speeds, delays between curves, phases of motion, rest and stops."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-STEP = 0.002  # s, of the grid
-_STRETCH, _SAMPLES = 0.12, 4  # s and samples: least extent of the parabolas that give speeds
+STEP = 0.002  # s, time between points of the grid
+_MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples, least extent of the parabolas that give speeds
 
-_EARLIEST, _LATEST = -0.1, 0.5  # s, range of delays; a delay at either end does not count as found
-_LEAST_CORRELATION = 0.5  # of speeds, below which there is no delay
-_LEAST_SPEED = 0.02  # RMS, rad/s or m/s, below which there is no delay
+_MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s, range of delays; a delay at either end is rejected
+_MIN_CORRELATION = 0.5  # correlation of speeds below which no delay is determined
+_MIN_SPEED = 0.02  # RMS speed, rad/s or m/s, below which no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
 _CRUISING_RATE = 1.0  # 1/s; the speed of a cruising joint changes by less than this share of itself per s
-_SETTLING = 0.3  # s, after which a still joint is at rest
-# A stop is a command that moved at least by _LEAST_MOVE (rad) within _LAST (s), and then stays for _LEAST_HOLD (s).
-_LEAST_MOVE, _LAST, _LEAST_HOLD = 0.02, 0.3, 0.3
-_WATCHED, _END = 1.0, 0.1  # s after a stop that are watched for overshoot, and s at their end that give the rest
+_SETTLING = 0.3  # s after which a still joint is at rest
+# A command stops if it moves by at least _MIN_MOVE (rad) within _MOVE_SECONDS (s) and then stays for _MIN_HOLD (s).
+_MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
+_WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at the end of that time for the value at rest
 
 
 @dataclass(frozen=True)
 class SmoothCurves:
-    """Values on an even grid, with derivatives of the parabola around each time.
+    """Values on a uniform grid, with the derivatives of a fitted parabola at each time.
 
     Attributes:
-        times: of the grid (n,), s.
-        values: interpolated between samples (n, k).
-        speeds: (n, k), per s.
-        accelerations: (n, k), per s2.
+        times: times of the grid (n,), s.
+        values: values at these times (n, k).
+        speeds: first derivatives (n, k), per s.
+        accelerations: second derivatives (n, k), per s2.
         window: extent of each parabola, s.
     """
 
@@ -46,11 +46,11 @@ class SmoothCurves:
 
 
 def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Array | None = None) -> SmoothCurves:
-    """Values (m, k) at times (m,), s, on an even grid; rows with a value that is not finite are left out.
+    """Resample values (m, k) at times (m,), s, on a uniform grid. Rows with a value that is not finite are ignored.
 
     Args:
-        steps: whether a value stays until the next one, as a command does, instead of being interpolated.
-        like: other times whose spacing determines the parabolas' extent, so that two curves are smoothed alike.
+        steps: whether each value holds until the next one, as commands do, instead of linear interpolation.
+        like: times whose spacing determines the extent of the parabolas, to smooth two curves equally.
     """
     known = np.isfinite(values).all(axis=1)
     at, rows = times[known], values[known]
@@ -61,16 +61,16 @@ def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Arr
         even = np.column_stack([np.interp(grid, at, column) for column in rows.T])
     spaced = at if like is None else like
     between = float(np.median(np.diff(spaced))) if len(spaced) > 1 else STEP
-    half = max(2, round(max(_STRETCH, _SAMPLES * between) / 2 / STEP))
+    half = max(2, round(max(_MIN_WINDOW, _MIN_SAMPLES * between) / 2 / STEP))
     speeds, accelerations = _derivatives(even, half)
     return SmoothCurves(grid, even, speeds, accelerations, 2 * half * STEP)
 
 
 def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
-    """First and second derivatives (n, k) of the parabolas that fit best over `half` rows to either side."""
+    """Return first and second derivatives (n, k) of the parabolas that fit best over `half` rows to either side."""
     offsets = np.arange(-half, half + 1) * STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
-    # Beyond each end, the curve is rotated by half a turn about the end, which keeps the slope there.
+    # Beyond each end, the curve is rotated by half a turn about the end, which keeps the slope at the end.
     reach = np.clip(np.arange(half, 0, -1), 0, len(rows) - 1)
     before = 2 * rows[0] - rows[reach]
     after = 2 * rows[-1] - rows[-1 - reach[::-1]]
@@ -83,25 +83,25 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
 
 
 def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
-    """How much later the second motion is than the first one, s, by the cross-correlation of their speeds.
+    """Return the delay of the second motion after the first, s, by the cross-correlation of their speeds.
 
-    Offsets and gains between the motions do not count. Between two steps of the grid, a parabola gives the maximum.
+    Offsets and gains between the motions do not matter. A parabola refines the delay between two points of the grid.
 
     Args:
-        columns: of the values, such as one joint's.
+        columns: columns of the values, such as one joint's.
 
     Returns:
-        None where too little moves, or the two motions correlate too little.
+        None if a motion is too slow or the correlation too low.
     """
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
-    if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _LEAST_SPEED:
+    if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
         return None
-    low, high = round(_EARLIEST / STEP), round(_LATEST / STEP)
+    low, high = round(_MIN_DELAY / STEP), round(_MAX_DELAY / STEP)
     high = min(high, one.shape[1] // 2)
     low = max(low, -(one.shape[1] // 4))
     shares = np.array([_correlation(one, other, lag) for lag in range(low, high + 1)])
     best = int(np.argmax(shares))
-    if shares[best] < _LEAST_CORRELATION or best in (0, len(shares) - 1):
+    if shares[best] < _MIN_CORRELATION or best in (0, len(shares) - 1):
         return None
     before, here, after = shares[best - 1 : best + 2]
     bend = before - 2 * here + after
@@ -110,7 +110,7 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
 
 
 def _correlation(one: Array, other: Array, lag: int) -> float:
-    """The correlation, -1..1, of `one` (k, n) with `other` (k, n) `lag` steps earlier."""
+    """Return the correlation, -1..1, of `one` (k, n) with `other` (k, n) moved `lag` steps earlier."""
     n = one.shape[1]
     a, b = (one[:, : n - lag], other[:, lag:]) if lag >= 0 else (one[:, -lag:], other[:, : n + lag])
     scale = np.sqrt(np.vdot(a, a) * np.vdot(b, b))
@@ -130,7 +130,7 @@ PHASES = tuple(MotionPhase)
 
 
 def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
-    """The number in `PHASES` of each joint's phase, (n, dof) at times (n,)."""
+    """Return each joint's phase (n, dof) at times (n,), s, as an index into `PHASES`."""
     speeds, bends = (
         np.column_stack([np.interp(times, measured.times, column) for column in rows.T])
         for rows in (measured.speeds, measured.accelerations)
@@ -145,7 +145,7 @@ def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
 
 
 def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[np.bool_]:
-    """Where each joint is at rest on the grid (n, dof): neither the joint nor its command moved for a while."""
+    """Return the mask (n, dof) of the grid where neither a joint nor its command moved for `_SETTLING` s."""
     still = (np.abs(measured.speeds) < _STILL_SPEED) & (np.abs(commanded.speeds) < _STILL_SPEED)
     moved = np.where(still, measured.times[0], measured.times[:, None])
     since = measured.times[:, None] - np.maximum.accumulate(moved, axis=0)
@@ -158,7 +158,7 @@ class CommandStop:
     """A command that comes to a stop.
 
     Attributes:
-        begin, end: rows of the grid between which the joint is watched.
+        begin, end: rows of the grid between which overshoot is measured.
         direction: 1 if the command came from below, -1 if from above.
     """
 
@@ -168,25 +168,25 @@ class CommandStop:
 
 
 def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandStop]:
-    """The stops of one joint's command."""
+    """Yield the stops of one joint's command."""
     step = float(commanded.times[1] - commanded.times[0]) if len(commanded.times) > 1 else 1.0
     moving = np.abs(commanded.speeds[:, joint]) >= _STILL_SPEED
     changes = np.flatnonzero(np.diff(moving.astype(np.int8)))
     ends = [int(k) + 1 for k in changes if moving[k]]
-    back, smeared = round(_LAST / step), round(commanded.window / 2 / step)
+    back, smeared = round(_MOVE_SECONDS / step), round(commanded.window / 2 / step)
     for end in ends:
         again = next((int(k) + 1 for k in changes if k >= end and not moving[k]), len(moving))
-        if (again - end) * step < _LEAST_HOLD:
+        if (again - end) * step < _MIN_HOLD:
             continue
         values = commanded.values[:, joint]
         moved = values[min(end, len(values) - 1)] - values[max(0, end - back)]
-        if abs(moved) >= _LEAST_MOVE:
-            # Smoothing delays a stop by half the parabola's extent.
+        if abs(moved) >= _MIN_MOVE:
+            # Smoothing delays a stop by half the extent of a parabola.
             yield CommandStop(max(0, end - smeared), min(again, end + round(_WATCHED / step)), float(np.sign(moved)))
 
 
 def overshoot(values: Array, stop: CommandStop) -> float:
-    """How far values (n,) on the grid exceed their value at rest after a stop, at least 0."""
+    """Return by how much values (n,) on the grid exceed their value at rest after a stop, at least 0."""
     watched = values[stop.begin : stop.end]
     rest = float(np.mean(watched[-max(1, round(_END / STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

@@ -1,4 +1,4 @@
-"""The report on the gap of several recordings: means with 95 % intervals, its limit, and its page."""
+"""Report on the sim-to-real gap of recordings: means with 95 % intervals, the check of a limit, and the page."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _Z95 = 1.959963984540054
 
 
 def student95(values: Sequence[float]) -> tuple[float, float] | None:
-    """The 95 % interval of the mean of normally distributed values; None of fewer than two."""
+    """Return the 95 % interval of the mean of normally distributed values, or None for fewer than two values."""
     n = len(values)
     if n < 2:
         return None
-    # Beyond the table, the next term of the quantile's series in 1 / n.
+    # Beyond the table: the first terms of the series of the quantile in 1 / n.
     t = _T95[n - 2] if n - 2 < len(_T95) else _Z95 * (1 + (_Z95**2 + 1) / (4 * (n - 1)))
     mean, half = float(np.mean(values)), t * float(np.std(values, ddof=1)) / math.sqrt(n)
     return mean - half, mean + half
 
 
 def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
-    """The gap of recordings for JSON: means over the recordings, the worst error, and each recording.
+    """Return the gap as JSON data: means over the recordings, the worst error, and the figures of each recording.
 
-    A figure is the mean over the recordings that have it, null if none has it; for the largest errors it is the
-    maximum. `intervals` has the mean's 95 % interval if two or more recordings have the figure. Errors are measured
-    less simulated, in rad and mm.
+    A figure is the mean over the recordings that have it, or null if none has it. For the largest errors, the figure
+    is the maximum. `intervals` has the 95 % interval of a mean over two or more recordings. Errors are measured minus
+    simulated values, in rad and mm.
 
     Args:
-        gaps: of recordings of the same arms, at least one.
+        gaps: gaps of one or more recordings of the same arms.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     return {
@@ -74,11 +74,11 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
 
 
 def require_gap_below(report: Mapping[str, Any], most_mrad: float | None) -> None:
-    """Make sure that no joint's gap is above a limit.
+    """Check that no joint's RMS error exceeds a limit.
 
     Args:
-        report: of `build_report`.
-        most_mrad: the largest RMS error of any joint, mrad; None for no limit.
+        report: result of `build_report`.
+        most_mrad: largest allowed RMS error of a joint, mrad; None for no limit.
 
     Raises:
         SimulationError: a joint's error is larger.
@@ -90,18 +90,18 @@ def require_gap_below(report: Mapping[str, Any], most_mrad: float | None) -> Non
         worst = max(above, key=lambda joint: joint["rms_rad"])
         more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
         raise SimulationError(
-            f"{display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at most "
-            f"{most_mrad:g}"
+            f"{display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at "
+            f"most {most_mrad:g}"
         )
 
 
 def display_name(row: Mapping[str, Any]) -> str:
-    """The name of a joint or a hand for people: `left joint2`, `joint2`."""
+    """Return the displayed name of a joint or a hand, such as `left joint2` or `joint2`."""
     return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
 
 
 def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Figure -> its mean, or of largest errors the maximum; and `intervals` with the means' 95 % intervals."""
+    """Return the mean of each figure (the maximum for largest errors), and `intervals` with their 95 % intervals."""
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
@@ -150,7 +150,7 @@ def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
 
 
 def _phases(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
-    """For each phase that occurs: mean errors over the recordings that have it, and its share of samples."""
+    """Return the share of samples and the mean errors of each phase that occurs."""
     samples = sum(size.samples for row in rows for size in row.values())
     found = []
     for phase in map(str, PHASES):
@@ -174,12 +174,12 @@ def _worst(worst: WorstError) -> dict[str, Any]:
 def write_gap_page(
     report: Mapping[str, Any], gaps: Sequence[MotionGap], pictures: Sequence[CaptionedJpeg], path: Path
 ) -> None:
-    """Write the page on a gap, with all joints of the recording with the worst error, and replace an existing file.
+    """Write the HTML page on a gap and replace an existing file. The page plots the recording with the worst error.
 
     Args:
-        report: of `build_report`.
-        gaps: of the report.
-        pictures: the worst first.
+        report: result of `build_report`.
+        gaps: gaps from which the report was built.
+        pictures: pictures of the page, the worst first.
 
     Raises:
         ResourceError: the file cannot be written.
@@ -189,7 +189,7 @@ def write_gap_page(
 
 
 def _joint_curves(gap: MotionGap) -> list[JointCurves]:
-    """Each joint of a recording over the time that was compared."""
+    """Return the curves of each joint of a recording over the compared time."""
     found = []
     compared = np.flatnonzero(gap.compared)
     shown = slice(int(compared[0]), int(compared[-1]) + 1)

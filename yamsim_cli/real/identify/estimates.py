@@ -1,4 +1,4 @@
-"""Identified parameters with 95 % intervals, and what the logs cannot determine."""
+"""Estimates of identified parameters with 95 % intervals, and the parameters that the logs do not determine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from .parameter_fit import FitParameter, FitResult, parameter_value
 from .plant_model import TIMESTEP, ParametricArm
 
-# Field of `Values` -> its name in results, which has the unit.
+# Field of `PlantParameters` -> its name in results, which has the unit.
 NAMES = {
     "delay": "delay_s",
     "friction": "friction_nm",
@@ -22,29 +22,31 @@ NAMES = {
     "offset": "offset_rad",
     "gravity": "gravity_factor",
 }
-# The least half width of each interval, for physics that differ from the model's.
-_DELAY = 0.0006  # s, a controller's own step
-_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: another law of friction
-_OTHER_LAW = 0.05  # share of the friction that another law of friction shows as inertia
-_OFFSET = 0.0004  # rad, an encoder's step
+# Least half width of each interval, which allows for physics that differ from the model.
+_DELAY = 0.0006  # s, timestep of a controller
+_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value, for another friction law
+_FRICTION_AS_INERTIA = 0.05  # share of the friction that another friction law shows as inertia
+_OFFSET = 0.0004  # rad, resolution of an encoder
 _GRAVITY = 0.003
-_TOLD = 0.7  # a log determines nothing if the interval is wider than this share of the prior's
-# An identification is refused if an interval's half is wider than this share of the value.
-_REFUSED = {"friction": 0.5, "damping": 0.6}
+_DETERMINED_SHARE = 0.7  # a parameter is determined if its interval is narrower than this share of the prior's
+# Half widths of the intervals, as shares of the value, above which an identification is refused.
+_MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
-_BLOCK = 2.5  # s; errors nearer in time are dependent: friction keeps a joint on one side of its target until it turns
-_FEWEST_BLOCKS = 6
+_BLOCK = 2.5  # s; errors nearer in time are dependent: friction holds a joint beside its target until it reverses
+_MIN_BLOCKS = 6
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's value, and the interval in which it lies at 95 %.
+    """A parameter's value and its 95 % interval.
 
     Attributes:
         joint: name of the joint; empty for parameters of the whole arm.
-        name: one of `NAMES`' values.
+        name: name of the parameter, a value of `NAMES`.
+        value: estimated value, in the unit of its name.
+        low, high: bounds of the interval.
         model_value: value in the model.
-        is_determined: whether the log determines it.
+        is_determined: whether the logs determine the parameter.
     """
 
     joint: str
@@ -56,7 +58,7 @@ class Estimate:
     is_determined: bool
 
     def to_json_data(self) -> dict[str, Any]:
-        """The estimate for JSON."""
+        """Return the estimate as JSON data."""
         return {
             "value": self.value,
             "low": self.low,
@@ -67,7 +69,7 @@ class Estimate:
 
 
 def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
-    """Estimates of all fitted parameters, the delay first, then joint by joint."""
+    """Return the estimates of all fitted parameters, the delay first, then joint by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
         if parameter.name not in NAMES:
@@ -77,16 +79,16 @@ def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
         before = parameter_value(plant.values, parameter)
-        told = bool(half < _TOLD * 1.96 * parameter.prior_sigma)
+        told = bool(half < _DETERMINED_SHARE * 1.96 * parameter.prior_sigma)
         found.append(Estimate(joint, NAMES[parameter.name], number, low, number + whole, before, told))
     return found
 
 
 def half_widths(fitted: FitResult) -> Array:
-    """Half the width of each parameter's interval at 95 %, (k,), in the parameter's unit.
+    """Return half the width of each parameter's 95 % interval (k,), in the parameter's unit.
 
-    Errors are dependent within a block of the log and independent between blocks (Huber's and White's estimate for
-    clusters). What no model explains, such as another law of friction, differs from block to block and widens the
+    Errors are dependent within a block of the log and independent between blocks: the Huber-White estimate for
+    clusters. Errors that the model cannot explain, such as another friction law, differ between blocks and widen the
     interval as noise does.
     """
     weighted = fitted.slopes * fitted.weights[None, :, None]
@@ -96,10 +98,10 @@ def half_widths(fitted: FitResult) -> Array:
     flat = weighted.reshape(-1, weighted.shape[-1])
     inverse = np.linalg.inv(flat.T @ flat + precision)
     span = fitted.times[-1] - fitted.times[0]
-    blocks = max(_FEWEST_BLOCKS, round(span / _BLOCK))
+    blocks = max(_MIN_BLOCKS, round(span / _BLOCK))
     number = np.clip(((fitted.times - fitted.times[0]) / span * blocks).astype(int), 0, blocks - 1)
     scores = np.array([np.einsum("ijk,ij->k", weighted[number == k], errors[number == k]) for k in range(blocks)])
-    # The prior counts as one more block.
+    # The prior counts as one additional block.
     spread = scores.T @ scores * blocks / (blocks - 1) + precision
     deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
     found: Array = _student(blocks - 1) * deviation
@@ -107,9 +109,9 @@ def half_widths(fitted: FitResult) -> Array:
 
 
 def _student(freedom: int) -> float:
-    """The 97.5 % quantile of Student's distribution, for 5 degrees of freedom and more.
+    """Return the 97.5 % quantile of Student's t distribution, for 5 degrees of freedom and more.
 
-    Source: the first terms of Cornish's and Fisher's expansion, Abramowitz and Stegun 26.7.5.
+    Source: the first terms of the Cornish-Fisher expansion, Abramowitz and Stegun 26.7.5.
     """
     z = 1.959964
     terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
@@ -127,8 +129,8 @@ def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParam
         case "damping":
             return _DAMPING * damped
         case "armature":
-            # The point of its step at which a controller damps shows as inertia.
-            law = _OTHER_LAW * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
+            # The point in its timestep at which a controller applies damping shows as inertia.
+            law = _FRICTION_AS_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
             return _ARMATURE * size + damped * TIMESTEP / 4 + law
         case "offset":
             return _OFFSET
@@ -139,7 +141,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
     """Refuse logs that do not determine a joint's friction or damping.
 
     Raises:
-        DatasetError: the message names the joint and what to record.
+        DatasetError: a joint is badly excited; the message gives advice on the recording.
     """
     for number, joint in enumerate(plant.robot.joint_names):
         of_joint = {each.name: each for each in found if each.joint == joint}
@@ -147,7 +149,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
             "friction": max(of_joint[NAMES["friction"]].value, 0.01 * plant.max_torque[number]),
             "damping": plant.kv[number] + of_joint[NAMES["damping"]].value,
         }
-        for key, share in _REFUSED.items():
+        for key, share in _MAX_HALF_WIDTHS.items():
             each = of_joint[NAMES[key]]
             if (each.high - each.low) / 2 > share * sizes[key]:
                 raise DatasetError(
@@ -158,7 +160,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
 
 
 def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
-    """What the logs, or any such log, cannot determine, a sentence each.
+    """Return one sentence for each quantity that these logs, or all logs of this kind, do not determine.
 
     Args:
         gripper: whether the logs hold the gripper's opening, or the arm has no gripper.

@@ -1,4 +1,4 @@
-"""A motion whose log determines all that can be identified of an arm, clear of obstacles, and its files."""
+"""Generate and write collision-free motions whose logs determine all identifiable parameters of an arm."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from ..recordings.csv_file import TIME, csv_bytes, csv_columns
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
-_SPEED, _TORQUE = 0.5, 0.5  # largest shares of the motors' speed and torque
-_TRIES = 20  # of motions, each in a smaller box
+_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # largest shares of the motors' speed and torque that a motion needs
+_MAX_TRIES = 20  # motions that are tried, each in a smaller joint range
 
-# Each joint's sines: number, lowest frequency, and range of the highest one, Hz.
-_SINES, _SLOWEST, _FASTEST = 8, 0.1, (2.0, 5.0)
-_PER_TURN = 2.0  # highest frequency for each turn per s of the motor
-# A sine's amplitude falls with this power of its frequency, for the slowest and for the quickest joints. The quickest
-# joints have a small inertia, which only fast sines show.
-_FALL = (0.8, 0.4)
-# The motion is cycles of about that many s. Sines take this share of each cycle, and slow turns the rest, so that
-# every third of the motion has both.
-_CYCLE, _QUICK_SHARE = 20.0, 0.6
-_SLOW, _REST = (0.05, 0.5), 0.4  # speeds of slow turns, rad/s, and the rest after each, s
-_RAMP = 2.0  # s, in which the arm swings in and comes to rest
+# Sum of sines of each joint: number of sines, lowest frequency, and range of the highest frequency, Hz.
+_SINES, _MIN_FREQUENCY, _HIGHEST_FREQUENCY = 8, 0.1, (2.0, 5.0)
+_FREQUENCY_PER_TURN = 2.0  # highest frequency, Hz, for each turn per s of the motor's speed
+# The amplitude of a sine falls with this power of its frequency, for the slowest and the fastest joints. The fastest
+# joints have a small inertia, which only fast sines excite.
+_AMPLITUDE_EXPONENTS = (0.8, 0.4)
+# Length of a cycle of the motion, s, and share of the sines in a cycle. Slow sweeps fill the rest of each cycle, so
+# that every third of the motion has both.
+_CYCLE, _SINE_SHARE = 20.0, 0.6
+_SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # speeds of slow sweeps, rad/s, and the rest after each sweep, s
+_RAMP = 2.0  # s, in which the amplitude of the sines rises, and falls again
 
-# Least distance to the table and to another arm, and to the arm itself, m. Collision boxes are larger than the parts.
-_DISTANCE, _OWN_DISTANCE = 0.03, 0.003
-_FROM_STOPS = 0.15  # rad, distance of joints from their stops
-_WIDEST, _NARROWEST = 0.9, 0.2  # rad, largest and least swing of a joint to either side
-_MIDDLES, _AROUND = 60, 60  # poses tried as the middle of the box, and around each of them
-_NARROWER = 0.85  # factor by which a box with a contact shrinks
+# Least distance to the table and other arms, and between parts of the arm, m. Collision boxes exceed the parts.
+_DISTANCE, _SELF_DISTANCE = 0.03, 0.003
+_JOINT_MARGIN = 0.15  # rad, distance of joints from their limits
+_MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, largest and least swing of a joint to either side
+_MIDDLES, _SAMPLES = 60, 60  # postures tried as the middle of the range, and postures checked around each of them
+_SHRINK_FACTOR = 0.85  # factor by which a joint range with a collision shrinks
 
 
 @dataclass(frozen=True)
 class JointRange:
-    """A range of joint positions: its middle (dof,) and how far it extends to either side (dof,), rad."""
+    """A range of joint positions: its middle (dof,) and its extent to either side (dof,), rad."""
 
     middle: Array
     half_range: Array
@@ -59,13 +59,13 @@ class JointRange:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Commands for an arm.
+    """A motion that excites all identifiable parameters of an arm.
 
     Attributes:
-        times: of the commands (n,), s.
-        commands: of the joints (n, dof), rad. The arm must be at the first one at the start, and ends there.
-        box: the range of the commands.
-        speed, torque: largest shares, of 1, that any joint needs of its motor's speed and torque.
+        times: times of the commands (n,), s.
+        commands: commanded joint positions (n, dof), rad. The arm must start at the first command, and ends there.
+        box: range of the commands.
+        speed, torque: largest share of the motor's speed and torque that any joint needs, 0..1.
     """
 
     times: Array
@@ -78,17 +78,17 @@ class Excitation:
 def excite(
     rig: RigConfig, number: int, scene: SceneConfig, locations: Locations, seconds: float, seed: int
 ) -> Excitation:
-    """A motion of one arm of a rig that swings every joint, quickly and slowly, around one pose.
+    """Return a motion of arm `number` of a rig that swings all joints, fast and slowly, around one posture.
 
     Raises:
-        SimulationError: there is no room for the motion, or it would need more than the motors give.
+        SimulationError: no collision-free motion within the limits of the motors was found.
     """
     rng = np.random.default_rng([seed, number])
     room, plant = CollisionSpace(rig, number, scene, locations), ParametricArm(rig.arms[number])
     box = room.widest_range(rng)
     motors = np.array([joint.motor_rad_s for joint in rig.arms[number].robot.joints])
     times = np.arange(round(seconds * _RATE) + 1) / _RATE
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         shares = [
             _normalized_trajectory(times, float(half), float(motor), rng)
             for half, motor in zip(box.half_range, motors, strict=True)
@@ -96,7 +96,7 @@ def excite(
         commands = box.middle + box.half_range * np.column_stack(shares)
         speed = float((np.abs(np.gradient(commands, times, axis=0)) / motors).max())
         torque = float((np.abs(_torques(plant, times, commands)) / plant.max_torque).max())
-        if speed <= _SPEED and torque <= _TORQUE and not any(room.is_colliding(row) for row in commands[::5]):
+        if speed <= _MAX_SPEED and torque <= _MAX_TORQUE and not any(room.is_colliding(row) for row in commands[::5]):
             return Excitation(times, commands, box, speed, torque)
         box = JointRange(box.middle, box.half_range * 0.9)
     raise SimulationError(
@@ -106,7 +106,7 @@ def excite(
 
 
 def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
-    """A CSV of the commands of all arms of a rig; arms other than `number` rest."""
+    """Return a CSV of the commands of all arms of a rig. Arms other than `number` rest."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([name for name in csv_columns(rig) if name == TIME or name.startswith("command_")])
@@ -116,7 +116,7 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
 
 
 def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
-    """A CSV of the commands and of what the simulated arms' encoders read, without noise and steps."""
+    """Return a CSV of the commands and the simulated encoder readings of all arms, without noise and quantization."""
     commands, arms = _commands(rig, number, found), []
     for rows, k in zip(commands, rig.recording_order, strict=True):
         arm, dof = rig.arms[k], rig.arms[k].robot.dof
@@ -135,7 +135,7 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
 
 
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
-    """Commands of each arm's drives (n, drives), in the order of recordings."""
+    """Return the commands of each arm's drives (n, drives), in the order of recordings."""
     count, arms = len(found.times), []
     for k in rig.recording_order:
         robot = rig.arms[k].robot
@@ -147,16 +147,16 @@ def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
 
 
 def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
-    """A joint's position in its box over time (n,), -1..1; 0 at both ends.
+    """Return a joint's position in its range over time (n,), -1..1, with 0 at both ends.
 
     Args:
-        half: of the box, rad.
+        half: half of the joint's range, rad.
         motor: largest speed of the motor, rad/s.
     """
-    fastest = float(np.clip(_PER_TURN * motor / (2 * np.pi), *_FASTEST))
+    fastest = float(np.clip(_FREQUENCY_PER_TURN * motor / (2 * np.pi), *_HIGHEST_FREQUENCY))
     cycles = max(1, round(times[-1] / _CYCLE))
     length = times[-1] / cycles
-    quick = length * _QUICK_SHARE
+    quick = length * _SINE_SHARE
     number = np.clip((times // length).astype(int), 0, cycles - 1)
     found = np.empty(len(times))
     for cycle in range(cycles):
@@ -170,28 +170,28 @@ def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.rand
 
 
 def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
-    """The sum of sines of random frequencies and phases (n,), -1..1."""
-    edges = np.geomspace(_SLOWEST, fastest, _SINES + 1)
+    """Return a sum of sines with random frequencies and phases (n,), -1..1."""
+    edges = np.geomspace(_MIN_FREQUENCY, fastest, _SINES + 1)
     frequencies = rng.uniform(edges[:-1], edges[1:])
-    sizes = frequencies ** -np.interp(fastest, _FASTEST, _FALL)
+    sizes = frequencies ** -np.interp(fastest, _HIGHEST_FREQUENCY, _AMPLITUDE_EXPONENTS)
     total = (sizes * np.sin(2 * np.pi * frequencies * times[:, None] + rng.uniform(0, 2 * np.pi, _SINES))).sum(axis=1)
     found: Array = total / np.abs(total).max()
     return found
 
 
 def _slow_sweeps(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """Slow turns to and fro with a rest after each, from 0 back to 0."""
+    """Return a function of time that sweeps slowly to both sides, with a rest after each sweep, from 0 back to 0."""
     knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
     while True:
-        place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SLOW)))
+        place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SWEEP_SPEEDS)))
         turn = abs(place - places[-1]) * half / speed
-        back = abs(place) * half / _SLOW[1] * 2
-        if now + turn + _REST + back + _RAMP > end:
+        back = abs(place) * half / _SWEEP_SPEEDS[1] * 2
+        if now + turn + _SWEEP_REST + back + _RAMP > end:
             break
-        knots += [now + turn, now + turn + _REST]
+        knots += [now + turn, now + turn + _SWEEP_REST]
         places += [place, place]
         now, side = knots[-1], -side
-    rest = max(abs(places[-1]) * half / _SLOW[1] * 2, 1e-3)
+    rest = max(abs(places[-1]) * half / _SWEEP_SPEEDS[1] * 2, 1e-3)
     knots += [now + rest, end + 1]
     places += [0.0, 0.0]
     when, where = np.array(knots), np.array(places)
@@ -212,7 +212,7 @@ def _smooth(share: Array) -> Array:
 
 
 def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
-    """The drives' torques for a motion (n, dof), N m."""
+    """Return the drive torques (n, dof), N m, that a motion needs."""
     data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
     speeds = np.gradient(joints, times, axis=0)
     accelerations = np.gradient(speeds, times, axis=0)
@@ -224,11 +224,7 @@ def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
 
 
 class CollisionSpace:
-    """Collision checks of one arm of a rig on its table.
-
-    Args:
-        number: of the arm, in the rig.
-    """
+    """Collision checks of arm `number` of a rig on its table."""
 
     def __init__(self, rig: RigConfig, number: int, scene: SceneConfig, locations: Locations) -> None:
         arm = rig.arms[number]
@@ -253,44 +249,44 @@ class CollisionSpace:
         self._range, self._name = arm.robot.joint_range, arm.name
 
     def is_colliding(self, joints: Array) -> bool:
-        """Whether the arm, with its joints (dof,), rad, is too near to anything."""
+        """Whether the arm at joint positions (dof,), rad, is too near to the table, another arm or itself."""
         self._data.qpos[self._qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
         geoms, distance = self._data.contact.geom, self._data.contact.dist
-        near = distance < np.where(self._own_geoms[geoms].all(axis=1), _OWN_DISTANCE, _DISTANCE)
-        # A hand's parts are near each other in every pose of the arm.
+        near = distance < np.where(self._own_geoms[geoms].all(axis=1), _SELF_DISTANCE, _DISTANCE)
+        # The parts of a hand are near each other in every posture, so their contacts do not count.
         return bool((near & self._moving_geoms[geoms].any(axis=1) & ~self._hand_geoms[geoms].all(axis=1)).any())
 
     def widest_range(self, rng: np.random.Generator) -> JointRange:
-        """The widest box, of those tried, in which the arm touches nothing.
+        """Return the widest of the tried joint ranges in which no collision was found.
 
         Raises:
-            SimulationError: no box is wide enough.
+            SimulationError: no range is wide enough.
         """
-        low, high = self._range[:, 0] + _FROM_STOPS, self._range[:, 1] - _FROM_STOPS
+        low, high = self._range[:, 0] + _JOINT_MARGIN, self._range[:, 1] - _JOINT_MARGIN
         best: JointRange | None = None
         for _ in range(_MIDDLES):
-            middle = rng.uniform(low + _NARROWEST, high - _NARROWEST)
-            half = np.minimum(np.minimum(middle - low, high - middle), _WIDEST)
+            middle = rng.uniform(low + _MIN_HALF_RANGE, high - _MIN_HALF_RANGE)
+            half = np.minimum(np.minimum(middle - low, high - middle), _MAX_HALF_RANGE)
             box = self._clear_box(middle, half, rng)
             if box is not None and (best is None or _width(box) > _width(best)):
                 best = box
         if best is None:
             raise SimulationError(
-                f"{self._name}: no pose was found around which every joint may swing by {_NARROWEST} rad without "
+                f"{self._name}: no pose was found around which every joint may swing by {_MIN_HALF_RANGE} rad without "
                 f"coming nearer than {1000 * _DISTANCE:g} mm to anything; give the arm more room"
             )
         return best
 
     def _clear_box(self, middle: Array, half: Array, rng: np.random.Generator) -> JointRange | None:
-        sides = rng.uniform(-1, 1, (_AROUND, len(middle)))
-        # Every second pose is a corner of the box.
+        sides = rng.uniform(-1, 1, (_SAMPLES, len(middle)))
+        # Every second posture is a corner of the range.
         sides[::2] = np.sign(sides[::2])
-        while half.min() >= _NARROWEST:
+        while half.min() >= _MIN_HALF_RANGE:
             if not any(self.is_colliding(middle + half * side) for side in sides):
                 return JointRange(middle, half)
-            half = half * _NARROWER
+            half = half * _SHRINK_FACTOR
         return None
 
 

@@ -1,4 +1,4 @@
-"""Identifies an arm's parameters from its logs; logs that cannot determine them are refused."""
+"""Identify the parameters of arms from logs, and refuse logs that do not determine them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .estimates import Estimate, describe_undetermined, estimates, require_deter
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_HELD_OUT = 1 / 3  # share of each log that is held out if no other motion is given
-_RUNS_PER_PARAMETER = 5  # simulations of the arm, about, for a progress bar
-# Faults that make a log unusable. Joints that stand still are reported by `check_usable`, with what to record.
-_GRAVE = (
+_HELD_OUT = 1 / 3  # share of each log that is held out if the caller gives no held-out motions
+_RUNS_PER_PARAMETER = 5  # approximate number of simulations per parameter, for the progress bar
+# Faults that make a log unusable. `check_usable` reports joints that stand still, with advice on the recording.
+_GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
     MotionFault.GAP,
     MotionFault.DEGREES,
@@ -31,26 +31,26 @@ _GRAVE = (
     MotionFault.SWAPPED_ARMS,
 )
 
-# The least that logs need to determine the parameters of each joint.
-_SHORTEST = 10.0  # s, of all logs together
-_SPAN = 0.1  # rad
-_TURNS = 4  # times that the joint turns back
-_SPEED = 0.15  # rad/s, reached in `_FAST_SHARE` of the log
+# Minimum excitation that determines the parameters of each joint.
+_MIN_SECONDS = 10.0  # s, total length of the logs
+_MIN_SPAN = 0.1  # rad, range of the joint's motion
+_MIN_REVERSALS = 4  # reversals of the joint's motion
+_MIN_SPEED = 0.15  # rad/s, reached in `_FAST_SHARE` of the log
 _FAST_SHARE = 0.05
-_BACK = 0.02  # rad; a joint has turned back after moving back by that
-_SPEED_PERIOD = 0.1  # s, over which a speed is taken
+_REVERSAL_DISTANCE = 0.02  # rad that a joint moves back before a reversal counts
+_SPEED_PERIOD = 0.1  # s, interval over which a speed is computed
 _REMEDY = "`yamsim excite` writes a motion that shows all of it"
 
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """RMS distance of simulated joints from measured ones, on motions that were not fitted.
+    """RMS error of simulated joints on motions that were not fitted.
 
     Attributes:
         source: names of the motions.
-        seconds: their length.
-        rms_before, rms_after: with the model, and with the identified parameters, rad.
-        joints: joint -> the same two.
+        seconds: total length of the motions, s.
+        rms_before, rms_after: RMS error with the original model and with the identified parameters, rad.
+        joints: joint -> the same two errors.
     """
 
     source: str
@@ -61,11 +61,11 @@ class HeldOutError:
 
     @property
     def reduction(self) -> float:
-        """The share by which the gap fell; negative if it grew."""
+        """Relative reduction of the error; negative if the error grew."""
         return 1 - self.rms_after / self.rms_before if self.rms_before else 0.0
 
     def to_json_data(self) -> dict[str, Any]:
-        """The gap for JSON."""
+        """Return the error as JSON data."""
         joints = {name: {"before_rad": one, "after_rad": other} for name, (one, other) in self.joints.items()}
         return {
             "source": self.source,
@@ -79,15 +79,16 @@ class HeldOutError:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """The result for one arm.
+    """Result of the identification of one arm.
 
     Attributes:
-        arm: its name in the rig.
-        side: `left` or `right`; empty for a lone arm.
-        dynamics: the revision of its model.
-        undetermined: what the logs do not determine, a sentence each.
+        arm: name of the arm in the rig.
+        side: `left` or `right`; empty for a single arm.
+        dynamics: the new revision of the arm's model.
+        estimates: estimates of all parameters.
+        undetermined: one sentence for each quantity that the logs do not determine.
         fitted_rms: RMS of the errors that remain after the fit, rad.
-        gap: on the motions that were held out.
+        gap: error on the held-out motions.
     """
 
     arm: str
@@ -107,15 +108,15 @@ def identify(
     side: str | None = None,
     step: Callable[[str, int, int], None] = lambda arm, done, total: None,
 ) -> list[IdentificationResult]:
-    """Identify each arm of a rig, or the arm on one side; the left arm's result comes first.
+    """Identify each arm of a rig, or the arm on one side, and return the results, the left arm first.
 
     Args:
-        held_out: motions for the gap; without any, the last third of each motion is held out.
-        revision: name of the result.
-        step: called with the arm's name, the number of simulations so far, and about how many there will be.
+        held_out: motions for the held-out error; if empty, the last third of each motion is held out.
+        revision: name of the new revision.
+        step: called with the arm's name, the number of finished simulations, and their approximate total.
 
     Raises:
-        DatasetError: a motion has no commands, or grave faults, or does not excite a joint.
+        DatasetError: a motion has no commands, has grave faults, or does not excite a joint.
     """
     for motion in (*motions, *held_out):
         _check_motion(motion, rig)
@@ -169,7 +170,7 @@ def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
                 f"{motion.name}{f', {arm.side} arm' if arm.side else ''}: holds no commands for its joints; "
                 "measurements alone do not determine the parameters: record both"
             )
-    grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE]
+    grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE_FAULTS]
     if grave:
         raise DatasetError(f"{motion.name}: {grave[0].text}")
 
@@ -187,7 +188,7 @@ def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[
 
 
 def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
-    """The revision `was` with the estimates; parameters that the logs do not determine keep their value."""
+    """Return the revision `was` with the estimates. Parameters that the logs do not determine keep their values."""
     known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
@@ -201,7 +202,7 @@ def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estima
             offset_rad=_round(known[name, "offset_rad"]),
             gravity_factor=_round(known[name, "gravity_factor"]),
         )
-    # The log determines only the sum of the delays.
+    # The logs determine only the sum of the two delays.
     delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
     return was.model_copy(update={"joints": joints, **delays})
 
@@ -215,26 +216,25 @@ def _rms(errors: Array) -> float:
 
 
 def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -> None:
-    """Refuse logs in which a joint's motion cannot determine its parameters.
+    """Refuse logs in which the motion of a joint does not determine its parameters.
 
     Args:
-        names: of the joints.
-        side: of the arm; empty for a lone arm.
+        names: names of the joints.
+        side: side of the arm; empty for a single arm.
 
     Raises:
-        DatasetError: the logs are too short, or a joint hardly moves, never turns back or is always slow; the message
-            names the joint and what to record.
+        DatasetError: the logs are too short, or a joint moves too little, reverses too rarely, or is always slow.
     """
     where = ", ".join(log.name for log in logs)
     seconds = sum(log.seconds for log in logs)
-    if seconds < _SHORTEST:
+    if seconds < _MIN_SECONDS:
         raise DatasetError(
-            f"{where}: {seconds:.1f} s tell too little of the arm; record at least {_SHORTEST:g} s, better 60; "
+            f"{where}: {seconds:.1f} s tell too little of the arm; record at least {_MIN_SECONDS:g} s, better 60; "
             f"{_REMEDY}"
         )
     measured = [(log, rows) for log in logs if (rows := np.isfinite(log.joints).all(axis=1)).sum() > 2]
     for k, name in enumerate(names):
-        # Commands are checked too: a joint may be shaken by the other joints while its command stays.
+        # Commands are checked too: the other joints may shake a joint whose command is constant.
         for paths in (
             [(log.times[rows], log.joints[rows, k]) for log, rows in measured],
             [(log.times, log.commands[:, k]) for log, _ in measured],
@@ -244,43 +244,43 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
 
 
 def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
-    """What a joint's motion lacks, and what to record; None if nothing is missing.
+    """Return a text on what a joint's motion lacks, with advice on the recording; None if nothing is missing.
 
     Args:
-        paths: times (n,), s, and positions (n,), rad, in each log.
+        paths: times (n,), s, and positions (n,), rad, of the joint in each log.
     """
     span = max((float(np.ptp(path)) for _, path in paths), default=0.0)
-    if span < _SPAN:
+    if span < _MIN_SPAN:
         return (
-            f"hardly moves: it goes {span:.3f} rad, and its friction, damping and inertia show from {_SPAN} rad on; "
-            "record it swinging to and fro by 0.5 rad, slowly and quickly"
+            f"hardly moves: it goes {span:.3f} rad, and its friction, damping and inertia show from {_MIN_SPAN} rad "
+            "on; record it swinging to and fro by 0.5 rad, slowly and quickly"
         )
     turns = sum(_count_reversals(path) for _, path in paths)
-    if turns < _TURNS:
+    if turns < _MIN_REVERSALS:
         times = "never turns back" if not turns else f"turns back only {'once' if turns == 1 else f'{turns} times'}"
         return (
             f"{times}, so that friction cannot be told from an offset or from weight; record it swinging to and fro at "
-            f"least {_TURNS} times"
+            f"least {_MIN_REVERSALS} times"
         )
     fast = float(np.quantile(np.concatenate([_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
-    if fast < _SPEED:
+    if fast < _MIN_SPEED:
         return (
-            f"is always slow: {fast:.3f} rad/s at most but for moments, where damping and inertia show from {_SPEED} "
-            "rad/s on; record quicker swings too, of 1 rad/s"
+            f"is always slow: {fast:.3f} rad/s at most but for moments, where damping and inertia show from "
+            f"{_MIN_SPEED} rad/s on; record quicker swings too, of 1 rad/s"
         )
     return None
 
 
 def _count_reversals(path: Array) -> int:
-    """How often a joint turns back; trembling does not count."""
+    """Return the number of reversals of a joint. Movements below `_REVERSAL_DISTANCE` do not count."""
     turns, direction, furthest = 0, 0, float(path[0])
     for place in path:
         if direction == 0:
-            direction = int(np.sign(place - furthest)) if abs(place - furthest) > _BACK else 0
+            direction = int(np.sign(place - furthest)) if abs(place - furthest) > _REVERSAL_DISTANCE else 0
             furthest = float(place) if direction else furthest
         elif direction * (place - furthest) > 0:
             furthest = float(place)
-        elif direction * (furthest - place) > _BACK:
+        elif direction * (furthest - place) > _REVERSAL_DISTANCE:
             turns, direction, furthest = turns + 1, -direction, float(place)
     return turns
 

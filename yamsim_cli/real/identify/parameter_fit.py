@@ -1,4 +1,4 @@
-"""Fits an arm's parameters to its logs."""
+"""Fit the parameters of an arm to its logs."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_BEGINNING = 0.5  # s at a log's start that are not compared: the arm's speed and friction are not known there
-_FINEST = 1e-4  # rad, least error of a joint for its weight
-_ACCELERATION_PERIOD = 0.04  # s
-_MOST_STEPS, _MOST_FINE = 6, 4  # descent steps with the time step of tasks, and with the fine one
-_DELAYS = tuple(0.01 * k for k in range(11))  # s, tried first: a descent from a delay that is far off fails
-# A fit has converged when a step changes nothing by more than this share of its scale, or gains less than this share.
-_STILL, _LITTLE = 0.01, 1e-3
+_SKIPPED_START = 0.5  # s at the start of a log that are not compared, as speed and friction are unknown there
+_MIN_ERROR = 1e-4  # rad, least error from which the weight of a joint is computed
+_ACCELERATION_PERIOD = 0.04  # s between the positions from which accelerations are computed
+_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # descent steps with the timestep of tasks, and with the fine timestep
+_DELAYS = tuple(0.01 * k for k in range(11))  # s, delays tried first: a descent from a wrong delay fails
+# A fit has converged when a step changes each parameter by less than _MIN_STEP of its scale. A step that reduces the
+# cost by less than the share _MIN_GAIN also ends the fit.
+_MIN_STEP, _MIN_GAIN = 0.01, 1e-3
 
 
 @dataclass(frozen=True)
 class FitParameter:
-    """A number that the fit varies.
+    """A parameter that the fit varies.
 
     Attributes:
-        name: the field of `Values`.
-        joint: number of the joint; None for the delay, which all joints have in common.
-        scale: size of a step that changes the motion.
+        name: field of `PlantParameters`.
+        joint: number of the joint; None for the delay, which all joints share.
+        scale: size of a step that noticeably changes the motion.
         prior_sigma: standard deviation of the prior, whose mean is the model's value.
         minimum, maximum: bounds of the value.
     """
@@ -46,7 +47,7 @@ class FitParameter:
 
 
 def all_parameters(plant: ParametricArm) -> list[FitParameter]:
-    """All parameters of an arm."""
+    """Return all parameters that the fit varies for an arm."""
     found = [FitParameter("delay", None, 0.005, 0.1, 0.0)]
     for k in range(len(plant.kp)):
         most, kv, armature = plant.max_torque[k], plant.kv[k], plant.values.armature[k]
@@ -62,13 +63,13 @@ def all_parameters(plant: ParametricArm) -> list[FitParameter]:
 
 
 def parameter_value(values: PlantParameters, parameter: FitParameter) -> float:
-    """A parameter's value."""
+    """Return the value of one parameter."""
     found = getattr(values, parameter.name)
     return float(found if parameter.joint is None else found[parameter.joint])
 
 
 def replace_value(values: PlantParameters, parameter: FitParameter, number: float) -> PlantParameters:
-    """The same values but for one parameter."""
+    """Return the values with one parameter replaced."""
     if parameter.joint is None:
         return replace(values, delay=number)
     changed: Array = getattr(values, parameter.name).copy()
@@ -78,7 +79,7 @@ def replace_value(values: PlantParameters, parameter: FitParameter, number: floa
 
 
 class _LinearizedFit:
-    """The problem at some values; see `geometry.least_squares.Linearized`."""
+    """The least-squares problem at given values; see `geometry.least_squares.Linearized`."""
 
     def __init__(self, problem: _Problem, values: PlantParameters) -> None:
         self._problem, self.values = problem, values
@@ -87,7 +88,7 @@ class _LinearizedFit:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """Change of the errors with each parameter, per scale (samples, dof, parameters)."""
+        """Change of the errors (samples, dof, parameters) when each parameter grows by its scale."""
         found = np.empty((*self.errors.shape, len(self._problem.parameters)))
         for k, parameter in enumerate(self._problem.parameters):
             moved = replace_value(self.values, parameter, parameter_value(self.values, parameter) + parameter.scale)
@@ -107,7 +108,7 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
     """The least-squares problem of an arm that follows its logs.
 
     Args:
-        weights: of the joints (dof,), 1/rad.
+        weights: weights of the joints' errors (dof,), 1/rad.
         step: called before each simulation of the logs.
     """
 
@@ -121,24 +122,24 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         self._runs, self._step = runs, step
 
     def errors(self, values: PlantParameters) -> Array:
-        """Simulated less measured joints, of the compared samples of all runs (samples, dof), rad."""
+        """Return simulated minus measured joints (samples, dof), rad, for the compared samples of all runs."""
         self._step()
         return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
 
     def prior(self, values: PlantParameters) -> Array:
-        """Distance of each parameter from its prior's mean, in its spread (k,)."""
+        """Return the distance of each parameter from the mean of its prior, in standard deviations (k,)."""
         return np.array(
             [(parameter_value(values, p) - parameter_value(self._centre, p)) / p.prior_sigma for p in self.parameters]
         )
 
     def normal(self, slopes: Array) -> Array:
-        """The normal equations' matrix (k, k), for slopes (samples, dof, k)."""
+        """Return the matrix of the normal equations (k, k), for slopes (samples, dof, k)."""
         flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
         found: Array = flat.T @ flat + np.diag(self._precision)
         return found
 
     def gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
-        """The normal equations' right-hand side (k,)."""
+        """Return the right-hand side of the normal equations (k,)."""
         pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
         found: Array = -pulled - np.sqrt(self._precision) * self.prior(values)
         return found
@@ -154,25 +155,26 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         return state
 
     def is_converged(self, state: PlantParameters, known: _LinearizedFit, step: Array, gain: Array) -> bool:
-        return bool(np.abs(step).max() < _STILL or 0 <= float(gain) < _LITTLE * known.cost)
+        return bool(np.abs(step).max() < _MIN_STEP or 0 <= float(gain) < _MIN_GAIN * known.cost)
 
 
 def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
-    """Which samples of a run are compared (n,)."""
-    found: NDArray[np.bool_] = run.read & (run.log.times >= min(_BEGINNING, run.log.seconds / 10))
+    """Return the mask of the samples of a run that are compared (n,)."""
+    found: NDArray[np.bool_] = run.read & (run.log.times >= min(_SKIPPED_START, run.log.seconds / 10))
     return found
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """The result of a fit.
+    """Result of a fit.
 
     Attributes:
-        parameters: that were varied.
-        errors: simulated less measured joints (samples, dof), rad.
-        slopes: change of the errors with each parameter, per scale (samples, dof, parameters).
-        weights: of the joints (dof,), 1/rad.
-        times: of the samples, each run's after those of the run before (samples,), s.
+        values: fitted values.
+        parameters: varied parameters.
+        errors: simulated minus measured joints (samples, dof), rad.
+        slopes: change of the errors (samples, dof, parameters) when each parameter grows by its scale.
+        weights: weights of the joints' errors (dof,), 1/rad.
+        times: times of the samples (samples,), s; each run follows the run before.
         accelerations: RMS acceleration of each joint in the logs (dof,), rad/s2.
     """
 
@@ -186,31 +188,31 @@ class FitResult:
 
 
 def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
-    """Fit an arm's values to its logs.
+    """Fit the parameters of an arm to its logs.
 
-    A long time step of physics biases inertia and delay. So the fit descends with the time step of tasks, and then with
-    a finer one along the slopes found before.
+    A long physics timestep biases inertia and delay. So the fit descends with the timestep of tasks first. It then
+    descends with a finer timestep along the slopes of the first descent.
 
     Args:
         step: called before each simulation of the logs.
     """
     plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)
     runs, fine_runs = [LogSimulation(plant, log) for log in logs], [LogSimulation(fine, log) for log in logs]
-    problem = _Problem(plant, runs, np.full(len(plant.kp), 1 / _FINEST), step)
+    problem = _Problem(plant, runs, np.full(len(plant.kp), 1 / _MIN_ERROR), step)
     tried = [replace(plant.values, delay=delay) for delay in sorted({plant.values.delay, *_DELAYS})]
     first = min(tried, key=lambda one: float(np.sum(problem.errors(one) ** 2)))
-    found = solve_least_squares(problem, first, _MOST_STEPS)
+    found = solve_least_squares(problem, first, _MAX_STEPS)
     assert found is not None, "the model itself can be simulated"
     values, there = found
     slopes, errors = there.slopes, there.errors
-    for _ in range(_MOST_FINE):
+    for _ in range(_MAX_FINE_STEPS):
         spread = np.sqrt(np.mean(errors**2, axis=0))
-        problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _FINEST), step)
+        problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _MIN_ERROR), step)
         errors = problem.errors(values)
         moved = np.asarray(
             np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values)), dtype=np.float64
         )
-        if np.abs(moved).max() < _STILL:
+        if np.abs(moved).max() < _MIN_STEP:
             break
         values = problem.apply_step(values, moved)
     offsets = np.concatenate([[0.0], np.cumsum([log.seconds + 1 for log in logs])])
@@ -219,7 +221,7 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
 
 
 def _accelerations(logs: Sequence[ArmLog]) -> Array:
-    """RMS acceleration of each joint (dof,), rad/s2, from positions read in steps of the encoder."""
+    """Return the RMS acceleration of each joint (dof,), rad/s2, from quantized encoder positions."""
     squares = []
     for log in logs:
         known = np.isfinite(log.joints).all(axis=1)

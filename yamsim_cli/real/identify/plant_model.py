@@ -1,4 +1,4 @@
-"""One arm that follows recorded commands, with parameters that a fit varies."""
+"""Simulation of one arm under recorded commands, with parameters that a fit varies."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics
 from yamsim_cli.core.scene.arm_model import arm_spec
 
-TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s; that of tasks, and one short enough not to bias the fit
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s; the timestep of tasks, and one that is short enough not to bias the fit
 
-_LEAST_INERTIA = 2e-4  # kg m2, that each joint keeps beside half its links' inertia
-_POSES = 64  # random poses for the least inertia of a joint's links
-_CREEP = 0.005  # rad/s, prior of `Values.creep`
-_WEIGHT_PERIOD = 0.01  # s between computations of the arm's weight
-_LEAST_FRICTION, _LEAST_CREEP = 1e-6, 1e-5  # N m and rad/s; keep the solver's parameters finite
+_MIN_INERTIA = 2e-4  # kg m2, lower bound of the armature plus half the inertia of the joint's links
+_POSES = 64  # random poses from which the least inertia of a joint's links is computed
+_DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
+_GRAVITY_PERIOD = 0.01  # s between computations of the gravity torques
+_MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver's parameters finite
 
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """Parameters of an arm's motion; all but the delay have a value for each joint (dof,).
+    """Parameters of an arm's motion. All except the delay have one value per joint, (dof,).
 
     Attributes:
-        delay: from a command's time until it acts, s.
-        friction: Coulomb's, N m.
-        damping: passive, beside that of the drive, N m s/rad; negative values reduce the drive's.
-        armature: of the motor at the joint, kg m2.
-        offset: position that is read where the drive holds the joint at 0, rad.
-        gravity: factor of the joint's weight in the gravity compensation.
-        friction_velocity: speed at which friction reaches its full value, rad/s. Real friction does not reverse at once where a
-            joint stops; a fit with creep 0 finds too little friction.
+        delay: time from a command until it acts, s.
+        friction: Coulomb friction, N m.
+        damping: passive damping in addition to the drive's, N m s/rad; negative values reduce the drive's damping.
+        armature: inertia of the motor at the joint, kg m2.
+        offset: measured position when the drive holds the joint at 0, rad.
+        gravity: factor of the joint's gravity torque in the gravity compensation.
+        friction_velocity: speed at which friction reaches its full value, rad/s. Real friction does not reverse at
+            once when a joint stops, so a fit with the value 0 finds too little friction.
     """
 
     delay: float
@@ -50,13 +50,13 @@ class PlantParameters:
 
 @dataclass(frozen=True)
 class ArmLog:
-    """One arm's part of a recorded motion.
+    """Commands and measurements of one arm.
 
     Attributes:
-        name: of the motion.
-        times: of the samples (n,), s.
-        commands, joints: (n, dof), rad; joints are NaN where they were not measured.
-        openings: of the gripper, commanded or else measured (n,), m; None if neither was recorded.
+        name: name of the motion.
+        times: times of the samples (n,), s.
+        commands, joints: commanded and measured positions (n, dof), rad; joints are NaN where not measured.
+        openings: commanded openings of the gripper, or else the measured ones (n,), m; None if neither was recorded.
     """
 
     name: str
@@ -67,7 +67,7 @@ class ArmLog:
 
     @classmethod
     def from_motion(cls, motion: RecordedMotion, arm: ArmMotion) -> ArmLog:
-        """The log of an arm of a motion with commands."""
+        """Return the log of an arm of a motion; the arm must have commands."""
         assert arm.commands is not None, "motions without commands are refused before"
         known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
         openings = next(known, None)
@@ -75,7 +75,7 @@ class ArmLog:
         return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, filled)
 
     def clipped(self, start: float, end: float) -> ArmLog:
-        """The part between two times, s; its times begin at 0."""
+        """Return the part between two times, s, with times that begin at 0."""
         kept = (self.times >= start) & (self.times <= end)
         openings = None if self.openings is None else self.openings[kept]
         times = self.times[kept]
@@ -88,13 +88,13 @@ class ArmLog:
 
 
 class ParametricArm:
-    """An arm alone, without contacts.
+    """A model of one arm without contacts, whose parameters can be replaced.
 
     Attributes:
-        values: those of its model.
-        kp, kv: of the joints' drives (dof,), N m/rad and N m s/rad.
-        max_torque: of these drives (dof,), N m.
-        timestep: of physics, s.
+        values: parameters of the unchanged model.
+        kp, kv: gains of the joints' drives (dof,), N m/rad and N m s/rad.
+        max_torque: largest torques of the drives (dof,), N m.
+        timestep: physics timestep, s.
     """
 
     def __init__(self, arm: ArmConfig, timestep: float = TIMESTEP) -> None:
@@ -116,33 +116,33 @@ class ParametricArm:
         self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
 
     def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """The model of a revision with these values, without its delay, offsets and gravity factors."""
+        """Return the model that a revision with these values has, without the delay, offsets and gravity factors."""
         model, drives = copy.copy(self.model), self.drives
         model.dof_frictionloss[self.dof] = values.friction
         model.dof_armature[self.dof] = values.armature
         model.dof_damping[self.dof] = np.maximum(values.damping, 0)
         model.actuator_biasprm[drives, 2] = -(self.kv + np.minimum(values.damping, 0))
-        # The stiffness of friction follows from the inertia.
+        # `mj_setConst` derives the stiffness of friction from the inertia.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """The plain model corrected for the time step, with friction that sets in gently."""
+        """Return the plain model, corrected for the timestep, with friction that rises with the speed."""
         model = self.plain_model(values)
-        # A step takes the damping at its end, which acts as additional inertia. The fit would find too little inertia.
+        # The integrator evaluates damping at the end of a step. Uncorrected, a fit would find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
-        model.dof_armature[self.dof] = np.maximum(taken, _LEAST_INERTIA - self._links / 2)
-        # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of b / r, stepped
-        # implicitly, which keeps it stable however strong it is.
+        model.dof_armature[self.dof] = np.maximum(taken, _MIN_INERTIA - self._links / 2)
+        # MuJoCo's friction is -(a + b v) / r up to its full value. With b = 1 / timestep, friction is a damping of
+        # b / r. The implicit step keeps this damping stable at any strength.
         b = 1 / self.timestep
-        r = b * np.maximum(values.friction_velocity, _LEAST_CREEP) / np.maximum(values.friction, _LEAST_FRICTION)
+        r = b * np.maximum(values.friction_velocity, _MIN_FRICTION_SPEED) / np.maximum(values.friction, _MIN_FRICTION)
         impedance = 1 / (1 + r / model.dof_invweight0[self.dof])
         model.dof_solref[self.dof] = np.column_stack([np.full(len(r), -1.0), -b * impedance])
         model.dof_solimp[self.dof, :2] = impedance[:, None]
         return model
 
     def gravity_torques(self, joints: Array) -> Array:
-        """Torques of the gravity compensation (n, dof) at positions (n, dof), N m."""
+        """Return the torques of the gravity compensation (n, dof), N m, at joint positions (n, dof), rad."""
         data, found = mujoco.MjData(self.model), np.empty(joints.shape)
         for k, row in enumerate(joints):
             data.qpos[self.qpos] = row
@@ -153,10 +153,10 @@ class ParametricArm:
 
 
 class LogSimulation:
-    """A log that the plant follows repeatedly, each time with other values.
+    """Repeated simulation of one log with different parameter values.
 
     Attributes:
-        read: which samples have measured joints (n,).
+        read: mask of the samples with measured joints (n,).
     """
 
     def __init__(self, plant: ParametricArm, log: ArmLog) -> None:
@@ -170,13 +170,13 @@ class LogSimulation:
         measured = np.column_stack(
             [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
         )
-        coarse = np.arange(0, self._steps, max(1, round(_WEIGHT_PERIOD / plant.timestep)))
-        weights = plant.gravity_torques(measured[coarse])
-        self._weights = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in weights.T])
+        coarse = np.arange(0, self._steps, max(1, round(_GRAVITY_PERIOD / plant.timestep)))
+        torques = plant.gravity_torques(measured[coarse])
+        self._torques = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in torques.T])
         self._data = mujoco.MjData(plant.model)
 
     def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
-        """Simulated readings of the joints at the log's times (n, dof), rad.
+        """Return the simulated encoder readings at the log's times (n, dof), rad.
 
         Args:
             plain: use `ParametricArm.plain_model`, as simulations of a revision do, instead of `fitted_model`.
@@ -185,7 +185,7 @@ class LogSimulation:
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
         controls[0, :, plant.drives] = self._delayed(values.delay - (self.plant.timestep / 2 if plain else 0)).T
-        controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._weights).T
+        controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._torques).T
         data = self._data
         mujoco.mj_resetData(model, data)
         data.qpos[plant.qpos] = log.joints[self.read][0] - values.offset
@@ -200,8 +200,8 @@ class LogSimulation:
         return read + values.offset
 
     def _delayed(self, delay: float) -> Array:
-        """The mean command of each step, `delay` s earlier (steps, dof)."""
-        # Drives pull by the command at the step's beginning, so the mean is taken around that time.
+        """Return the mean command of each step (steps, dof), delayed by `delay` s."""
+        # A drive applies the command of the beginning of a step, so the mean is centered on that time.
         when, log = self._grid - self.plant.timestep / 2 - delay, self.log
         columns = []
         for first, last, total in zip(self._clipped[0], self._clipped[-1], self._integral.T, strict=True):
@@ -224,7 +224,7 @@ class LogSimulation:
 
 
 def _filled(commands: Array) -> Array:
-    """Commands (n, dof) with each NaN replaced by the last command before it, or else by the first command."""
+    """Replace each NaN in commands (n, dof) by the last command before, or else by the first known command."""
     filled = commands.copy()
     for column in filled.T:
         known = np.flatnonzero(np.isfinite(column))
@@ -241,12 +241,12 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
         armature=model.dof_armature[dof].copy(),
         offset=np.array([joint.offset_rad if joint else 0.0 for joint in joints]),
         gravity=np.array([joint.gravity_factor if joint else 1.0 for joint in joints]),
-        friction_velocity=np.full(len(names), _CREEP),
+        friction_velocity=np.full(len(names), _DEFAULT_FRICTION_SPEED),
     )
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """Least inertia of the links at each joint (dof,), without the motor's and with all other joints free, kg m2."""
+    """Return the least inertia of the links at each joint (dof,), kg m2, without armature, with other joints free."""
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

@@ -1,4 +1,4 @@
-"""Imports recordings of real arms into a dataset of yamsim's format, with the corrections that a user states."""
+"""Import recordings of real arms into a dataset of yamsim's format, with corrections that the user states."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from ..recordings.motion_faults import MotionFault, MotionProblem, find_faults, 
 from ..recordings.motion_reading import detect_format, format_reader
 from ..recordings.recording import Recording, Samples
 
-# Faults for which a recording is refused, and the flag that corrects each; other faults are noted in its record.
+# Faults for which an import is refused -> the flag that corrects the fault. The record lists all other faults.
 _CORRECTED_BY = {
     MotionFault.DEGREES: "--degrees",
     MotionFault.SWAPPED_ARMS: "--swap-arms",
@@ -51,13 +51,13 @@ _CORRECTED_BY = {
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a user states about recordings that do not state it, or state it wrongly.
+    """Corrections of recordings with missing or wrong metadata.
 
     Attributes:
-        degrees: joints are in degrees.
-        swap_arms: measurements of the left arm are the right arm's, and vice versa.
-        gripper: unit of openings; None for the format's own.
-        mirrored: openings that are counted from the other end: 0 open, and the largest closed.
+        degrees: whether joints are in degrees.
+        swap_arms: whether the measurements of the two arms are swapped.
+        gripper: unit of the openings; None for the unit of the format.
+        mirrored: which openings are counted from the other end, with 0 open and the largest value closed.
     """
 
     degrees: bool = False
@@ -68,13 +68,15 @@ class Corrections:
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """What to import, and how.
+    """Parameters of an import.
 
     Attributes:
-        sources: files and folders.
-        format: of all sources; None detects it for each.
-        mapping: naming of the columns; None detects it.
-        out, mode: the dataset's directory, and what to do if it is not empty.
+        sources: files and folders to import.
+        rig: rig of the recordings.
+        format: format of all sources; None detects the format of each source.
+        mapping: naming of the columns; None detects the naming.
+        corrections: corrections of the recordings.
+        out, mode: directory of the dataset, and the handling of a directory that is not empty.
     """
 
     sources: Sequence[Path]
@@ -88,13 +90,14 @@ class ImportRequest:
 
 @dataclass
 class ImportReport:
-    """What was imported.
+    """Result of an import.
 
     Attributes:
-        episodes, frames: number of episodes and frames written.
+        path: directory of the dataset.
+        episodes, frames: number of written episodes and frames.
         kept: number of episodes that existed before.
-        problems: episode's name -> faults found in it.
-        moved_aside: new path of an older dataset.
+        problems: name of the episode -> faults of the episode.
+        moved_aside: backup of an older dataset; None without an older dataset.
     """
 
     path: Path
@@ -105,7 +108,7 @@ class ImportReport:
     moved_aside: Path | None = None
 
     def to_json_data(self) -> dict[str, Any]:
-        """The report for JSON."""
+        """Return the report as JSON data."""
         return {
             "path": str(self.path),
             "source": "real",
@@ -118,15 +121,15 @@ class ImportReport:
 
 
 def import_recordings(request: ImportRequest, locations: Locations, progress: Progress) -> ImportReport:
-    """Write the recordings as episodes of a dataset, one after the other.
+    """Write recordings as episodes of a dataset and return a report.
 
-    Each episode appears whole. Resuming keeps the episodes that exist.
+    Each episode directory is published atomically. A resumed import keeps existing episodes.
 
     Raises:
         DatasetError: a recording cannot be read, or has a fault that a flag corrects.
-        UsageError: the directory is not empty, and the mode does not say what to do.
+        UsageError: the mode does not allow a directory that is not empty, or `swap_arms` is set for a single arm.
         ConfigError: the dataset to resume has another rig, format or unit.
-        ResourceError: something cannot be written, or a library is not installed.
+        ResourceError: a file cannot be written, or a library is not installed.
     """
     read = [(name, recording) for path in request.sources for name, recording in _recordings(path, request, locations)]
     config = _config(request, read)
@@ -156,7 +159,7 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
 
 
 def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
-    """The format and each corrected recording of a file or a folder."""
+    """Yield the format and each corrected recording of a file or a folder."""
     name = request.format or detect_format(path)
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _corrected(recording, request.corrections, request.rig)
@@ -198,7 +201,7 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
 
 
 def _mirrored(arm: ArmMotion, full: float, which: str) -> ArmMotion:
-    """An arm's motion with its openings counted from the other end."""
+    """Return an arm's motion with openings counted from the other end."""
     measured, commanded = arm.openings, arm.commanded_openings
     if measured is not None and which != "commanded":
         measured = full - measured
@@ -265,7 +268,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
 
 
 def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
-    """Faults of the motion; if the motion has no gaps, also gaps of each camera."""
+    """Yield the faults of the motion. If the motion has no gaps, also yield the gaps of each camera."""
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
         for camera, pictures in recording.pictures.items():
@@ -273,13 +276,13 @@ def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> I
 
 
 def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
-    """The samples that become frames: those of the camera with the most images; without cameras all."""
+    """Return the samples that become frames: those of the camera with the most images, or all without cameras."""
     seen = [pictures.samples for pictures in recording.pictures.values()]
     return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
 
 
 def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[bytes]:
-    """A camera's latest image at each of the samples."""
+    """Yield a camera's latest image at each of the samples."""
     pictures = recording.pictures[camera]
     images, number, data = pictures.read(), -1, b""
     for wanted in np.clip(np.searchsorted(pictures.samples, samples, side="right") - 1, 0, None):
@@ -291,7 +294,7 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
 
 
 def _frame(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
-    """The frame of a sample, without the keys that were not recorded."""
+    """Return the frame of a sample, without keys for values that were not recorded."""
     arms = motion.arms
     frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
     frame["timestamp"] = float(motion.times[sample])

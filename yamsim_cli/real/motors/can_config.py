@@ -1,4 +1,4 @@
-"""The motors of an arm and a gripper, from `can.yaml` in their folders."""
+"""Motors of an arm and its gripper, read from the `can.yaml` files in their model folders."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class JointMotor(Config):
     """The motor of a joint.
 
     Attributes:
-        id: its CAN identifier.
-        kind: of motor.
-        direction: 1 if the motor turns as the joint does, -1 if it turns the other way.
-        load: factor of the joint's weight in the model.
+        id: CAN identifier of the motor.
+        kind: motor kind, a key of `motor.KINDS`.
+        direction: 1 if the motor turns in the joint's direction, -1 if it turns the other way.
+        load: factor by which the simulation scales the gravity torque of the joint.
     """
 
     id: Number
@@ -51,12 +51,12 @@ class GripperCanConfig(Config):
     """A gripper's motor, which moves both fingers.
 
     Attributes:
-        id, kind: as a joint's.
-        closed, opened: the shaft's angles with closed and with fully opened fingers, rad.
-        stroke: of one finger between the two, m.
-        armature: of its rotor at the shaft, kg m2.
-        friction: at the shaft, N m.
-        kp, kd: gains of its drive, N m/rad and N m s/rad.
+        id, kind: CAN identifier and motor kind, as in `JointMotor`.
+        closed, opened: shaft angles with closed and with fully opened fingers, rad.
+        stroke: travel of one finger from closed to opened, m.
+        armature: inertia of the rotor at the shaft, kg m2.
+        friction: Coulomb friction at the shaft, N m.
+        kp, kd: gains of the drive, N m/rad and N m s/rad.
     """
 
     id: Number
@@ -71,27 +71,27 @@ class GripperCanConfig(Config):
 
     @property
     def ratio(self) -> float:
-        """Turn of the shaft per opening of one finger, rad/m."""
+        """Shaft angle per travel of one finger, rad/m."""
         return (self.opened - self.closed) / self.stroke
 
 
 @dataclass(frozen=True)
 class CanConfig:
-    """All motors of an arm and its gripper; `gripper` is None without fingers."""
+    """All motors of an arm and its gripper. `gripper` is None for a gripper without fingers."""
 
     arm: ArmCanConfig
     gripper: GripperCanConfig | None
 
 
 def load_can_config(model: str, gripper: str | None, joints: int, locations: Locations) -> CanConfig:
-    """The motors of an arm with a gripper.
+    """Return the motors of an arm and its gripper.
 
     Args:
-        model, gripper: names of their folders; None for a gripper without fingers.
-        joints: their number.
+        model, gripper: folder names of the two models; `gripper` is None for a gripper without fingers.
+        joints: number of joints of the arm.
 
     Raises:
-        ConfigError: a file is missing or not valid, or does not have a motor for each joint.
+        ConfigError: a file is missing or invalid, the number of motors is wrong, or two motors share an identifier.
     """
     place = _file("robots", model, locations)
     arm = _read(ArmCanConfig, place)

@@ -1,4 +1,4 @@
-"""An emulated DAMIAO motor: its kinds, its registers, its answers to frames, and its law of torque."""
+"""Emulated DAMIAO motors: kinds, registers, answers to CAN frames, and the control law."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ from enum import IntEnum
 from . import can_frames as frames
 from .can_frames import CanFrame, MitCommand, MotorRange
 
-AMBIENT = 25.0  # degrees Celsius, of the air around a motor
-# K above the air, at which a rotor settles at its rated torque. With the default limit of 100 degrees, a motor may give
-# its rated torque for ever, and 1.2 times that for minutes. No figures are published; an assumption.
+AMBIENT = 25.0  # degrees Celsius, temperature of the air around a motor
+# K, steady temperature rise of a rotor at rated torque. With the default limit of 100 degrees Celsius, a motor gives
+# its rated torque without limit, and 1.2 times that for minutes. An assumption: no figures are published.
 _RATED_RISE = 55.0
-_THERMAL_SECONDS = 300.0  # s, time constant of the rotor. No figure is published; an assumption
-_DRIVER_SHARE = 0.5  # of the rotor's rise, by which the driver warms up. An assumption
-# Degrees Celsius, of the driver; the rotor's limit is a register. Source: DAMIAO's manual of the DM-J43 series,
-# "protections".
+_THERMAL_SECONDS = 300.0  # s, thermal time constant of the rotor. An assumption: no figure is published
+_DRIVER_SHARE = 0.5  # temperature rise of the driver as a share of the rotor's. An assumption
+# Degrees Celsius, limit of the driver; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
 _DRIVER_LIMIT = 120.0
 _REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
-# Registers that the emulated motor uses, by DAMIAO's numbers.
+# Numbers of the registers that affect the emulated motor. Source: DAMIAO's manual.
 OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
 ROTOR_POSITION = 80
 MIT_MODE = 1
 
-# Registers that hold whole numbers; all others hold a float32. Source: DAMIAO's manual.
-_WHOLE = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
-# Registers that can be written. Source: the same.
+# Registers that hold an integer; all others hold a float32. Source: DAMIAO's manual.
+_INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
+# Registers that can be written. Source: the same manual.
 _WRITABLE = frozenset({*range(11), *range(21, 36)})
-_POSITIVE = frozenset({PMAX, VMAX, TMAX})  # with 0 or an infinite value in one of them, answers would be impossible
+_POSITIVE = frozenset({PMAX, VMAX, TMAX})  # must be positive and finite: `quantize` divides by their values
 _LARGEST_ID = 0x7FE
-_VERSION = 0x53494D  # "SIM" in ASCII, which tells readers that the motor is simulated
-# Factory values: protections (V, degrees Celsius, A), gains of loops that MIT mode does not use.
+_VERSION = 0x53494D  # "SIM" in ASCII: the version registers identify a simulated motor
+# Factory values: protections (V, degrees Celsius, A), and gains of control loops that MIT mode does not use.
 _FACTORY = {
     0: 15.0, 1: 0.0, OT_VALUE: 100.0, 3: 0.98, 4: 2.0, 5: -2.0, 6: 600.0, 11: 0.0, 12: 0.0, 13: _VERSION, 14: _VERSION,
     16: 14, 17: 0.0, 18: 0.0, 19: 0.0, 24: 1000.0, 25: 0.0, 26: 0.0, 27: 0.0, 28: 0.0, 29: 32.0, 30: 1.0, 31: 4.0,
     32: 0.0, 33: 0.0, 34: 0.0, 35: 4, 36: 0, 50: 0.0, 51: 0.0, 52: 0.0, 53: 0.0, 54: 0.0, 55: 1.0,
 }  # fmt: skip
-_FACTORY_TIMEOUT = 8000  # 400 ms. Source: the maker's SDK 1.3.6, README and `motor_config_tool/set_timeout.py`
-_TIMEOUT_UNIT = 50e-6  # s
+# 400 ms, in units of _TIMEOUT_UNIT. Source: the maker's SDK 1.3.6, README and `motor_config_tool/set_timeout.py`
+_FACTORY_TIMEOUT = 8000
+_TIMEOUT_UNIT = 50e-6  # s per unit of the TIMEOUT register
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class MotorKind:
     """A kind of motor.
 
     Attributes:
-        name: in the maker's SDK.
-        scale: ranges of its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: ratio, in a register from which programs tell the kind. Source: the same file.
+        name: name in the maker's SDK.
+        scale: ranges of the values in its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+        gear: gear ratio; programs read its register to identify the kind. Source: the same file.
         rated: continuous torque, N m. Source: DAMIAO's tables.
     """
 
@@ -61,7 +61,7 @@ class MotorKind:
 
     @property
     def heating(self) -> float:
-        """Steady rise of the rotor's temperature per torque squared, K/(N m)2."""
+        """Steady temperature rise of the rotor per squared torque, K/(N m)2."""
         return _RATED_RISE / self.rated**2
 
 
@@ -77,10 +77,10 @@ KINDS = {
 
 
 class Registers:
-    """Register -> value: the current values, and those saved for when the power comes back.
+    """Registers of a motor: the current values, and the saved values that a restart restores.
 
     Args:
-        motor: its CAN identifier; it answers with an identifier 16 larger.
+        motor: CAN identifier of the motor; its answers have the identifier `motor + 16`.
     """
 
     def __init__(self, kind: MotorKind, motor: int) -> None:
@@ -93,33 +93,33 @@ class Registers:
         return self._values[register]
 
     def set_reported(self, register: int, value: float) -> None:
-        """Set a register that only reports."""
+        """Set a read-only register from the simulation."""
         self._values[register] = value
 
     def read(self, register: int) -> bytes | None:
-        """A register's four bytes; None if there is no such register."""
+        """Return the four bytes of a register, or None for an unknown register."""
         value = self._values.get(register)
         if value is None:
             return None
-        return struct.pack("<I", int(value)) if register in _WHOLE else struct.pack("<f", value)
+        return struct.pack("<I", int(value)) if register in _INTEGER_REGISTERS else struct.pack("<f", value)
 
     def write(self, register: int, data: bytes) -> bytes | None:
-        """Set a register from four bytes, and read it back; an invalid value leaves it unchanged."""
+        """Set a register from four bytes and return its bytes. An invalid value leaves the register unchanged."""
         if register in _WRITABLE:
-            value = float(struct.unpack("<I" if register in _WHOLE else "<f", data)[0])
+            value = float(struct.unpack("<I" if register in _INTEGER_REGISTERS else "<f", data)[0])
             if self._is_valid(register, value):
                 self._values[register] = value
         return self.read(register)
 
     def save(self, register: int) -> bool:
-        """Save a register's value for when the power comes back; False if it cannot be saved."""
+        """Save the value of a register across restarts. Return False for a register that cannot be saved."""
         if register not in _WRITABLE:
             return False
         self._saved[register] = self._values[register]
         return True
 
     def restart(self) -> None:
-        """Power off and on: values that were not saved are lost."""
+        """Restore the saved values, as a power cycle does."""
         self._values = dict(self._saved)
 
     def _is_valid(self, register: int, value: float) -> bool:
@@ -133,7 +133,7 @@ class Registers:
 
 
 class Status(IntEnum):
-    """A motor's status in each answer. Source: DAMIAO's manual, "feedback frame"."""
+    """Status of a motor in each answer. Source: DAMIAO's manual, "feedback frame"."""
 
     DISABLED = 0x0
     ENABLED = 0x1
@@ -143,14 +143,14 @@ class Status(IntEnum):
 
 
 class Motor:
-    """A motor on a bus, without physics and sockets. Positions are those of its output shaft, in its own direction.
+    """A motor on a bus, without physics and sockets. Positions are those of the output shaft, in its direction of turn.
 
     Attributes:
-        number: its first CAN identifier, by which people name it.
-        position, velocity, torque: of the shaft, set by the simulation, rad, rad/s and N m.
-        celsius: temperature of its rotor.
-        lost: its plug is out: the motor neither receives nor answers frames and gives no torque.
-        control_law_changed: whether `control_law` may have changed since this was last set to False.
+        number: initial CAN identifier, by which faults name the motor.
+        position, velocity, torque: state of the shaft, set by the simulation, rad, rad/s and N m.
+        celsius: temperature of the rotor, degrees Celsius.
+        lost: whether the motor is unplugged: a lost motor ignores all frames and gives no torque.
+        control_law_changed: whether `control_law` may have changed since a caller last set this flag to False.
     """
 
     def __init__(self, number: int, kind: MotorKind) -> None:
@@ -169,21 +169,21 @@ class Motor:
 
     @property
     def answers_to(self) -> int:
-        """The identifier of frames to this motor."""
+        """Identifier of frames to this motor."""
         return int(self.registers[ESC_ID])
 
     @property
     def max_torque(self) -> float:
-        """The largest torque, N m."""
+        """Largest torque, N m."""
         return min(self._scale.torque, self.kind.scale.torque)
 
     @property
     def driver_celsius(self) -> float:
-        """Temperature of the driver's transistors."""
+        """Temperature of the driver's transistors, degrees Celsius."""
         return AMBIENT + _DRIVER_SHARE * (self.celsius - AMBIENT)
 
     def control_law(self) -> tuple[float, float, float]:
-        """(kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
+        """Return (kp, kd, constant). The torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
         if self.status is not Status.ENABLED or self.lost:
             return 0.0, 0.0, 0.0
         command = self._command
@@ -191,11 +191,7 @@ class Motor:
         return command.kp, command.kd, constant
 
     def receive(self, frame: CanFrame, now: float) -> CanFrame | None:
-        """Receive a frame at a time (s).
-
-        Returns:
-            The answer; None if the frame is for another motor.
-        """
+        """Receive a frame at time `now`, s. Return the answer, or None if the motor does not answer."""
         if self.lost:
             return None
         if frame.id == frames.TO_ALL:
@@ -206,7 +202,7 @@ class Motor:
         if order is None:
             if self.registers[CTRL_MODE] != MIT_MODE:
                 return None
-            # A command to a motor that is not enabled is answered and never acts.
+            # A motor that is not enabled answers a command but does not execute it.
             self._command = frames.read_mit(frame.data, self._scale) if self.status is Status.ENABLED else _REST
         else:
             self._handle_special(order)
@@ -215,7 +211,7 @@ class Motor:
         return self._answer()
 
     def drive(self, command: MitCommand, now: float) -> None:
-        """Act as if a MIT frame came now, after enabling the motor; an error stays."""
+        """Enable a disabled motor and apply a command, whose position ignores SET_ZERO. An error state stays."""
         if self.lost:
             return
         if self.status is Status.DISABLED:
@@ -226,7 +222,7 @@ class Motor:
         self.control_law_changed = True
 
     def advance(self, now: float, seconds: float) -> None:
-        """Let time pass: the motor warms up by its torque, and fails when too hot or without frames for too long."""
+        """Advance time: update the temperature, and fail if the motor is too hot or received no frame in time."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:
@@ -240,12 +236,12 @@ class Motor:
             self._fail(Status.LOST_COMMUNICATION)
 
     def power_off(self) -> None:
-        """Take the plug out."""
+        """Unplug the motor."""
         self.lost = True
         self.control_law_changed = True
 
     def power_on(self) -> None:
-        """Restore the power: the motor is disabled and has its saved registers."""
+        """Restore the power. The motor is then disabled and has its saved registers."""
         self.lost = False
         self.registers.restart()
         self._update_range()
@@ -263,7 +259,7 @@ class Motor:
         elif order == frames.SET_ZERO:
             self._zero = self.position
         elif order == frames.DISABLE:
-            # An error stays until it is cleared.
+            # An error stays until CLEAR_ERROR.
             self._command = _REST
             if self.status is Status.ENABLED:
                 self.status = Status.DISABLED
@@ -277,7 +273,7 @@ class Motor:
         return CanFrame(int(self.registers[MST_ID]), data)
 
     def _handle_register_frame(self, data: bytes) -> CanFrame | None:
-        """Answer a frame to all motors: access to a register, or a request for the status."""
+        """Answer a frame to TO_ALL: access to a register, or a request for the status."""
         if len(data) < 4 or int.from_bytes(data[:2], "little") != self.answers_to:
             return None
         access, register = data[2], data[3]
@@ -291,7 +287,7 @@ class Motor:
             value = self.registers.write(register, data[4:8])
             self._update_range()
         elif access == frames.SAVE:
-            # A motor saves registers only while it is not enabled, and answers with a short frame.
+            # An enabled motor does not save registers. The answer is a short frame.
             saved = self.status is not Status.ENABLED and self.registers.save(register)
             return self._register_answer(bytes([frames.SAVE, saved]))
         else:
@@ -299,7 +295,7 @@ class Motor:
         return None if value is None else self._register_answer(bytes([access, register]) + value)
 
     def _register_answer(self, content: bytes) -> CanFrame:
-        # A new identifier counts at once.
+        # A newly written identifier applies at once.
         return CanFrame(int(self.registers[MST_ID]), self.answers_to.to_bytes(2, "little") + content)
 
     def _update_range(self) -> None:

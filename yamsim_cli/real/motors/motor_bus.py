@@ -1,4 +1,4 @@
-"""A CAN bus with motors, and faults on demand: lost and hot motors, lost frames, a stuck gripper."""
+"""A simulated CAN bus with motors and injected faults: lost and hot motors, dropped frames, a stuck gripper."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .motor import Motor
 _UPDATE_SECONDS = 0.01  # s between updates of temperatures, timeouts and faults
 
 LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
-# Kind of fault -> its own keys; every fault also has the common ones.
+# Kind of fault -> its specific keys. Every fault also has the keys in _COMMON.
 _KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
 _COMMON = ("channel", "at", "for")
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
@@ -24,16 +24,16 @@ _EXAMPLE = "lost:motor=3,at=5,for=2"
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault of a bus, and its time.
+    """A fault of a bus and the time at which it occurs.
 
     Attributes:
         kind: LOST, HOT, DROP or STUCK.
-        channel: the bus; empty for all buses.
-        motor: number of the motor that is lost or hot.
-        at: when the fault begins, s after the simulation does.
-        seconds: how long the fault lasts.
-        celsius: temperature at which a hot rotor is kept.
-        share: of the frames that are lost, in either direction.
+        channel: name of the bus; empty for all buses.
+        motor: number of the lost or hot motor.
+        at: start of the fault in simulation time, s.
+        seconds: duration of the fault, s.
+        celsius: temperature of a hot rotor, degrees Celsius.
+        share: share of the frames that are dropped, in each direction.
     """
 
     kind: str
@@ -46,10 +46,10 @@ class BusFault:
 
 
 def parse_fault(text: str) -> BusFault:
-    """The fault that a flag names, such as `lost:motor=3,at=5,for=2`.
+    """Parse the text of a `--fault` flag, such as `lost:motor=3,at=5,for=2`.
 
     Raises:
-        UsageError: the text is not of that form; the message says what is valid.
+        UsageError: the text is invalid; the message lists the valid values.
     """
     kind, _, rest = text.partition(":")
     if kind not in _KEYS:
@@ -81,15 +81,15 @@ def _number(text: str, key: str, value: str) -> float:
 
 
 class MotorBus:
-    """A bus. Its time is the simulation's, s.
+    """A bus with motors. All times are simulation time, s.
 
     Attributes:
-        channel: its name, such as `can0`.
+        channel: name of the bus, such as `can0`.
         stuck: whether the gripper is stuck.
-        frames_received, dropped: numbers of frames received, and of frames lost in either direction.
+        frames_received, dropped: number of received frames, and of frames dropped in either direction.
 
     Args:
-        seed: of the random choice of lost frames.
+        seed: seed of the random choice of dropped frames.
     """
 
     def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[BusFault] = (), seed: int = 0) -> None:
@@ -103,7 +103,7 @@ class MotorBus:
         self._drop_share = 0.0
 
     def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Put a frame onto the bus; returns the answers."""
+        """Send a frame to all motors and return their answers."""
         self.frames_received += 1
         if self._loses():
             return []
@@ -111,7 +111,7 @@ class MotorBus:
         return [answer for answer in answers if not self._loses()]
 
     def advance_to(self, now: float) -> None:
-        """Advance the time to `now`, s: motors warm up and time out, and faults begin and end."""
+        """Advance the time to `now`, s: update temperatures and timeouts, and begin and end faults."""
         if (seconds := now - self._updated) < _UPDATE_SECONDS:
             return
         self._updated = now

@@ -1,4 +1,4 @@
-"""Names of columns in recordings of other programs: which columns hold an arm's joints and gripper."""
+"""Namings of the columns in recordings of other programs, which map columns to joints and grippers of arms."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from yamsim_cli.core.recorded_motion import ArmMotion
 
 from .recording import motion_sides
 
-KIND = "recordings"  # folder of namings in configs/
+KIND = "recordings"  # folder of the namings in configs/
 
 
 def candidate_namings(mapping: str | None, locations: Locations) -> list[RecordingNames]:
-    """The naming `mapping`, or without one all namings of `configs/recordings/` in the order of their names."""
+    """Return the naming `mapping`, or if None, all namings of `configs/recordings/` in the order of their names."""
     names = locations.config_names(KIND) if mapping is None else [mapping]
     return [load_config(RecordingNames, KIND, name, locations) for name in names]
 
 
 def arm_keys(rig: RigConfig) -> list[str]:
-    """Key of each arm in a naming, in the order of recordings."""
+    """Return the key of each arm in a naming, in the order of recordings."""
     return [side or "only" for side in motion_sides(rig)]
 
 
 def find_naming(
     columns: Sequence[str], rig: RigConfig, mapping: str | None, source: str, locations: Locations
 ) -> RecordingNames:
-    """The naming that fits the columns: `mapping`, or else the first known one, or else the drives' own names.
+    """Return `mapping`, or if None, the first naming that fits: of `configs/recordings/`, else the drives' names.
 
     Raises:
         ConfigError: `mapping` does not exist or does not fit.
@@ -58,7 +58,7 @@ def find_naming(
 def named_arms(
     names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], commanded: Mapping[str, Array] | None
 ) -> tuple[ArmMotion, ...]:
-    """The arms' motions in named columns (n,), the left arm's first; openings keep the naming's unit."""
+    """Return the motions of the arms in named columns (n,), the left arm's first. Openings keep the naming's unit."""
     motions = []
     for side, key in zip(motion_sides(rig), arm_keys(rig), strict=True):
         joints, gripper = names.arms[key].joints, names.arms[key].gripper
@@ -75,12 +75,12 @@ def named_arms(
 
 
 def arm_columns(arm: ArmNames) -> tuple[str, ...]:
-    """All columns of an arm."""
+    """Return the names of all columns of an arm."""
     return arm.joints if arm.gripper is None else (*arm.joints, arm.gripper)
 
 
 def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
-    """What the rig's arms need and the naming or the columns lack; None if nothing is missing."""
+    """Describe the first item that the rig needs and the naming or the columns lack. Return None if all items exist."""
     keys = arm_keys(rig)
     if set(keys) != set(names.arms):
         return " and ".join(f"arm {key!r} in it" for key in keys)
@@ -95,7 +95,7 @@ def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> s
 
 
 def _drive_names(rig: RigConfig) -> list[RecordingNames]:
-    """Namings of yamsim's own exports: by drives and by joints, with the side as prefix if there are two arms."""
+    """Return the namings of yamsim's exports: by drives and by joints, with the side as prefix for two arms."""
     by_drive, by_joint = {}, {}
     for side, key, k in zip(motion_sides(rig), arm_keys(rig), rig.recording_order, strict=True):
         robot, prefix = rig.arms[k].robot, f"{side}_" if side else ""

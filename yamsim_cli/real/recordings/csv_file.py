@@ -1,6 +1,6 @@
-"""Motions as CSV: a header, then a row for each sample; s, rad, and m of one finger's opening.
+"""Read and write motions as CSV: a header and one row per sample, in s, rad, and m of one finger's opening.
 
-Columns are `t`, `command_joint1`, `position_gripper` and so on; of two arms, `position_left_joint3`.
+Columns are `t`, `command_joint1`, `position_gripper` and so on, or `position_left_joint3` for two arms.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ TIME = "t"
 _COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
 _GRIPPER = "gripper"
 
-_MOST_BYTES = 1 << 30  # of a file; three hours at 250 Hz are 0.6 GB
+_MAX_BYTES = 1 << 30  # largest size of a file; three hours at 250 Hz are 0.6 GB
 
 
 def csv_columns(rig: RigConfig) -> list[str]:
-    """The columns of a motion's table, in the order in which yamsim writes them."""
+    """Return the column names of a motion, in the order in which yamsim writes them."""
     robots = [rig.arms[k].robot for k in rig.recording_order]
     return [
         TIME,
@@ -42,10 +42,10 @@ def csv_columns(rig: RigConfig) -> list[str]:
 
 
 def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
-    """The motion in a CSV.
+    """Return the motion in a CSV.
 
     Raises:
-        DatasetError: the file cannot be read, has other columns, or a row that is not a sample.
+        DatasetError: the file cannot be read, lacks columns, or has an invalid row.
     """
     names, rows = _table(path)
     if TIME not in names:
@@ -66,11 +66,11 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
 
 
 def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
-    """A CSV of a motion; `read_csv` returns the same numbers.
+    """Return the bytes of a CSV of a motion. `read_csv` restores the same numbers.
 
     Args:
-        times: of the samples (n,), s.
-        columns: (n, m), in the order of `header` after its first.
+        times: times of the samples (n,), s.
+        columns: values (n, m), in the order of `csv_columns` after the first column.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -81,10 +81,9 @@ def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) ->
 
 
 def _table(path: Path) -> tuple[list[str], list[list[float]]]:
-    """The header's names, and the rows below."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise DatasetError(f"{path}: has {path.stat().st_size / 1e9:.1f} GB; valid: up to {_MOST_BYTES / 1e9:.1f}")
+        if path.stat().st_size > _MAX_BYTES:
+            raise DatasetError(f"{path}: has {path.stat().st_size / 1e9:.1f} GB; valid: up to {_MAX_BYTES / 1e9:.1f}")
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = csv.reader(file)
             names = [name.strip() for name in next(lines, [])]
@@ -120,7 +119,7 @@ def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Itera
 
 
 def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
-    """The arms' motions in columns (n,), the left arm's first; columns with other names are ignored.
+    """Return the motions of the arms, the left arm's first. Columns (n,) with other names are ignored.
 
     Raises:
         DatasetError: a joint has no position, or only some joints have a command.
@@ -153,7 +152,7 @@ def _column(kind: str, side: str, joint: str) -> str:
 
 
 def _usual_name(name: str, arms: Sequence[str]) -> str:
-    """A name such as `left_command_joint1` as `command_left_joint1`; any other name as it is."""
+    """Return names such as `left_command_joint1` as `command_left_joint1`, and all other names unchanged."""
     side, _, rest = name.partition("_")
     kind, _, joint = rest.partition("_")
     return _column(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
@@ -162,7 +161,7 @@ def _usual_name(name: str, arms: Sequence[str]) -> str:
 def _joint_columns(
     columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
 ) -> Array | None:
-    """The joints' columns side by side (n, dof); None if no joint has one."""
+    """Return the columns of the joints (n, dof), or None if no joint has a column."""
     names = [_column(kind, side, joint) for joint in joints]
     missing = [name for name in names if name not in columns]
     if len(missing) == len(names):

@@ -1,7 +1,7 @@
-"""LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, pictures in MP4 or in the rows.
+"""Read LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, images in MP4 or in the rows.
 
-Source: lerobot 0.4.4 and 0.6.1: `meta/info.json` with `codebase_version`, `video_path`, `features`; version 2 has one
-Parquet file and one MP4 per episode; version 3 has several episodes in each, listed in `meta/episodes/`.
+Source: lerobot 0.4.4 and 0.6.1. `meta/info.json` has `codebase_version`, `video_path` and `features`. Version 2 has one
+Parquet file and one MP4 per episode. Version 3 has several episodes per file, listed in `meta/episodes/`.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from .recording import JPEG_QUALITY, CameraImages, Recording, times_from_seconds
 
 INFO = "meta/info.json"
 _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
-# Added by yamsim's own export of real recordings: the recorded times, and the grippers' unit.
+# Added by yamsim's export of real recordings: the recorded times, and the unit of the grippers.
 _OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _JPEG_START = b"\xff\xd8"
-_MOST_BYTES = 1 << 26  # of a file of JSON lines
+_MAX_JSONL_BYTES = 1 << 26  # largest size of a JSON lines file
 
-# Fields that `video_path` may have. Source: lerobot 0.4.4 and 0.6.1; the first three in version 2, the others in 3.
+# Fields of `video_path` in lerobot 0.4.4 and 0.6.1: the first three in version 2, the first and the last two in 3.
 _FIELDS = ("video_key", "episode_chunk", "episode_index", "chunk_index", "file_index")
-_FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # A number padded to at most 9 digits: a wider one could fill the memory.
-_LONGEST_PATTERN = 1000  # Characters of `video_path`; paths of files end at 4096 bytes.
-_MOST_FPS = 10_000.0  # Frames per second; cameras stay far below.
-_MOST_CHUNK = 1_000_000_000  # Largest whole number in a path or of episodes in a chunk.
-_CHUNK_SIZE = 1000  # Episodes in a chunk where a dataset of version 2 does not say. Source: lerobot 0.4.4.
+_FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # number padded to at most 9 digits; wider padding could fill the memory
+_MAX_PATTERN_LENGTH = 1000  # characters of `video_path`; file paths have at most 4096 bytes
+_MAX_FPS = 10_000.0  # frames per second, far above the rate of any camera
+_MAX_NUMBER = 1_000_000_000  # largest number in a path, and largest number of episodes in a chunk
+_CHUNK_SIZE = 1000  # episodes in a chunk, if a dataset of version 2 states no `chunks_size`. Source: lerobot 0.4.4
 
 
 @dataclass(frozen=True)
 class VideoPaths:
-    """Where a dataset keeps its videos.
+    """Paths of the videos of a dataset.
 
     Attributes:
-        path: the dataset's folder.
-        info: content of its `meta/info.json`, not yet checked.
+        path: folder of the dataset.
+        info: unchecked content of its `meta/info.json`.
     """
 
     path: Path
@@ -69,28 +69,28 @@ class VideoPaths:
             DatasetError: `fps` is missing or not a positive number.
         """
         fps = self.info.get("fps")
-        if not _is_number(fps) or not 0 < fps <= _MOST_FPS:
-            raise self._invalid("fps", f"a number above 0, at most {_MOST_FPS:g} frames per second")
+        if not _is_number(fps) or not 0 < fps <= _MAX_FPS:
+            raise self._invalid("fps", f"a number above 0, at most {_MAX_FPS:g} frames per second")
         return float(fps)
 
     def check(self) -> None:
-        """Check what `info.json` says of videos, before any is opened.
+        """Check the values of `info.json` on videos.
 
         Raises:
-            DatasetError: a value is missing or not valid.
+            DatasetError: a value is missing or invalid.
         """
         _ = self.fps, self._pattern, self._chunk_size
 
     def locate(self, key: str, number: int, row: Mapping[str, Any] | None) -> tuple[Path, float]:
-        """The file with an episode's video of one camera, and the time at which the episode begins in it, s.
+        """Return the file with a camera's video of an episode, and the time at which the episode begins in it, s.
 
         Args:
-            key: the camera's feature.
-            number: the episode's number.
-            row: the episode's row in `meta/episodes/`, which version 3 has; None for version 2.
+            key: feature of the camera.
+            number: number of the episode.
+            row: row of the episode in `meta/episodes/` of version 3; None for version 2.
 
         Raises:
-            DatasetError: `info.json` or the row is not valid, or the file lies outside the dataset.
+            DatasetError: `info.json` or the row is invalid, or the file lies outside the dataset.
         """
         pattern = self._pattern
         numbers = {"episode_chunk": number // self._chunk_size, "episode_index": number}
@@ -99,7 +99,7 @@ class VideoPaths:
             places = {name: f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")}
             for name in places.values():
                 value = row.get(name)
-                whole = isinstance(value, int) and value <= _MOST_CHUNK
+                whole = isinstance(value, int) and value <= _MAX_NUMBER
                 valid = whole or name.endswith("timestamp")
                 if not _is_number(value) or not valid or not 0 <= value < math.inf:
                     raise DatasetError(f"{self.path}/meta/episodes: episode {number}: {name} is {_short(value)}")
@@ -117,7 +117,7 @@ class VideoPaths:
     def _pattern(self) -> str:
         pattern = self.info.get("video_path")
         valid = f"a path with the fields {', '.join(_FIELDS)}, each plain or padded such as {{episode_index:06d}}"
-        if not isinstance(pattern, str) or not 0 < len(pattern) <= _LONGEST_PATTERN or "\0" in pattern:
+        if not isinstance(pattern, str) or not 0 < len(pattern) <= _MAX_PATTERN_LENGTH or "\0" in pattern:
             raise self._invalid("video_path", valid)
         try:
             parts = list(string.Formatter().parse(pattern))
@@ -134,8 +134,8 @@ class VideoPaths:
     @property
     def _chunk_size(self) -> int:
         size = self.info.get("chunks_size", _CHUNK_SIZE)
-        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _MOST_CHUNK:
-            raise self._invalid("chunks_size", f"a whole number from 1 to {_MOST_CHUNK}")
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _MAX_NUMBER:
+            raise self._invalid("chunks_size", f"a whole number from 1 to {_MAX_NUMBER}")
         return size
 
     def _invalid(self, key: str, valid: str, found: object = None) -> DatasetError:
@@ -155,7 +155,7 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """A dataset's folder and the content of its `info.json`, with the user's rig and naming."""
+    """The folder of a dataset, the content of its `info.json`, and the user's rig and naming."""
 
     path: Path
     info: Mapping[str, Any]
@@ -168,7 +168,7 @@ class _Dataset:
         return VideoPaths(self.path, self.info)
 
     def feature_names(self, key: str, width: int) -> list[str]:
-        """Names of a feature's columns; some programs put the list into another list or a dictionary."""
+        """Return the column names of a feature. Some programs nest the list in another list or a dictionary."""
         names = self.info["features"].get(key, {}).get("names")
         if isinstance(names, dict):
             names = next(iter(names.values()), None)
@@ -180,7 +180,7 @@ class _Dataset:
 
     @property
     def gripper(self) -> GripperUnit | None:
-        """The grippers' unit, if yamsim wrote the dataset."""
+        """Unit of the grippers if yamsim wrote the dataset, else None."""
         try:
             content = json.loads((self.path / _OWN_FILE).read_bytes())
         except (OSError, ValueError):
@@ -189,7 +189,7 @@ class _Dataset:
         return unit if unit in get_args(GripperUnit) else None
 
     def cameras(self, kind: str) -> list[str]:
-        """Features of the cameras whose images are a `video`, or an `image` in each row."""
+        """Return the features of the cameras whose dtype is `kind`: `video`, or `image` for an image in each row."""
         return [
             key
             for key, feature in self.info["features"].items()
@@ -198,13 +198,13 @@ class _Dataset:
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """The episodes of a LeRobot dataset.
+    """Return the episodes of a LeRobot dataset.
 
     Args:
-        mapping: a naming of `configs/recordings/` or a YAML file; None for the first that fits.
+        mapping: a naming of `configs/recordings/` or a YAML file; None for the first naming that fits.
 
     Raises:
-        DatasetError: the dataset is damaged or of another version, or no naming fits.
+        DatasetError: the dataset is damaged or has an unsupported version, or no naming fits.
         ResourceError: pyarrow is not installed.
     """
     require_library("a LeRobot dataset", "pyarrow", "lerobot")
@@ -246,7 +246,7 @@ def _recording(
     if _ACTION in table:
         actions = _rows(table, _ACTION, name)
         by_name = dict(zip(dataset.feature_names(_ACTION, actions.shape[1]), actions.T, strict=True))
-        # An action of other columns, such as poses of hands, holds no commands of drives.
+        # An action with other columns, such as poses of hands, has no commands of drives.
         if all(column in by_name for arm in names.arms.values() for column in arm_columns(arm)):
             commanded = by_name
     times = times_from_seconds(np.ravel(np.asarray(table.get(_OWN_TIME, table["timestamp"]), dtype=np.float64)), name)
@@ -281,7 +281,7 @@ def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:
 
 
 def _episodes(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Number and columns of each episode, in order. Episodes of version 3 share files and continue in the next one."""
+    """Yield the number and columns of each episode. In version 3, an episode may continue in the next file."""
     unfinished: tuple[int, dict[str, list[Any]]] | None = None
     for file in sorted((path / "data").glob("chunk-*/*.parquet")):
         table = _table(file)
@@ -312,7 +312,7 @@ def _table(file: Path) -> dict[str, Any]:
 
 
 def _tasks(path: Path) -> dict[int, str]:
-    """Number of a task -> the task in words."""
+    """Return the text of each task, by the number of the task."""
     parquet = path / "meta/tasks.parquet"
     if parquet.is_file():
         table = _table(parquet)
@@ -323,7 +323,7 @@ def _tasks(path: Path) -> dict[int, str]:
 
 
 def _episode_rows(path: Path, version: str) -> dict[int, dict[str, Any]]:
-    """Episode -> its row in `meta/`: its length, and in version 3 where its videos are."""
+    """Return each episode's row in `meta/`, with its length and, in version 3, the places of its videos."""
     if not version.startswith("v3"):
         rows = _json_lines(path / "meta/episodes.jsonl")
         return {row["episode_index"]: row for row in rows if isinstance(row.get("episode_index"), int)}
@@ -337,12 +337,12 @@ def _episode_rows(path: Path, version: str) -> dict[int, dict[str, Any]]:
 
 
 def _json_lines(file: Path) -> list[dict[str, Any]]:
-    """The dictionaries in a file of JSON lines; none if the file is missing."""
+    """Return the dictionaries in a JSON lines file, or no dictionaries if the file is missing."""
     if not file.is_file():
         return []
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise DatasetError(f"{file}: has {file.stat().st_size} bytes; valid: up to {_MOST_BYTES}")
+        if file.stat().st_size > _MAX_JSONL_BYTES:
+            raise DatasetError(f"{file}: has {file.stat().st_size} bytes; valid: up to {_MAX_JSONL_BYTES}")
         rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file} cannot be read: {error}") from error
@@ -352,7 +352,7 @@ def _json_lines(file: Path) -> list[dict[str, Any]]:
 def _video_jpegs(
     videos: VideoPaths, key: str, number: int, row: Mapping[str, Any] | None, frames: int
 ) -> Iterator[bytes]:
-    """The frames of an episode's video."""
+    """Yield the frames of an episode's video as JPEG."""
     file, begin = videos.locate(key, number, row)
     count = 0
     for image in film_frames(file, begin, frames, 0.5 / videos.fps):
@@ -365,7 +365,7 @@ def _video_jpegs(
 
 
 def _row_jpegs(rows: Sequence[Any], source: str) -> Iterator[bytes]:
-    """The images that rows hold as PNG or JPEG."""
+    """Yield the PNG or JPEG images of rows as JPEG."""
     for k, row in enumerate(rows):
         data = row.get("bytes") if isinstance(row, dict) else None
         image = decode_image(data) if isinstance(data, bytes) else None

@@ -1,4 +1,4 @@
-"""MCAP files with arms' joints in messages, protobuf or JSON, such as the episodes of ABC-130k."""
+"""Read MCAP files with joints of arms in protobuf or JSON messages, such as the episodes of ABC-130k."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from .column_names import KIND, arm_keys, candidate_namings
 from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
 
-_MOST_MESSAGES = 5_000_000  # of a file
-# A topic that starts later than this after the first arm's state is refused; one that ends earlier is reported, s.
+_MAX_MESSAGES = 5_000_000  # messages of a file
+# s; a topic that starts later than this after the first arm's state is refused, and an earlier end is reported
 _LATEST_START = _EARLIEST_END = 1.0
 
-Rows = list[tuple[int, Array]]  # time (ns) and numbers of each message of a topic
+Rows = list[tuple[int, Array]]  # time (ns) and values of each message of a topic
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """The recording in an MCAP file.
+    """Return the recording in an MCAP file, in a list.
 
-    Samples are those of the first arm's state. Each other topic has its last value at that time.
+    The samples are the messages of the first arm's state. Each other topic gives its last value before each sample.
 
     Raises:
         DatasetError: the file is damaged or cut off, or no naming fits its topics.
@@ -92,7 +92,7 @@ def _arms(
 
 
 def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
-    """A line for each topic that ends long before the motion does."""
+    """Yield a line of text for each topic that ends long before the motion."""
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
@@ -114,7 +114,7 @@ def _naming(
 
 
 def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
-    """The last value of a topic at each time (n, width)."""
+    """Return the last value of a topic at each time stamp (n, width)."""
     if not rows:
         raise DatasetError(f"{source}: holds no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)
@@ -132,7 +132,7 @@ def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
 
 
 def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
-    """A camera's images, each at the last sample before the image."""
+    """Return the images of a camera, each assigned to the last sample before the image."""
     when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
     after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
     kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
@@ -156,24 +156,24 @@ def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
 
 
 def _field(message: Any, name: str) -> Any:
-    """A field of a decoded message; dots in `name` separate nested fields."""
+    """Return a field of a decoded message. Dots in `name` separate nested fields."""
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message
 
 
 def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time (ns) and content of each message, in the order of their times."""
+    """Yield topic, time (ns) and content of each message, in the order of time. The content is None if not decoded."""
     with _OpenedMcap(path) as reader:
         made = reader.iter_decoded_messages if decoded else reader.iter_messages
         for count, found in enumerate(made(topics=sorted(topics))):
-            if count > _MOST_MESSAGES:
-                raise DatasetError(f"{path}: has more than {_MOST_MESSAGES} messages; split it")
+            if count > _MAX_MESSAGES:
+                raise DatasetError(f"{path}: has more than {_MAX_MESSAGES} messages; split it")
             yield found[1].topic, int(found[2].log_time), found[3] if decoded else None
 
 
 class _OpenedMcap:
-    """An open MCAP file, with decoders for protobuf and JSON; errors of mcap become `DatasetError`."""
+    """Context manager for an MCAP file with protobuf and JSON decoders. Errors of mcap become `DatasetError`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -198,7 +198,7 @@ class _OpenedMcap:
 
 
 class _JsonDecoders:
-    """The decoder factory that mcap asks for messages that are JSON."""
+    """mcap's decoder factory for JSON messages."""
 
     def decoder_for(self, encoding: str, schema: Any) -> Any:
         return json.loads if encoding == "json" else None

@@ -1,4 +1,4 @@
-"""Faults of recorded motions: gaps, wrong units, swapped arms, grippers that are mirrored."""
+"""Find faults of recorded motions: gaps, wrong units, swapped arms, and mirrored grippers."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.robot import Robot
 
-# A pause between samples is a gap if it exceeds both limits: a multiple of the usual pause, and a time, s.
-_GAP_TIMES, _GAP_S = 5.0, 0.1
-_BEYOND_STOPS = 0.1  # rad; arms are calibrated to a degree or two
-_NO_RADIANS = 2 * math.pi  # rad; no joint turns as far, and values in degrees exceed it
-_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # Usual time between samples: 100 kHz to 2 Hz. At 1 kHz and in ms it is 1.
-_MOTION = 0.05  # rad; a smaller change counts as noise
-_SWAPPED = 3.0  # arms are swapped if each arm's commands fit the other arm's joints this many times better
-_OPENING_FACTOR = 1.1  # openings above this many times the fingers' range are not in metres
-_FROZEN_S, _FROZEN_COMMAND = 1.0, 0.1  # s and rad: a measurement stays for that time while its command moves that far
-_MIRRORED = -0.5  # correlation of openings and commanded openings below which one of them is mirrored
-_SOME_OPENING = 0.2  # share of the fingers' range; smaller motions are not correlated
-# Fingers stall if they stand still for that time, s, at that distance from their command, as a share of their range.
-_STALL_S, _STALL = 0.5, 0.2
-_SLOW = 0.2  # shares of the range per s: slower fingers stand still; noise of an encoder is half of it
+# A pause between samples is a gap if it exceeds both limits: a multiple of the median pause, and a time, s.
+_GAP_FACTOR, _GAP_SECONDS = 5.0, 0.1
+_LIMIT_TOLERANCE = 0.1  # rad beyond a joint limit; arms are calibrated to a degree or two
+_MAX_ANGLE = 2 * math.pi  # rad; no joint turns farther, so larger values are degrees
+_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # median time between samples, 100 kHz to 2 Hz; times in ms exceed the range
+_MIN_MOTION = 0.05  # rad; a smaller change counts as noise
+_SWAPPED_FACTOR = 3.0  # arms are swapped if each arm's commands fit the other arm's joints by this factor better
+_OPENING_FACTOR = 1.1  # openings above this multiple of the fingers' range are not in metres
+# A joint is frozen if its measurement stays constant for this time, s, while its command moves by this angle, rad.
+_FROZEN_SECONDS, _FROZEN_COMMAND = 1.0, 0.1
+_MIRRORED = -0.5  # correlation of openings with commanded openings below which one of them is mirrored
+_MIN_OPENING = 0.2  # share of the fingers' range; smaller motions are not correlated
+# Fingers stall if they stand still for this time, s, at this distance from their command, as a share of their range.
+_STALL_SECONDS, _STALL_DISTANCE = 0.5, 0.2
+_STILL_SPEED = 0.2  # shares of the range per s; slower fingers stand still; noise of an encoder is half of this speed
 
 
 class MotionFault(StrEnum):
-    """A kind of fault."""
+    """Kind of a fault in a recorded motion."""
 
     GAP = "gap"
     DEGREES = "degrees"
@@ -53,12 +54,12 @@ _WRONG_UNITS = (MotionFault.DEGREES, MotionFault.TIME_UNIT)
 
 @dataclass(frozen=True)
 class MotionProblem:
-    """A fault of a motion.
+    """A fault that was found in a motion.
 
     Attributes:
-        fault: its kind.
-        text: one line with the joint, the value and what to do.
-        time: when it begins, s; None if the whole motion has it.
+        fault: kind of the fault.
+        text: one line with the joint, the value and advice.
+        time: time at which the fault begins, s; None if the fault concerns the whole motion.
     """
 
     fault: MotionFault
@@ -67,7 +68,7 @@ class MotionProblem:
 
 
 def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
-    """All faults of a motion of a rig."""
+    """Return all faults of a motion of a rig."""
     found = [*find_gaps(motion.times), *_time_unit(motion.times)]
     for arm, k in zip(motion.arms, rig.recording_order, strict=True):
         robot = rig.arms[k].robot
@@ -81,10 +82,10 @@ def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
 
 
 def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
-    """Make sure that a recording is in s and rad.
+    """Check that a recording is in s and rad.
 
     Raises:
-        DatasetError: it is in other units; the text names the likely unit.
+        DatasetError: a problem is a wrong unit.
     """
     for problem in problems:
         if problem.fault in _WRONG_UNITS:
@@ -102,16 +103,16 @@ def _time_unit(times: Array) -> Iterator[MotionProblem]:
 
 
 def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[MotionProblem]:
-    """The gaps between recorded times (n,), s.
+    """Yield the gaps between recorded times (n,), s.
 
     Args:
-        what: the beginning of each gap's text, followed by its length.
+        what: beginning of the text of each gap; the length of the gap follows.
     """
     if len(times) < 2:
         return
     pauses = np.diff(times)
     usual = float(np.median(pauses))
-    for k in np.flatnonzero((pauses > _GAP_TIMES * usual) & (pauses > _GAP_S)):
+    for k in np.flatnonzero((pauses > _GAP_FACTOR * usual) & (pauses > _GAP_SECONDS)):
         text = (
             f"{what} for {pauses[k]:.2f} s from {times[k]:.2f} s on, and elsewhere samples are "
             f"{usual * 1000:.1f} ms apart; split it there"
@@ -123,7 +124,7 @@ def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     turned = arm.joints if arm.commands is None else np.vstack([arm.joints, arm.commands])
     most = np.nanmax(np.abs(turned), axis=0)
     k = int(np.argmax(most))
-    if most[k] > _NO_RADIANS:
+    if most[k] > _MAX_ANGLE:
         name = _full_name(arm, robot.joint_names[k])
         text = f"{name} is at {most[k]:.3g}, which no joint turns to in rad; are these degrees?"
         yield MotionProblem(MotionFault.DEGREES, text)
@@ -133,7 +134,7 @@ def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Motion
     low, high = robot.joint_range.T
     beyond = np.fmax(low - arm.joints, arm.joints - high)
     for k, name in enumerate(robot.joint_names):
-        if (most := np.nanmax(beyond[:, k])) > _BEYOND_STOPS:
+        if (most := np.nanmax(beyond[:, k])) > _LIMIT_TOLERANCE:
             at = int(np.nanargmax(beyond[:, k]))
             text = (
                 f"{_full_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad "
@@ -147,8 +148,8 @@ def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProb
     when, joints = times[known], arm.joints[known]
     speeds = np.abs(np.diff(joints, axis=0)) / np.diff(when)[:, None]
     for k, joint in enumerate(robot.joints):
-        # Measurements jitter by a step of the encoder, which is fast from one sample to the next.
-        fast = (speeds[:, k] > joint.reported_rad_s) & (np.abs(np.diff(joints[:, k])) > _MOTION)
+        # Encoder noise gives high speeds between two samples, so small changes do not count.
+        fast = (speeds[:, k] > joint.reported_rad_s) & (np.abs(np.diff(joints[:, k])) > _MIN_MOTION)
         if fast.any():
             at = int(np.argmax(fast))
             text = (
@@ -168,7 +169,7 @@ def _frozen_joints(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Motio
         edges = np.flatnonzero(np.r_[True, np.diff(joints[:, k]) != 0, True])
         for first, end in itertools.pairwise(edges):
             seconds, moved = when[end - 1] - when[first], np.ptp(commands[first:end, k])
-            if seconds >= _FROZEN_S and moved > _FROZEN_COMMAND:
+            if seconds >= _FROZEN_SECONDS and moved > _FROZEN_COMMAND:
                 text = (
                     f"{_full_name(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for {seconds:.2f} s "
                     f"from {when[first]:.2f} s on, while its command moved by {moved:.2f} rad; was its bus silent?"
@@ -194,9 +195,9 @@ def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProbl
 
 
 def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
-    """Openings (n,) as shares of the fingers' range that seem to be counted from the other end."""
+    """Yield a fault if openings (n,), as shares of the fingers' range, seem to be counted from the other end."""
     if (
-        min(np.ptp(commanded), np.ptp(measured)) > _SOME_OPENING
+        min(np.ptp(commanded), np.ptp(measured)) > _MIN_OPENING
         and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
     ):
         text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of them upside down?"
@@ -210,18 +211,15 @@ def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array
 
 
 def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
-    """When the fingers first stall while commanded to open, s.
-
-    None if they never stall, or also stall while commanded to close.
-    """
+    """Return the time of the first stall while opening, s, or None if there is none or a stall while closing."""
     ahead = measured - commanded
-    still = np.abs(np.gradient(measured, times)) < _SLOW
-    stands = np.where(still & (np.abs(ahead) > _STALL), np.sign(ahead), 0)
+    still = np.abs(np.gradient(measured, times)) < _STILL_SPEED
+    stalls = np.where(still & (np.abs(ahead) > _STALL_DISTANCE), np.sign(ahead), 0)
     first_of: dict[float, float] = {}
-    edges = np.flatnonzero(np.r_[True, np.diff(stands) != 0, True])
+    edges = np.flatnonzero(np.r_[True, np.diff(stalls) != 0, True])
     for first, end in itertools.pairwise(edges):
-        if stands[first] and times[end - 1] - times[first] >= _STALL_S:
-            first_of.setdefault(float(stands[first]), float(times[first]))
+        if stalls[first] and times[end - 1] - times[first] >= _STALL_SECONDS:
+            first_of.setdefault(float(stalls[first]), float(times[first]))
     return first_of.get(-1.0) if 1.0 not in first_of else None
 
 
@@ -233,7 +231,7 @@ def _swapped_arms(motion: RecordedMotion) -> Iterator[MotionProblem]:
         return
     own = max(_rms(left.commands - left.joints), _rms(right.commands - right.joints))
     other = max(_rms(left.commands - right.joints), _rms(right.commands - left.joints))
-    if own > _MOTION and own > _SWAPPED * other:
+    if own > _MIN_MOTION and own > _SWAPPED_FACTOR * other:
         text = (
             f"each arm is where the other arm was commanded to go: {own:.2f} rad from its own commands, {other:.2f} "
             "from the other's; are the arms swapped?"

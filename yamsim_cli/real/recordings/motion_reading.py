@@ -1,4 +1,4 @@
-"""Motions from files: yamsim's episodes and datasets, and recordings of other programs in any known format."""
+"""Read motions from yamsim's episodes and datasets, and from recordings of other programs in all known formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .mcap_file import read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
 
-# Path, rig, --mapping and locations -> the recordings at that path.
+# Reads the recordings at a path, given the rig, the naming of --mapping, and the locations.
 Reader = Callable[[Path, RigConfig, str | None, Locations], list[Recording]]
 
 _READERS: Mapping[str, Reader] = {
@@ -37,10 +37,10 @@ _BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
 
 
 def detect_format(path: Path) -> str:
-    """The name of the format of a file or a folder.
+    """Return the name of the format of a file or a folder.
 
     Raises:
-        DatasetError: the path does not exist, or its format is not known.
+        DatasetError: the path does not exist, its format is unknown, or the path is a dataset of yamsim's.
     """
     if not path.exists():
         raise DatasetError(f"{path} does not exist")
@@ -62,10 +62,10 @@ def detect_format(path: Path) -> str:
 
 
 def format_reader(name: str) -> Reader:
-    """The reader of a format.
+    """Return the reader of a format.
 
     Raises:
-        UsageError: there is no format of that name.
+        UsageError: no format has that name.
     """
     if name not in _READERS:
         raise UsageError(f"--format {name!r} is not valid; {suggest(name, _READERS)}")
@@ -75,14 +75,14 @@ def format_reader(name: str) -> Reader:
 def read_motions(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None = None
 ) -> list[RecordedMotion]:
-    """The motions of recordings, in order, with all samples; a dataset gives a motion for each episode.
+    """Return the motions of recordings, in order, with all samples. A dataset gives one motion for each episode.
 
     Args:
-        mapping: names of the columns, see `naming.find_naming`.
+        mapping: naming of the columns, see `column_names.find_naming`.
 
     Raises:
-        DatasetError: a recording is missing, cannot be read, is damaged or of another rig.
-        UsageError: no recording holds a motion.
+        DatasetError: a recording is missing, unreadable or damaged, or does not fit the rig.
+        UsageError: no recording has a motion.
     """
     motions: list[RecordedMotion] = []
     for path in recordings:
@@ -98,13 +98,13 @@ def read_motions(
 
 
 def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
-    """The motion of an episode, simulated or imported.
+    """Return the motion of a simulated or imported episode.
 
-    A simulated episode has a sample for each control tick. Its joints are known at frames, and are NaN at the ticks
-    between. An imported episode has a sample for each frame.
+    A simulated episode has a sample for each control tick, with joints of NaN at ticks between frames. An imported
+    episode has a sample for each frame.
 
     Raises:
-        DatasetError: the episode is damaged, or of another rig.
+        DatasetError: the episode is damaged or does not fit the rig.
     """
     record, name = episode.record, str(episode.directory)
     drives = record.drives
@@ -134,12 +134,12 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
 def _per_tick_samples(
     times: Array, joints: Array, frames: list[dict[str, Any]], rig: RigConfig
 ) -> tuple[Array, Array, Array]:
-    """Times (n,), measured joints and commands (n, arms, drives), with a sample for each control tick."""
+    """Return times (n,), measured joints and commands (n, arms, drives), with a sample for each control tick."""
     order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recording_order])
     starts, commands, measured = [], [], []
     for k, frame in enumerate(frames):
         ticks = np.asarray(frame["sim_ctrl"], dtype=np.float64)
-        # The last frame may have fewer ticks than the frames before; they last as long.
+        # The last frame may have fewer ticks than the frames before. Its ticks have the same length.
         if k + 1 < len(times):
             tick = (times[k + 1] - times[k]) / len(ticks)
         starts += list(times[k] + tick * np.arange(len(ticks)))

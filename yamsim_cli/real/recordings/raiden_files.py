@@ -1,11 +1,11 @@
-"""Recordings of raiden and of its fork at the lab: raw `robot_data.npz`, and folders with `rgb/` and `lowdim/`.
+"""Read recordings of raiden and the lab's fork: raw `robot_data.npz`, and folders with `rgb/` and `lowdim/`.
 
-A raw recording has `timestamps` in ns at about 100 Hz, `follower_l_joint_pos_7d` and `follower_l_joint_cmd` (n, 7): six
-joints in rad and the gripper as a share, 0 closed to 1 open; `follower_r` likewise.
+A raw recording has `timestamps` in ns at about 100 Hz, and `follower_l_joint_pos_7d` and `follower_l_joint_cmd` (n, 7).
+These are six joints in rad and the gripper as a share, from 0 (closed) to 1 (open). `follower_r` has the same keys.
 
-A frame of a folder is a pickle with `joints` and perhaps `action_joints` (7,) or (14,), the left arm first, each arm's
-gripper last. raiden's converter writes grippers as shares, and times to `rgb/<camera>/timestamps.npy`, ns; the lab
-writes grippers in metres, and `timestamp`, s.
+A frame of a folder is a pickle with `joints` and optional `action_joints` (7,) or (14,). The left arm comes first, and
+each arm's gripper last. raiden's converter writes grippers as shares, and times to `rgb/<camera>/timestamps.npy`, ns.
+The lab's fork writes grippers in metres, and `timestamp`, s.
 
 Source: TRI-ML/raiden 2353b10, `recorder.py` and `converter.py`.
 """
@@ -50,13 +50,13 @@ _METADATA = "metadata.json"
 _TIMESTAMPS = "timestamps.npy"
 _JPEG = (".jpg", ".jpeg")
 _PICTURES = (*_JPEG, ".png")
-_MOST_RAW_BYTES = 1 << 30  # of a raw recording; larger ones are no recording of one task
-_MOST_FRAME_BYTES = 1 << 20  # of a frame's pickle
-_SHARE_FACTOR = 1.5  # openings above this many times the fingers' range are shares, not metres
+_MAX_RAW_BYTES = 1 << 30  # largest size of a raw recording; a larger file is no recording of one task
+_MAX_FRAME_BYTES = 1 << 20  # largest size of a frame's pickle
+_SHARE_FACTOR = 1.5  # openings above this multiple of the fingers' range are shares, not metres
 
 
 def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
-    """The recording in a `robot_data.npz`, or in the folder that holds one. Its videos are not read.
+    """Return the recording in a `robot_data.npz` or its folder, in a list. Videos are not read.
 
     Raises:
         DatasetError: the file cannot be read, is damaged, or lacks an arm of the rig.
@@ -64,9 +64,9 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
     file = path / ROBOT_DATA if path.is_dir() else path
     try:
         with np.load(file, allow_pickle=False) as data:
-            if sum(entry.file_size for entry in data.zip.infolist()) > _MOST_RAW_BYTES:
+            if sum(entry.file_size for entry in data.zip.infolist()) > _MAX_RAW_BYTES:
                 raise DatasetError(
-                    f"{file}: holds more than {_MOST_RAW_BYTES / 1e9:.1f} GB; it is no recording of one task"
+                    f"{file}: holds more than {_MAX_RAW_BYTES / 1e9:.1f} GB; it is no recording of one task"
                 )
             arrays = {name: data[name] for name in data.files if name == "timestamps" or name.startswith("follower_")}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
@@ -110,10 +110,10 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
 
 
 def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
-    """The recordings in a folder: the folder itself, or the folders in it.
+    """Return the recordings in a folder: the folder itself, or its subfolders.
 
     Raises:
-        DatasetError: there is no recording, or one is damaged or of another rig.
+        DatasetError: the folder has no recording, or a recording is damaged or does not fit the rig.
     """
     folders = (
         [path] if (path / "lowdim").is_dir() else sorted(one for one in path.iterdir() if (one / "lowdim").is_dir())
@@ -148,17 +148,13 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
 
 
 def _text(value: object) -> str:
-    """A text, or the first of an array of texts; empty for anything else."""
+    """Return a text, the first of an array of texts, or an empty text for any other value."""
     texts = np.asarray("" if value is None else value).ravel()
     return str(texts[0]) if len(texts) and texts.dtype.kind == "U" else ""
 
 
 def _numbered_files(folder: Path, endings: Sequence[str]) -> list[Path]:
-    """Files whose names are numbers, in order.
-
-    Raises:
-        DatasetError: a number is missing.
-    """
+    """Return the files whose names are numbers, in order. A missing number raises a DatasetError."""
     files = sorted(
         (file for file in folder.iterdir() if file.suffix.lower() in endings and file.stem.isdecimal()),
         key=lambda file: int(file.stem),
@@ -171,8 +167,8 @@ def _numbered_files(folder: Path, endings: Sequence[str]) -> list[Path]:
 
 def _frame(file: Path) -> dict[str, Any]:
     try:
-        if file.stat().st_size > _MOST_FRAME_BYTES:
-            raise DatasetError(f"has {file.stat().st_size} bytes; a frame has at most {_MOST_FRAME_BYTES}")
+        if file.stat().st_size > _MAX_FRAME_BYTES:
+            raise DatasetError(f"has {file.stat().st_size} bytes; a frame has at most {_MAX_FRAME_BYTES}")
         return load_frame(file.read_bytes())
     except OSError as error:
         raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
@@ -181,7 +177,7 @@ def _frame(file: Path) -> dict[str, Any]:
 
 
 def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path], rig: RigConfig) -> Array:
-    """Rows of all drives, (frames, arms, drives)."""
+    """Return the values of all drives (frames, arms, drives)."""
     arms, drives = len(rig.arms), rig.drives
     rows = []
     for frame, file in zip(frames, files, strict=True):
@@ -190,7 +186,7 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
         except (KeyError, TypeError, ValueError):
             raise DatasetError(f"{file}: has no numbers under {key!r}, but {', '.join(map(str, frame))}") from None
         if arms == 1 and len(row) == 2 * drives:
-            # A station's file has room for both arms; a lone arm is the left one.
+            # A station's file has values for both arms. Take the arm's half, or the left half if the right half is 0.
             row = row[:drives] if rig.arms[0].side == "left" or not np.any(row[drives:]) else row[drives:]
         if len(row) != arms * drives or not np.isfinite(row).all():
             raise DatasetError(
@@ -202,14 +198,14 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
 
 
 def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
-    """`share` if raiden's converter wrote the folder, or if openings exceed the fingers' range; else `metres`."""
+    """Return `share` if raiden's converter wrote the folder or openings exceed the fingers' range, else `metres`."""
     fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
     return "share" if (folder / _METADATA).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
 
 
 def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
-    """Camera -> a picture for each frame."""
+    """Return the image files of each camera, one for each frame."""
     found: dict[str, list[Path]] = {}
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
         files = _numbered_files(camera, _PICTURES) if camera.is_dir() else []
@@ -248,14 +244,14 @@ def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | 
 
 
 def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
-    """A camera's poses (n, 4, 4); None where unknown, which raiden's converter writes as the identity."""
+    """Return a camera's poses (n, 4, 4), or None if unknown. raiden's converter writes unknown poses as identities."""
     poses = [_matrix(frame, "extrinsics", camera, 4) for frame in frames]
     known = np.array([T for T in poses if T is not None])
     return known if len(known) == len(frames) and np.any(known != np.eye(4)) else None
 
 
 def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
-    """The pictures as JPEG; JPEG files are not encoded again."""
+    """Yield the images as JPEG. JPEG files are not encoded again."""
     for file in files:
         try:
             if file.suffix.lower() in _JPEG:
@@ -267,7 +263,7 @@ def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
 
 
 def _prompt(directory: Path) -> str:
-    """The task in words from `metadata.json`; empty if the file has none."""
+    """Return the instruction from `metadata.json`, or an empty text if the file has none."""
     metadata = _metadata(directory)
     language = metadata.get("language")
     keys = ("task_instruction", "instruction", "task_name")
@@ -276,11 +272,7 @@ def _prompt(directory: Path) -> str:
 
 
 def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
-    """Faults of a recording that its `metadata.json` reports.
-
-    Args:
-        frames: number of frames found; None if `metadata.json` does not state a number.
-    """
+    """Return the faults that `metadata.json` reports. If given, `frames` is the number of frames found."""
     metadata, file = _metadata(directory), directory / _METADATA
     problems = []
     if metadata.get("complete") is False:

@@ -1,4 +1,4 @@
-"""A recording made by another program: its motion, and the images of its cameras."""
+"""Recordings made by other programs: the motion of arms, and the images of cameras."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from yamsim_cli.core.files.documents.config_base import NAME_PATTERN
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-Samples = NDArray[np.int64]  # sample numbers, or ns
+Samples = NDArray[np.int64]  # sample numbers, or times in ns
 
-JPEG_QUALITY = 95  # of images that the recording does not hold as JPEG: hardly any loss
+JPEG_QUALITY = 95  # quality of images that are re-encoded as JPEG: hardly any loss
 
 
 @dataclass(frozen=True)
 class CameraImages:
-    """The JPEGs of one camera.
+    """JPEG images of one camera.
 
     Attributes:
-        samples: numbers (k,) of the motion's samples that have an image, increasing.
-        read: yields one JPEG for each of these samples, in order.
+        samples: increasing numbers (k,) of the motion's samples that have an image.
+        read: function that yields one JPEG for each of these samples, in order.
     """
 
     samples: Samples
@@ -36,19 +36,19 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording.
+    """A recording made by another program.
 
     Attributes:
-        motion: joints in rad, openings in the unit `gripper`.
+        motion: motion with joints in rad and openings in the unit `gripper`.
         gripper: unit of the openings.
         pictures: camera -> its images.
-        prompt: the task in words; empty if it was not recorded.
+        prompt: instruction of the task; empty if not recorded.
         intrinsics: camera -> K (3, 3), for cameras whose K is known.
         extrinsics: camera -> poses (n, 4, 4) in the base, for cameras whose pose is known.
-        problems: faults that the recording itself reports, as text.
+        problems: texts on faults that the recording itself reports.
 
     Raises:
-        DatasetError: a camera's name is not valid as a folder's name.
+        DatasetError: the name of a camera is invalid as the name of a folder.
     """
 
     motion: RecordedMotion
@@ -68,7 +68,7 @@ class Recording:
                 )
 
     def in_metres(self, rig: RigConfig) -> RecordedMotion:
-        """The motion with openings of one finger, m."""
+        """Return the motion with openings of one finger in m."""
         if self.gripper == "metres":
             return self.motion
         arms = []
@@ -86,14 +86,14 @@ class Recording:
 
 
 def motion_sides(rig: RigConfig) -> tuple[str, ...]:
-    """`side` of each arm's motion, in the order of recordings: left first; empty for a lone arm."""
+    """Return the `side` of each arm's motion, the left arm's first, or one empty text for a single arm."""
     return tuple(rig.arms[k].side for k in rig.recording_order) if len(rig.arms) > 1 else ("",)
 
 
 def split_arms(
     joints: Array, commands: Array | None, rig: RigConfig, velocities: Array | None = None
 ) -> tuple[ArmMotion, ...]:
-    """Each arm's motion, from rows (n, arms, drives) with the gripper last; openings keep their unit."""
+    """Return each arm's motion, from rows (n, arms, drives) with the gripper last. Openings keep their unit."""
     motions = []
     for k, (side, number) in enumerate(zip(motion_sides(rig), rig.recording_order, strict=True)):
         robot = rig.arms[number].robot
@@ -112,20 +112,20 @@ def split_arms(
 
 
 def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
-    """Seconds (n,) since the first of the time stamps (n,), ns.
+    """Return the times (n,), s, after the first of the time stamps (n,), ns.
 
     Raises:
-        DatasetError: see `times_from_seconds`.
+        DatasetError: the time stamps are not integers (n,); further causes are those of `times_from_seconds`.
     """
     values = np.asarray(stamps)
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise DatasetError(f"{source}: timestamps are {values.dtype} {values.shape}; valid: whole numbers (n,), ns")
-    # Differences first: a float does not hold the 19 digits of a time stamp.
+    # Subtract before the conversion, because a float does not hold the 19 digits of a time stamp.
     return times_from_seconds((values - values[:1]).astype(np.float64) * 1e-9, source)
 
 
 def times_from_seconds(times: Array, source: str) -> Array:
-    """Seconds (n,) since the first of the times (n,), s.
+    """Return the times (n,), s, after the first of the times (n,), s.
 
     Raises:
         DatasetError: there are fewer than two times, or the times do not increase.

@@ -1,7 +1,7 @@
-"""Pictures for other programs, on a Unix socket: each message is its length (4 bytes), JSON, and raw bytes.
+"""Server of camera images on a Unix socket. A message has its length (4 bytes), JSON, and raw bytes.
 
-`yamsim_cli.camera_reader` is the client. A client requests `cameras`, or the `picture` of one camera after a number,
-which is answered when there is a newer picture.
+`yamsim_cli.camera_reader` is the client. A client requests `cameras`, or the `picture` of one camera with a number
+`after`. The server answers as soon as it has an image with a larger number.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ _READ_BYTES = 4096
 
 
 class _InvalidRequestError(ValueError):
-    """What was received is no message."""
+    """Received bytes are no valid request."""
 
 
 class CameraServer(UnixServer):
-    """Sends a scene's pictures to clients; close it. No method blocks.
+    """Unix server that sends camera images to clients. The caller must close the server. No method blocks.
 
     Raises:
-        ResourceError: another program serves cameras in that folder, or the socket cannot be made.
+        ResourceError: another program serves cameras in the folder, or the socket cannot be made.
     """
 
     def __init__(self, folder: Path, source: RenderProcess) -> None:
         self._source = source
         super().__init__(folder / CAMERA_SOCKET, _READ_BYTES)
-        # Client -> the requested camera, and the number after which a picture is requested.
+        # Client -> the requested camera, and the number that the image must exceed.
         self._requests: dict[ClientConnection, tuple[str, int]] = {}
 
     def handle(self, ready: set[Any]) -> None:
@@ -40,7 +40,7 @@ class CameraServer(UnixServer):
             self._serve(client)
 
     def flush(self) -> None:
-        """Answer requests for which there is a newer picture, and send outgoing bytes."""
+        """Answer requests that have a newer image, and send outgoing bytes."""
         clients = self.clients
         self._requests = {client: request for client, request in self._requests.items() if client in clients}
         shot = self._source.shot
@@ -55,7 +55,7 @@ class CameraServer(UnixServer):
 
     def _serve(self, client: ClientConnection) -> None:
         try:
-            # One request at a time: no answers pile up for a client that sends faster than it reads.
+            # Handle one request at a time, so that no answers pile up for a client that sends faster than it reads.
             while not client.outgoing and client not in self._requests:
                 if (request := _next_request(client)) is None:
                     break
@@ -98,7 +98,7 @@ def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -
 
 
 def _next_request(client: ClientConnection) -> dict[str, Any] | None:
-    """The next whole request, removed from the received bytes; None until it is whole.
+    """Remove the next complete request from the received bytes and return it, or None if no request is complete.
 
     Raises:
         _InvalidRequestError: the bytes are no request.
@@ -113,7 +113,7 @@ def _next_request(client: ClientConnection) -> dict[str, Any] | None:
         return None
     try:
         request = json.loads(bytes(received[4 : 4 + length]))
-    # Too many nested brackets are a RecursionError.
+    # Too many nested brackets raise a RecursionError.
     except (ValueError, RecursionError) as error:
         raise _InvalidRequestError("a message that is not JSON") from error
     if not isinstance(request, dict):

@@ -1,7 +1,7 @@
-"""CAN buses for other programs: on a Unix socket each, or on a CAN interface of the kernel.
+"""CAN buses for other programs, each on a Unix socket or on a CAN interface of the kernel.
 
-A message is 16 bytes, Linux' `struct can_frame`. On a Unix socket each program has its own connection, and receives the
-motors' frames and those of the other programs, as on a bus.
+A message is a Linux `struct can_frame` of 16 bytes. On a Unix socket, each program has its own connection. As on a bus,
+the program receives the frames of the motors and of the other programs.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from ..motors import can_frames as frames
 from ..motors.can_frames import CanFrame
 from .socket_servers import ClientConnection, UnixServer
 
-_READ_FRAMES = 256  # the most that one read takes, so that a flood of frames does not stop physics
+_READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
 _READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
-_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # that wait for a client; further frames are lost, as in a full adapter
+_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
-# A distribution of its own, which is only on the path of the programs that `can-run` starts.
+# Folder of a separate distribution, which is only on the path of programs that `can-run` starts.
 _SITE = Path(__file__).resolve().parents[2] / "can_site"
 
 
 class UnixBus(UnixServer):
-    """A bus on a Unix socket, `<folder>/<channel>`; close it.
+    """A bus on the Unix socket `<folder>/<channel>`. The caller must close the bus.
 
     Raises:
-        ResourceError: another program serves that channel there, or the socket cannot be made.
+        ResourceError: another program serves the channel, or the socket cannot be made.
     """
 
     def __init__(self, folder: Path, channel: str) -> None:
         super().__init__(folder / channel, _READ_BYTES)
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
-        """The frames that arrived; each is also sent to the other clients.
+        """Yield the received frames, and send each to the other clients.
 
         Args:
-            ready: the sockets that `select` reports readable.
+            ready: sockets that `select` reports as readable.
         """
         for client in self.read(ready):
             whole = len(client.received) - len(client.received) % frames.FRAME_BYTES
@@ -53,7 +53,7 @@ class UnixBus(UnixServer):
                     yield frame
 
     def send(self, frame: CanFrame, sender: ClientConnection | None = None) -> None:
-        """Send a frame to all clients but its sender."""
+        """Send a frame to all clients except its sender."""
         wire = frames.to_wire(frame)
         for client in self.clients:
             if client is not sender:
@@ -63,10 +63,10 @@ class UnixBus(UnixServer):
 
 
 class KernelBus:
-    """A bus on a CAN interface of the kernel, such as one made by `ip link add can0 type vcan`; close it.
+    """A bus on a CAN interface of the kernel, such as from `ip link add can0 type vcan`. The caller must close the bus.
 
     Raises:
-        ResourceError: this system has no CAN, or no interface of that name is up.
+        ResourceError: the system has no CAN, or no interface with the name is up.
     """
 
     def __init__(self, channel: str) -> None:
@@ -87,11 +87,11 @@ class KernelBus:
 
     @property
     def readers(self) -> list[socket.socket]:
-        """The sockets to select for reading."""
+        """Sockets to select for reading."""
         return [self._socket]
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
-        """The frames that arrived."""
+        """Yield the received frames."""
         for _ in range(_READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
@@ -101,14 +101,14 @@ class KernelBus:
                 yield frame
 
     def send(self, frame: CanFrame) -> None:
-        """Send a frame; it is lost if the interface is down or its buffer is full."""
+        """Send a frame. The frame is lost if the interface is down or its buffer is full."""
         try:
             self._socket.send(frames.to_wire(frame))
         except OSError:
             return
 
     def flush(self) -> None:
-        """Do nothing: frames never wait."""
+        """Do nothing, because no frames wait to be sent."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -116,10 +116,10 @@ class KernelBus:
 
 
 def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """The environment variables with which python-can in a program opens the buses that a folder's sockets serve.
+    """Return the environment variables with which python-can opens the buses on a folder's sockets.
 
     Raises:
-        ResourceError: nothing is served in the folder.
+        ResourceError: the folder has no sockets.
     """
     served = sorted(path.name for path in folder.glob("*") if path.is_socket()) if folder.is_dir() else []
     if not served:

@@ -1,7 +1,7 @@
-"""The robot as the WebSocket server that raiden's policies connect to: the protocol chiral of TRI-ML's raiden.
+"""WebSocket server for raiden's policies, which implements the chiral protocol of TRI-ML.
 
-A message is a header's length (4 bytes), the header in msgpack, and raw arrays. Reading a message runs no code of it.
-Source: TRI-ML/chiral f7293d7, protocol.py.
+A message has the length of a header (4 bytes), the header in msgpack, and raw arrays. Reading a message never executes
+code from it. Source: TRI-ML/chiral f7293d7, protocol.py.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536
-_HANDSHAKE_S = 5.0  # s, until a client has to speak WebSocket
-_MAX_QUEUED = 256  # unanswered messages of a client, before the client is dropped
+_HANDSHAKE_S = 5.0  # s in which a client must complete the WebSocket handshake
+_MAX_QUEUED = 256  # unanswered messages above which a client is dropped
 _PER_STEP = 2  # messages of a client that are answered before physics continues
 
-MAX_MESSAGE_BYTES = 65_536  # that is read; an action has some hundred bytes
+MAX_MESSAGE_BYTES = 65_536  # largest accepted message; an action has some hundred bytes
 _MAX_ACTION_NUMBERS = 256
 _DTYPES = ("float16", "float32", "float64")
 
@@ -35,19 +35,19 @@ _METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "
 
 
 class ChiralError(ValueError):
-    """Bytes that are no message of chiral."""
+    """Received bytes are no valid chiral message."""
 
 
 @dataclass
 class _ChiralConnection:
-    """The protocol's state for one client.
+    """Protocol state of one client.
 
     Attributes:
-        protocol: of WebSocket, without a socket.
-        began: when the client connected, s of the monotonic clock.
-        messages: not answered yet, oldest first.
-        parts: of a message that is not whole yet.
-        pending: a reset or an observation request that waits for pictures taken after `since`; "" for none.
+        protocol: WebSocket protocol without a socket.
+        began: time of the connection, s of the monotonic clock.
+        messages: unanswered messages, oldest first.
+        parts: received parts of an incomplete message.
+        pending: type of the request that waits for images from the simulated time `since`, s, or later; "" for none.
         drives: whether the client has sent an action.
     """
 
@@ -61,12 +61,12 @@ class _ChiralConnection:
 
 
 class ChiralServer(TcpServer):
-    """Serves one robot to raiden's policies; close it. No method blocks.
+    """WebSocket server that serves one robot to raiden's policies. The caller must close the server. No method blocks.
 
-    Requests of web pages from other sites are refused, since a browser would let any page reach this port.
+    Requests from web pages of other sites are refused, because a browser would let any page reach the port.
 
     Raises:
-        ResourceError: msgpack or websockets is not installed, or the port cannot be listened on.
+        ResourceError: msgpack or websockets is not installed, or the server cannot listen on the port.
     """
 
     def __init__(self, robot: PolicyRobot, host: str, port: int) -> None:
@@ -82,7 +82,7 @@ class ChiralServer(TcpServer):
             self._receive_messages(client, self._connection(client))
 
     def flush(self) -> None:
-        """Answer what can be answered now, send outgoing bytes, and stop the arms whose client has gone."""
+        """Answer requests whose images are ready, send outgoing bytes, and stop the arms if their client has gone."""
         from websockets.protocol import State
 
         now = time.monotonic()
@@ -128,7 +128,7 @@ class ChiralServer(TcpServer):
         self._work(client, connection)
 
     def _work(self, client: ClientConnection, connection: _ChiralConnection) -> None:
-        """Answer some messages in order, and send; no further message is answered while bytes wait to be sent."""
+        """Answer up to `_PER_STEP` messages in order and send the answers, but none while unsent bytes wait."""
         try:
             for _ in range(_PER_STEP):
                 if not self._send(client, connection) or client.outgoing or not self._answer_next(connection):
@@ -140,7 +140,7 @@ class ChiralServer(TcpServer):
         self._send(client, connection)
 
     def _answer_next(self, connection: _ChiralConnection) -> bool:
-        """Answer the pending request, or handle the next message; whether there was something to do."""
+        """Answer the pending request, or else handle the next message. Return whether anything was done."""
         if connection.pending:
             return self._answer_pending(connection)
         if connection.messages:
@@ -161,7 +161,7 @@ class ChiralServer(TcpServer):
                 self._robot.reset()
 
     def _answer_pending(self, connection: _ChiralConnection) -> bool:
-        """Answer the pending request; whether there were pictures for that."""
+        """Answer the pending request if its images exist. Return whether it was answered."""
         robot, shot = self._robot, self._robot.camera_frames
         is_reset = connection.pending == _RESET
         if is_reset and robot.is_going_home:
@@ -173,10 +173,10 @@ class ChiralServer(TcpServer):
         return False
 
     def _send(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
-        """Send what the protocol has to send; whether the connection stays open."""
+        """Send the pending bytes of the protocol. Return whether the connection stays open."""
         over = False
         for data in connection.protocol.data_to_send():
-            over = over or not data  # An empty item marks the end of the connection.
+            over = over or not data  # an empty item marks the end of the connection
             client.outgoing += data
         if client.outgoing:
             self.write(client)
@@ -190,7 +190,7 @@ class ChiralServer(TcpServer):
 
 
 def read_message(message: bytes) -> tuple[str, Array | None]:
-    """A client's request, and the numbers (n,) of an action.
+    """Return the type of a client's request, and the numbers (n,) of an action or None for other requests.
 
     Raises:
         ChiralError: the bytes are no valid message.
@@ -202,7 +202,7 @@ def read_message(message: bytes) -> tuple[str, Array | None]:
         raise ChiralError("the header's length does not fit")
     try:
         header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
-    # These two are the bases of msgpack's errors.
+    # The base classes of msgpack's errors.
     except (ValueError, msgpack.exceptions.UnpackException) as error:
         raise ChiralError("the header is not msgpack") from error
     kind = header.get("type") if isinstance(header, dict) else None
@@ -226,7 +226,7 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
 
 
 def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
-    """The answer to an observation request or to a reset."""
+    """Return the answer to an observation request or a reset."""
     parts: list[bytes] = []
     at = 0
 

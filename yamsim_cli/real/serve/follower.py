@@ -1,4 +1,4 @@
-"""An arm that is commanded by joints, as the maker's SDK does on top of the motors."""
+"""Joint-level control of a simulated arm, as in the maker's SDK."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from ..motors.can_config import CanConfig
 from ..motors.can_frames import KD_MAX, KP_MAX, MitCommand
 from .motor_simulation import MotorSimulation
 
-# N, with which fingers press at most. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
+# N, largest force of a finger. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
 _GRIP_FORCE = 50.0
-_BEYOND = 0.15  # rad, by which a commanded joint may lie beyond a stop. Source: the same file, "safety buffer"
+_LIMIT_TOLERANCE = 0.15  # rad that a commanded joint may exceed its limit. Source: the same file, "safety buffer"
 
 
 class Follower:
-    """Drives one arm of a plant from the first command on; before that, other programs may drive the motors.
+    """Controller of arm `number` of a motor simulation. Until its first command, other programs may drive the motors.
 
-    Joints are in rad. The last value is the gripper's, from 0, closed, to 1, fully open.
-
-    Args:
-        number: of the arm, in the plant.
+    Vectors (dofs,) have the joints in rad, and last the gripper, from 0 (closed) to 1 (fully open).
     """
 
     def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, wiring: CanConfig) -> None:
@@ -34,40 +31,40 @@ class Follower:
         turns = [float(row.direction) for row in wiring.arm.motors]
         self._ratio, self._offset = np.array(turns), np.zeros(len(turns))
         self._kp, self._kd = np.array(arm.kp), np.array(arm.kv)
-        self._low, self._high = arm.joint_range[:, 0] - _BEYOND, arm.joint_range[:, 1] + _BEYOND
+        self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
-            # Fully open is at the fingers' stop, where the maker's SDK finds it.
+            # Fully open is at the limit of the fingers, where the maker's SDK detects the opening.
             self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
-            # Both fingers press.
+            # Two fingers press.
             self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
-        # Positions, velocities, and gains kp and kd.
+        # Positions, velocities, and gains kp and kd of the last command.
         self._command: tuple[Array, Array, Array, Array] | None = None
 
     @property
     def commanded(self) -> Array | None:
-        """The commanded joint positions (dofs,); None before the first command."""
+        """Commanded joint positions (dofs,), or None before the first command."""
         return None if self._command is None else self._command[0].copy()
 
     def num_dofs(self) -> int:
-        """The number of joints, the gripper included."""
+        """Return the number of joints, including the gripper."""
         return len(self._motors)
 
     def joint_pos(self) -> Array:
-        """The present joint positions (dofs,)."""
+        """Return the current joint positions (dofs,)."""
         angles = np.array([motor.position for motor in self._motors])
         position: Array = (angles - self._offset) / self._ratio
         return position
 
     def observations(self) -> dict[str, Array]:
-        """Positions, velocities and torques, of the joints and of the gripper, as the maker's `get_observations`."""
+        """Return positions, velocities and torques of joints and gripper, as `get_observations` of the maker's SDK."""
         values = {
             "pos": self.joint_pos(),
             "vel": np.array([motor.velocity for motor in self._motors]) / self._ratio,
-            # Torques of the motors themselves, with the joints' signs.
+            # Motor torques, with the signs of the joints.
             "eff": np.array([motor.torque for motor in self._motors]) * np.sign(self._ratio),
         }
         joints = len(self._wiring.arm.motors)
@@ -77,7 +74,7 @@ class Follower:
         return found
 
     def command_joint_pos(self, joint_pos: Any) -> None:
-        """Command joints (dofs,), with the arm's own gains.
+        """Command joint positions (dofs,) with the default gains of the arm.
 
         Raises:
             ValueError: the number of values is wrong, or a value is not finite.
@@ -86,7 +83,7 @@ class Follower:
         self._command = position, np.zeros(len(position)), self._kp, self._kd
 
     def command_joint_state(self, joint_state: Any) -> None:
-        """Command joints `pos` and velocities `vel`, (dofs,) each, with gains `kp` and `kd` where given.
+        """Command positions `pos` and velocities `vel` (dofs,), with optional gains `kp` and `kd` (dofs,).
 
         Raises:
             ValueError: a key is missing, the number of values is wrong, or a value is not finite.
@@ -107,7 +104,7 @@ class Follower:
         position, velocity, kp, kd = self._command
         angles = np.clip(position, self._low, self._high) * self._ratio + self._offset
         if self._wiring.gripper is not None and kp[-1] > 0:
-            # The commanded angle is at most as far away as the fingers' force limit and damping require.
+            # The distance to the commanded angle limits the torque: it allows for the force limit and the damping.
             motor = self._motors[-1]
             reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
             angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)

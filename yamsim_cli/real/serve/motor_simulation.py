@@ -1,4 +1,4 @@
-"""Simulated arms driven by emulated motors, each by the law that it was last commanded."""
+"""Simulation of arms that emulated motors drive. Each motor applies the control law of its last command."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ..motors.can_config import CanConfig, GripperCanConfig
 from ..motors.motor import Motor
 from ..motors.motor_bus import MotorBus
 
-_STUCK_MASS = 1e9  # kg, armature of stuck fingers: no motor moves them
-_IMPRATIO = 10.0  # MuJoCo's impratio, as in scenes where friction alone holds things
-_CHECK_STEPS = 50  # steps between two checks whether physics broke down
+_STUCK_MASS = 1e9  # kg, armature of stuck fingers, which no motor can move
+_IMPRATIO = 10.0  # MuJoCo's impratio, as in scenes where friction alone holds objects
+_CHECK_STEPS = 50  # steps between two checks for a breakdown of physics
 
 
 @dataclass(frozen=True)
 class _Transmission:
-    """How a motor's shaft turns with a joint: `angle = ratio * joint + offset`.
+    """Transmission from a joint to the shaft of its motor: `angle = ratio * joint + offset`.
 
     Attributes:
         arm: number of the arm.
         drive: index of MuJoCo's actuator.
-        qpos, dof: of the joint; of a gripper, the left finger's.
-        gravity_scale: how many times the links' weight the motor holds; 0 of a gripper, whose fingers balance each other.
+        qpos, dof: addresses of the joint, or of a gripper's left finger.
+        gravity_scale: factor of the links' weight that the motor holds; 0 for grippers, whose fingers are balanced.
     """
 
     arm: int
@@ -44,18 +44,19 @@ class _Transmission:
 
 
 class MotorSimulation:
-    """A scene in motion, with a bus of motors for each arm.
+    """Simulation of a scene whose arms have a bus of motors each.
 
     Attributes:
-        data: MuJoCo's present state.
-        buses: of each of the scene's arms, in their order.
-        steps: how many physics steps have passed.
+        data: MuJoCo's current state.
+        buses: buses of the arms, in the order of the scene.
+        steps: number of physics steps so far.
+        timestep: physics timestep, s.
 
     Args:
-        scene: its model is changed: drives follow the motors, and arms have their real weight.
-        start: MuJoCo's positions (nq,) at the beginning, at rest; a joint beyond a stop begins at the stop.
-        wirings: of each arm, in the scene's order.
-        buses: of each arm, with the motors that its wiring names, in the same order.
+        scene: scene whose model is changed: motors control the drives, and arms have their real weight.
+        start: initial positions (nq,), at rest; a joint beyond a limit starts at the limit.
+        wirings: CAN config of each arm, in the order of the scene.
+        buses: bus of each arm, with the motors of the arm's config in the same order.
     """
 
     def __init__(
@@ -80,12 +81,12 @@ class MotorSimulation:
         self._qpos, self._dof, self._drive = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("qpos", "dof", "drive")
         )
-        self._ratio, self._offset, self._load = (
+        self._ratio, self._offset, self._gravity_scale = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("ratio", "offset", "gravity_scale")
         )
-        self._weights = _weights(model, self._shafts)
+        self._weight_factors = _weight_factors(model, self._shafts)
         model.actuator_gainprm[self._drive] = 0.0
-        # The armatures have changed, and the stiffness of contacts and stops depends on them.
+        # The stiffness of contacts and joint limits depends on the armatures, which have changed.
         mujoco.mj_setConst(model, self.data)
         self._stuck = [False] * len(self.buses)
         self._apply_control_laws()
@@ -100,21 +101,21 @@ class MotorSimulation:
         return self.steps * self.timestep
 
     def gravity_torques(self, arm: int) -> list[float]:
-        """The torques of an arm's motors that hold the arm against its weight in its present posture, N m."""
-        torques = self._load * self.data.qfrc_gravcomp[self._dof] / self._ratio
+        """Return the torques of an arm's motors, N m, that hold the arm against gravity in its current posture."""
+        torques = self._gravity_scale * self.data.qfrc_gravcomp[self._dof] / self._ratio
         return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
 
     def step(self) -> None:
-        """One step of physics.
+        """Advance physics by one timestep, and update the motors.
 
         Raises:
             SimulationError: physics broke down.
         """
         self._apply_control_laws()
-        # MuJoCo compensates the links' weight. The applied force takes that back, times the load of each joint. The
-        # compensation is that of the step before, which began 2 ms ago.
+        # MuJoCo's gravity compensation cancels the links' weight. The applied force restores the weight, scaled by each
+        # joint's load. `qfrc_gravcomp` is that of the previous step, 2 ms ago.
         data = self.data
-        data.qfrc_applied[:] = -self._weights * data.qfrc_gravcomp
+        data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
         self.steps += 1
         now = self.now
@@ -133,7 +134,7 @@ class MotorSimulation:
             shaft.motor.control_law_changed = False
             kp, kd, constant = shaft.motor.control_law()
             ratio, most = shaft.ratio, shaft.motor.max_torque * abs(shaft.ratio)
-            # The law is affine in the joint's position and velocity, so MuJoCo integrates the damping implicitly.
+            # As an affine bias of position and velocity, the control law has damping that MuJoCo integrates implicitly.
             law = ratio * (constant - kp * shaft.offset), -kp * ratio**2, -kd * ratio**2
             self._model.actuator_biasprm[shaft.drive, :3] = law
             self._model.actuator_forcerange[shaft.drive] = -most, most
@@ -170,32 +171,29 @@ def _shafts(number: int, arm: ArmAddresses, wiring: CanConfig, bus: MotorBus) ->
 
 
 def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: ArmAddresses) -> None:
-    """Compensate the weight of parts on an arm that the maker's model lacks, such as a camera.
-
-    The loads of the motors include that weight.
-    """
+    """Cancel the weight of parts that the maker's model lacks, such as a camera: the motors' loads include it."""
     root = model.body_rootid[model.body(arm.flange).id]
     for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
         data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
-def _weights(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
-    """How many times the links' weight acts on each degree of freedom (nv,)."""
-    weights = np.ones(model.nv)
+def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
+    """Return the factor of the links' weight at each degree of freedom (nv,)."""
+    factors = np.ones(model.nv)
     for shaft in shafts:
         if shaft.gravity_scale:
-            weights[shaft.dof] = shaft.gravity_scale
-    return weights
+            factors[shaft.dof] = shaft.gravity_scale
+    return factors
 
 
 def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, wiring: GripperCanConfig) -> None:
-    """Give fingers the armature and friction of their motor, half each, and stops, one of them where they meet."""
+    """Give each finger half of its motor's armature and friction, and a joint limit where the fingers meet."""
     model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
         joint = model.dof_jntid[dof]
         model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
-        # As stiff as the time step allows, since the rotor hits the stop.
+        # As stiff as the timestep allows, because the rotor hits a mechanical stop.
         model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
 
 

@@ -1,4 +1,4 @@
-"""The robot as raiden's policy server has it: arms that interpolate between actions, and stop where one is too far.
+"""Robot interface of raiden's policy server: arms interpolate between actions, and stop if an action is too far.
 
 Source of all figures: `raiden/server.py` and `raiden/robot/controller.py` of TRI-ML/raiden 2353b10.
 """
@@ -24,27 +24,27 @@ from .follower import Follower
 from .motor_simulation import MotorSimulation
 from .render_process import CameraFrames, RenderProcess
 
-_ACTION_S = 0.1  # s, from one action to the next
-_HOME_S = 2.0  # s, of the motion home after a reset
-_COMMAND_S = 0.01  # s, between the interpolated commands of a motion
-_MAX_JOINT_STEP = 0.2  # rad, from a joint's position to where an action commands it
-_MAX_QUEUED = 32  # actions that wait; the newest are discarded beyond that
-_SIDE = 384  # px, of the square to which each picture is stretched
+_ACTION_S = 0.1  # s, duration of an action
+_HOME_S = 2.0  # s, duration of the motion home after a reset
+_COMMAND_S = 0.01  # s between the interpolated commands of a motion
+_MAX_JOINT_STEP = 0.2  # rad, largest distance from a joint's position to its commanded position
+_MAX_QUEUED = 32  # waiting actions; further actions are discarded
+_SIDE = 384  # px, side of the square to which each image is stretched
 
-_IK_ITERATIONS = 20  # for one pose, which lies near the one before
-_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position decides where the arm cannot reach the whole pose
-_SHORTEST_ROW = 1e-3  # shorter rows, or rows as nearly parallel as this, define no rotation
+_IK_ITERATIONS = 20  # iterations for one pose, which is near the previous pose
+_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority if the arm cannot reach the whole pose
+_MIN_ROW_LENGTH = 1e-3  # shorter rows, or rows whose angle has a smaller sine, define no rotation
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """What a camera saw.
+    """Image of a camera with its calibration.
 
     Attributes:
-        picture: RGB (height, width, 3).
+        picture: RGB image (height, width, 3).
         K: intrinsics (3, 3).
-        T_cam_in_base: pose (4, 4) in the left arm's base, in OpenCV's convention.
-        time_ns: when, ns since 1970.
+        T_cam_in_base: pose (4, 4) of the camera in the left arm's base, in OpenCV's convention.
+        time_ns: time of the image, ns since 1970.
     """
 
     picture: Image
@@ -55,7 +55,7 @@ class CameraView:
 
 @dataclass(frozen=True)
 class RobotObservation:
-    """What a policy observes: views by camera, arrays (n,) by name, the time in s since 1970, and further values."""
+    """Observation of a policy: views by camera, arrays (n,) by name, the time in s since 1970, and further values."""
 
     views: Mapping[str, CameraView]
     proprios: Mapping[str, Array]
@@ -64,7 +64,7 @@ class RobotObservation:
 
 
 class HandKinematics:
-    """Forward and inverse kinematics of an arm's `grasp_site`, in the arm's own base."""
+    """Forward and inverse kinematics of an arm's `grasp_site` in the base of the arm."""
 
     def __init__(self, arm: ArmConfig) -> None:
         model = kinematic_model(arm)
@@ -76,17 +76,17 @@ class HandKinematics:
         self._solver.set_held_frame(inverse(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
-        """The hand's pose (4, 4) at joints (dof,)."""
+        """Return the pose (4, 4) of the hand in the arm's base, at joint positions (dof,), rad."""
         return self._forward.T_grasp_in_base(joints)
 
     def joints(self, T_hand_in_base: Array, near: Array) -> Array:
-        """Joints (dof,) that bring the hand to a pose (4, 4), or the nearest that a search from `near` (dof,) finds."""
+        """Return joint positions (dof,), rad, for a hand pose (4, 4), or the nearest found from `near` (dof,)."""
         start = np.clip(near, *self._range.T)
         return self._solver.solve_next(T_hand_in_base, self._solver.solution_at(start), _IK_ITERATIONS).joints
 
 
 def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
-    """The pose (4, 4) at a position (3,) whose rotation has these first two rows (6,), made orthonormal.
+    """Return the pose (4, 4) of a position (3,) and a rotation with the given first two rows (6,), orthonormalized.
 
     Raises:
         ValueError: the rows define no rotation.
@@ -94,7 +94,7 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
     first, second = rows[:3], rows[3:]
     lengths = np.linalg.norm(first), np.linalg.norm(second)
     third = np.cross(first, second)
-    if min(lengths) < _SHORTEST_ROW or np.linalg.norm(third) < _SHORTEST_ROW * lengths[0] * lengths[1]:
+    if min(lengths) < _MIN_ROW_LENGTH or np.linalg.norm(third) < _MIN_ROW_LENGTH * lengths[0] * lengths[1]:
         raise ValueError("the six numbers of a rotation are its first two rows, and these name none")
     x = first / lengths[0]
     z = third / np.linalg.norm(third)
@@ -103,7 +103,7 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
 
 @dataclass
 class _Interpolation:
-    """Commands that go evenly from one row of all arms' joints to another, from a time on, for a duration, s."""
+    """Linear interpolation between two rows of all arms' joints, from the time `began`, s, for `lasts` s."""
 
     start: Array
     goal: Array
@@ -112,16 +112,16 @@ class _Interpolation:
 
 
 class PolicyRobot:
-    """Arms that a policy drives by joints or by poses of the hands, and what the policy observes.
+    """Robot that a policy commands by joints or hand poses, with the observations for the policy.
 
-    Rows have each arm's joints in rad and its gripper from 0, closed, to 1, fully open, the left arm's first.
+    A row has each arm's joints in rad and its gripper from 0 (closed) to 1 (fully open), the left arm's first.
 
     Attributes:
-        stopped: why the arms stand still until the next reset; "" while actions are accepted.
-        discarded: how many actions found the queue full.
+        stopped: reason why the arms hold still until the next reset; "" while actions are accepted.
+        discarded: number of actions that were discarded because the queue was full.
 
     Args:
-        sides, followers, hands: of each arm, the left one first.
+        sides, followers, hands: side, follower and kinematics of each arm, the left arm first.
         names: camera -> its name for the policy.
     """
 
@@ -148,7 +148,7 @@ class PolicyRobot:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """The robot's description: cameras, arrays, and the layout of an action."""
+        """Description of the robot: cameras, arrays, and the layout of an action."""
         parts = (("xyz", 3), ("rot6d", 6), ("grip", 1))
         return {
             "cameras": [self._names[camera] for camera in self._source.cameras],
@@ -164,12 +164,12 @@ class PolicyRobot:
 
     @property
     def is_going_home(self) -> bool:
-        """Whether the motion home after a reset goes on."""
+        """Whether the arms still move home after a reset."""
         return self._motion is not None and self._motion.lasts == _HOME_S
 
     @property
     def now(self) -> float:
-        """Time in the simulation, s."""
+        """Simulated time, s."""
         return self._plant.now
 
     def reset(self) -> None:
@@ -181,17 +181,17 @@ class PolicyRobot:
         self._motion = _Interpolation(self._row(), goal, self._plant.now, _HOME_S)
 
     def stop(self, why: str) -> None:
-        """Hold the arms where they are, and ignore actions until the next reset."""
+        """Hold the arms at their current positions, and ignore actions until the next reset."""
         self.stopped = why
         self._actions.clear()
         self._motion = None
         self._send(self._row())
 
     def act(self, numbers: Array) -> None:
-        """Queue an action: the joints of a row, or 10 numbers an arm, see `metadata`.
+        """Queue an action: a row of joints, or 10 numbers per arm as in `metadata`. Stop if a joint would move too far.
 
         Raises:
-            ValueError: the action has another shape, or is not finite.
+            ValueError: the action has a wrong shape, is not finite, or has an invalid rotation.
         """
         if not np.isfinite(numbers).all():
             raise ValueError("an action has numbers that are not finite")
@@ -226,7 +226,7 @@ class PolicyRobot:
             self._motion = None
 
     def observed(self, shot: CameraFrames) -> RobotObservation:
-        """What a policy observes at the time of a shot."""
+        """Return the observation at the time of the camera frames."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
             T = hand.T_in_base(joints[:-1])
@@ -239,7 +239,7 @@ class PolicyRobot:
 
     @property
     def camera_frames(self) -> CameraFrames | None:
-        """The newest pictures."""
+        """Newest images of all cameras, or None before the first."""
         return self._source.shot
 
     def _view(self, shot: CameraFrames, camera: str) -> CameraView:
@@ -249,7 +249,7 @@ class PolicyRobot:
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _joints_from_hand_poses(self, numbers: Array) -> Array:
-        """The row that brings hands to poses: all positions (3), then rows of all rotations (6), then grippers."""
+        """Return the row for hand poses, given as all positions (3), then all rotations (6), then all grippers."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
         near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
@@ -261,10 +261,10 @@ class PolicyRobot:
         return np.concatenate(found)
 
     def _is_too_far(self, row: Array) -> str:
-        """Which joint a row moves too far, as a sentence; "" for none."""
+        """Return a sentence on the joint that a row moves too far, or "" if no joint moves too far."""
         off = np.abs(row - self._row())
         ends = np.cumsum(self._widths)
-        off[ends - 1] = 0.0  # Grippers may move through their whole range.
+        off[ends - 1] = 0.0  # grippers may move through their whole range
         if off.max() <= _MAX_JOINT_STEP:
             return ""
         worst = int(off.argmax())
@@ -276,7 +276,7 @@ class PolicyRobot:
         )
 
     def _command(self) -> Array | None:
-        """The present command to all arms; None before the first."""
+        """Return the current command to all arms, or None if an arm had no command."""
         rows = [follower.commanded for follower in self._followers]
         return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
 

@@ -1,9 +1,9 @@
-"""The remote calls by which programs reach the maker's robot through portal, as in its `minimum_gello.py`.
+"""Server for remote calls through portal, as in the maker's `minimum_gello.py`.
 
-A message is its length (8 bytes), a request's number, a method's name or a status, and a packed tree: the number of
-buffers, their sizes, and the buffers. The first two buffers are msgpack: the tree, and the type of each leaf. Reading a
-message runs no code of it. Source: `portal` 3.8.3, packlib.py, buffers.py, client.py. Its leaves in shared memory are
-refused.
+A message has its length (8 bytes), the number of the request, a method's name or a status, and a packed tree. A packed
+tree has the number of buffers, their sizes, and the buffers. The first two buffers are msgpack: the tree, and the type
+of each leaf. Reading a message never executes code from it. Leaves in shared memory are refused.
+Source: `portal` 3.8.3, packlib.py, buffers.py, client.py.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from .follower import Follower
 from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536
-_BACKLOG_BYTES = 1_000_000  # answers that wait for a client that reads nothing, before the client is dropped
+_BACKLOG_BYTES = 1_000_000  # unsent bytes above which a client that reads nothing is dropped
 
 HANDSHAKE = b"portal_handshake"
-_MAX_MESSAGE_BYTES = 65_536  # that is read; a command has some hundred bytes
+_MAX_MESSAGE_BYTES = 65_536  # largest accepted message; a command has some hundred bytes
 _MAX_LEAVES = 256
 _MAX_DEPTH = 8
 _DTYPE_KINDS = "biuf"
@@ -32,14 +32,14 @@ _STATUS_ERROR = 4
 
 
 class PortalError(ValueError):
-    """Bytes that are no call of portal."""
+    """Received bytes are no valid portal call."""
 
 
 class PortalServer(TcpServer):
-    """Answers calls about one arm; close it. No method blocks.
+    """TCP server that answers portal calls for one arm. The caller must close the server. No method blocks.
 
     Raises:
-        ResourceError: msgpack is not installed, or the port cannot be listened on.
+        ResourceError: msgpack is not installed, or the server cannot listen on the port.
     """
 
     def __init__(self, follower: Follower, host: str, port: int) -> None:
@@ -65,7 +65,7 @@ class PortalServer(TcpServer):
                 self.write(client)
 
     def _answer(self, message: bytes) -> bytes:
-        """The answer to a message; an invalid call is answered with an error."""
+        """Return the answer to a message, which is an error for an invalid call."""
         try:
             number, name, arguments = _read_call(message)
         except PortalError as error:
@@ -75,16 +75,16 @@ class PortalServer(TcpServer):
             return _refusal(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
         try:
             return _add_frame_header(number + bytes(8) + pack_tree(method(*arguments)))
-        # The number or the types of the arguments are wrong.
+        # Raised if the number or the types of the arguments are wrong.
         except (TypeError, ValueError) as error:
             return _refusal(number, f"Error in server method: {error}")
 
 
 def _next_message(client: ClientConnection) -> bytes | None:
-    """The next whole message, removed from the received bytes; None until it is whole.
+    """Remove the next complete message from the received bytes and return it, or None if no message is complete.
 
     Raises:
-        PortalError: the bytes are not portal's, or announce a message that is too long.
+        PortalError: the bytes are not portal's, or the message is too long.
     """
     received = client.received
     if not client.handshake_done:
@@ -108,7 +108,7 @@ def _next_message(client: ClientConnection) -> bytes | None:
 
 
 def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
-    """A request's number (8 bytes), the method that it calls, and the arguments.
+    """Return the number of a request (8 bytes), the called method, and the arguments.
 
     Raises:
         PortalError: the message is no call.
@@ -129,7 +129,6 @@ def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
 
 
 def _refusal(number: bytes, text: str) -> bytes:
-    """The answer that a request failed."""
     return _add_frame_header(number + _STATUS_ERROR.to_bytes(8, "little") + text.encode())
 
 
@@ -138,7 +137,7 @@ def _add_frame_header(message: bytes) -> bytes:
 
 
 def pack_tree(tree: Any) -> bytes:
-    """The bytes of a tree of dictionaries with text keys, lists, arrays, numbers and None."""
+    """Pack a tree of dictionaries with text keys, lists, arrays, numbers and None."""
     import msgpack
 
     specs: list[list[Any]] = []
@@ -157,10 +156,10 @@ def pack_tree(tree: Any) -> bytes:
 
 
 def unpack_tree(data: bytes) -> Any:
-    """The tree of packed bytes.
+    """Return the tree in packed bytes.
 
     Raises:
-        PortalError: the bytes are no tree, or have a leaf of a type that is refused.
+        PortalError: the bytes are no tree, or a leaf has an unsupported type.
     """
     import msgpack
 
@@ -176,7 +175,7 @@ def unpack_tree(data: bytes) -> Any:
         at += size
     try:
         tree, specs = (msgpack.unpackb(one, strict_map_key=True) for one in buffers[:2])
-    # These two are the bases of msgpack's errors.
+    # The base classes of msgpack's errors.
     except (ValueError, msgpack.exceptions.UnpackException) as error:
         raise PortalError("the arguments are not packed as they should be") from error
     if not isinstance(specs, list) or len(specs) != len(buffers) - 2:
@@ -228,7 +227,7 @@ def _leaf(spec: Any, data: bytes) -> Any:
 
 
 def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
-    """A tree with the leaves in place of its None values."""
+    """Return a tree with its None values replaced by the leaves."""
     if depth > _MAX_DEPTH:
         raise PortalError("the arguments are nested too deeply")
     if isinstance(tree, dict):

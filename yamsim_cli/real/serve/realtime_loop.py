@@ -1,4 +1,4 @@
-"""The loop that keeps simulated time to the clock and answers frames as they arrive."""
+"""Real-time loop that steps the simulation by the clock and answers CAN frames on arrival."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from ..motors.can_frames import CanFrame
 from .can_bus import KernelBus, UnixBus
 from .motor_simulation import MotorSimulation
 
-_MAX_CATCH_UP = 0.1  # s; when it is farther behind, the simulation continues from the present time
-_EARLY_ANSWERS = 7  # answers that a late program gets without the gap between them, to regain its rate
-_MAX_QUEUED = 64  # answers that wait on a bus; further frames are lost, as in an adapter with a full buffer
+_MAX_CATCH_UP = 0.1  # s; a simulation that is later skips the lost time
+_EARLY_ANSWERS = 7  # answers that a late program gets without gaps, to regain its rate
+_MAX_QUEUED = 64  # waiting answers of a bus; further frames are lost, as in an adapter with a full buffer
 
 
 class PolledServer(Protocol):
-    """A server beside the buses. None of its methods blocks."""
+    """A server in the loop in addition to the buses. No method blocks."""
 
     @property
     def readers(self) -> Sequence[Any]:
-        """The objects to select for reading."""
+        """Objects to select for reading."""
 
     @property
     def writers(self) -> Sequence[Any]:
-        """The objects to select for writing."""
+        """Objects to select for writing."""
 
     def handle(self, ready: set[Any]) -> None:
         """Receive from the readers that are ready."""
 
     def flush(self) -> None:
-        """Do the work that needs no new input, such as sending outgoing bytes; called at least once a step."""
+        """Do work that needs no new input, such as sending bytes. The loop calls this method at least once per step."""
 
 
 @dataclass(frozen=True)
 class RealtimeStats:
-    """How well the simulation kept to the clock.
+    """Timing of the simulation relative to the clock.
 
     Attributes:
-        seconds: run time by the clock.
-        steps: of physics.
-        late_ms: the largest lateness of a step, ms.
-        late_steps: how many steps began more than a step after they were due.
-        lost_ms: time that the simulation skipped because it was too far behind to catch up, ms.
-        frames: that the motors received.
-        dropped: frames that were lost, by a fault or because a bus was full.
+        seconds: run time by the clock, s.
+        steps: number of physics steps.
+        late_ms: largest lateness of a step, ms.
+        late_steps: number of steps that began more than a timestep late.
+        lost_ms: time that the simulation skipped because it was too late to catch up, ms.
+        frames: number of frames that the buses received.
+        dropped: number of frames that were lost by a fault or by a full bus.
     """
 
     seconds: float
@@ -61,13 +61,13 @@ class RealtimeStats:
 
 
 class ServeLoop:
-    """Runs a plant in real time, with each of its buses on a socket.
+    """Runs a motor simulation in real time, with each of its buses on a socket.
 
     Args:
-        sockets: of the plant's buses, in their order.
-        gap: time between two answers on a bus, s, as long as a program is not late.
+        sockets: sockets of the buses, in the order of `plant.buses`.
+        gap: time between two answers on a bus, s, while no program is late.
         ports: further servers.
-        tick: called before every physics step.
+        tick: function to call before every physics step.
     """
 
     def __init__(
@@ -80,11 +80,11 @@ class ServeLoop:
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
         self._ports = tuple(ports)
-        # When each bus may send its next answer.
+        # Time at which each bus may send its next answer.
         self._free = [0.0] * len(self._sockets)
         self._waiting = [0] * len(self._sockets)
         self._lost_frames = 0
-        # A heap of: when an answer is due, the answer's number, the bus, and the answer.
+        # Heap of (time at which the answer is due, number of the answer, index of the bus, answer).
         self._answers: list[tuple[float, int, int, CanFrame]] = []
         self._count = itertools.count()
         self._late = self._lost = 0.0
@@ -93,7 +93,7 @@ class ServeLoop:
 
     @property
     def pace(self) -> RealtimeStats:
-        """The pace so far."""
+        """Timing so far."""
         buses = self._plant.buses
         return RealtimeStats(
             seconds=time.monotonic() - self._began,
@@ -106,7 +106,7 @@ class ServeLoop:
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
-        """Run until `stop` returns true, or for a duration (s).
+        """Run until `stop` returns true, or for `seconds` s.
 
         Raises:
             SimulationError: physics broke down.
@@ -129,7 +129,7 @@ class ServeLoop:
             self._exchange(due)
 
     def _exchange(self, until: float) -> None:
-        """Receive and answer, at least once, until a time of the monotonic clock."""
+        """Receive and answer frames until a time of the monotonic clock, s, but at least once."""
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:

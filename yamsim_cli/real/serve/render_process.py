@@ -1,4 +1,4 @@
-"""Pictures of a served scene, rendered in a separate process, so that physics never waits for a picture."""
+"""Render the cameras of a served scene in a separate process, so that physics never waits for an image."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.workers.process_pool import start_process
 
-_SLOTS = 2  # shots in shared memory: the newest, and the one that is being rendered
-_START_SECONDS = 300.0  # s; compiling a scene with all meshes takes seconds, on a busy machine many
-_END_SECONDS = 5.0  # s, that `close` waits for the process
-# The first byte of an answer of the process.
+_SLOTS = 2  # sets of images in shared memory: the newest set, and the set that is being rendered
+_START_SECONDS = 300.0  # s, time limit for the start; compiling all meshes takes long on a busy machine
+_END_SECONDS = 5.0  # s that `close` waits for the process
+# First byte of an answer of the process.
 _RENDERED, _FAILED = b"d", b"f"
 
 
 @dataclass(frozen=True)
 class CameraFrames:
-    """The pictures of all cameras in one state.
+    """Images of all cameras in one state.
 
     Attributes:
-        number: of the shot, from 0.
-        time_ns: by the machine's clock, ns since 1970.
-        sim_time: in the simulation, s.
-        joints: of each arm, (dofs,) with the gripper last, see `Follower.joint_pos`.
+        number: number of the set of images, from 0.
+        time_ns: time by the machine's clock, ns since 1970.
+        sim_time: simulated time, s.
+        joints: joint positions (dofs,) of each arm with the gripper last, see `Follower.joint_pos`.
         T_cam_in_base: pose (4, 4) of each camera in the left arm's base, in OpenCV's convention.
-        pictures: of each camera, RGB (height, width, 3). They are overwritten after the next shot.
+        pictures: RGB image (height, width, 3) of each camera; overwritten after the next set.
     """
 
     number: int
@@ -50,7 +50,7 @@ class CameraFrames:
 
 @dataclass(frozen=True)
 class SceneState:
-    """A state to be rendered: MuJoCo's positions (nq,), and the values that a `Shot` has of it."""
+    """A state to render: MuJoCo's positions (nq,), and the time and joints for `CameraFrames`."""
 
     qpos: Array
     sim_time: float
@@ -58,21 +58,21 @@ class SceneState:
 
 
 class RenderProcess:
-    """Renders a scene's cameras; close it.
+    """Process that renders the cameras of a scene. The caller must close it.
 
     Attributes:
-        cameras: their names, in order.
-        size: width and height of the pictures, px.
-        fps: shots a second, at most.
+        cameras: names of the cameras, in order.
+        size: width and height of the images, px.
+        fps: largest rate of sets of images, 1/s.
         K: camera -> intrinsics (3, 3).
-        shot: the newest; None until the first is rendered.
+        shot: newest set of images; None until the first is rendered.
 
     Args:
-        state: returns the present state.
-        clock: returns the present time, ns since 1970.
+        state: returns the current state.
+        clock: returns the current time, ns since 1970.
 
     Raises:
-        ResourceError: nothing can be rendered here.
+        ResourceError: the machine cannot render, or the process did not start in time.
         SimulationError: the scene cannot be compiled.
     """
 
@@ -97,7 +97,7 @@ class RenderProcess:
             self._process, self._pipe = start_process(
                 "yamsim-pictures",
                 _render_states,
-                # A scene has the cameras that are recorded, which may not be these.
+                # A scene has the recorded cameras only, which may differ from the served ones.
                 session.with_values(cameras=self.cameras),
                 self.cameras,
                 self._shape,
@@ -117,19 +117,19 @@ class RenderProcess:
 
     @property
     def readers(self) -> list[Connection]:
-        """The connections to select for reading."""
+        """Connections to select for reading."""
         return [self._pipe]
 
     @property
     def writers(self) -> list[Connection]:
-        """None: nothing waits to be sent."""
+        """No connections, because no bytes wait to be sent."""
         return []
 
     def handle(self, ready: set[object]) -> None:
-        """Receive a rendered shot.
+        """Receive a rendered set of images.
 
         Raises:
-            SimulationError, ResourceError: the process has ended.
+            SimulationError, ResourceError: the process has ended or failed.
         """
         if self._pipe not in ready or self._requested is None:
             return
@@ -147,13 +147,13 @@ class RenderProcess:
         self._count += 1
 
     def flush(self) -> None:
-        """Request the next shot, if it is due and the one before is rendered."""
+        """Request the next set of images, if it is due and the previous set is rendered."""
         now = time.monotonic()
         if self._requested is not None or now < self._due:
             return
         self._due = max(self._due + 1 / self.fps, now)
         self._requested = self._clock(), self._state()
-        # A state has some hundred bytes, and the process waits for it, so sending does not block.
+        # Sending does not block, because a state has some hundred bytes and the process waits for it.
         with contextlib.suppress(OSError):
             self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._requested[1].qpos.tobytes())
 
@@ -176,7 +176,7 @@ class RenderProcess:
 
     def _free(self) -> None:
         del self._pictures
-        # A picture may still be referred to: then its memory is freed with this process.
+        # While images are still referenced, their memory stays until this process ends.
         with contextlib.suppress(BufferError):
             self._memory.close()
         self._memory.unlink()
@@ -185,7 +185,7 @@ class RenderProcess:
 def _render_states(
     pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str
 ) -> None:
-    """Render each state that is received, until the pipe closes."""
+    """Render each received state, until the pipe closes."""
     shared = SharedMemory(name=memory)
     pictures = np.ndarray(shape, np.uint8, shared.buf)
     attempt = Attempt(AttemptJob(0, 0))
@@ -195,7 +195,7 @@ def _render_states(
             contextlib.suppress(EOFError, OSError),
         ):
             replica, size = simulator.replica, session.config.image.size_px
-            # The first picture takes longest, since the scene is uploaded for it.
+            # The first image takes longest, because it uploads the scene.
             render_cameras(simulator, attempt, simulator.scene.model.qpos0, cameras)
             pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
             while True:

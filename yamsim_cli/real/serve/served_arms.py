@@ -1,4 +1,4 @@
-"""A session's arms on their simulated buses, ready for the programs that drive real arms."""
+"""Simulated arms of a session on simulated buses, for programs that drive real arms."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from .motor_simulation import MotorSimulation
 from .policy_robot import HandKinematics, PolicyRobot
 from .render_process import RenderProcess, SceneState
 
-# Where the arms start: folded, where they are at rest without power; the model's home; the task's start.
+# Initial postures of the arms: folded, at rest without power; the model's home; the start of the task.
 STARTS = ("rest", "home", "task")
 
 
 @dataclass(frozen=True)
 class ServedArms:
-    """Arms that other programs drive.
+    """Simulated arms that other programs drive.
 
     Attributes:
-        plant: the arms with the task's things.
-        sides: "left" or "right" of each arm, in the order of `plant.buses`.
-        followers: of each arm, in the same order.
+        plant: simulation of the arms and the task's objects.
+        sides: "left" or "right" for each arm, in the order of `plant.buses`.
+        followers: follower of each arm, in the same order.
     """
 
     plant: MotorSimulation
@@ -42,16 +42,16 @@ class ServedArms:
     followers: tuple[Follower, ...]
 
     def state(self) -> SceneState:
-        """The present state."""
+        """Return the current state for rendering."""
         joints = tuple(follower.joint_pos() for follower in self.followers)
         return SceneState(self.plant.data.qpos.copy(), self.plant.now, joints)
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
-    """The names of the arms' buses: the given ones, in the arms' order, or `can0`, or `can_left` and `can_right`.
+    """Return the names of the arms' buses: the given names, or else `can0`, or `can_left` and `can_right`.
 
     Raises:
-        UsageError: their number is not that of the arms, two are equal, or one is no valid name.
+        UsageError: the number of names is wrong, two names are equal, or a name is invalid.
     """
     if not given:
         return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
@@ -67,14 +67,14 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
 
 
 def served_cameras(config: RecordConfig) -> tuple[str, ...]:
-    """The cameras whose pictures are served: the recorded ones, and wrist cameras even if they are not recorded."""
+    """Return the recorded cameras if the config or the rig names any, else the scene camera and all wrist cameras."""
     if config.cameras is not None or config.rig.cameras:
         return config.recorded_cameras
     return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recording_order)
 
 
 def make_policy_robot(session: Session, served: ServedArms, source: RenderProcess) -> PolicyRobot:
-    """The arms for raiden's policies, with raiden's names of wrist cameras, such as `left_wrist_camera`."""
+    """Return the robot for raiden's policies, with raiden's names of wrist cameras, such as `left_wrist_camera`."""
     arms = [session.config.rig.arms[k] for k in session.config.rig.recording_order]
     wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
     names = {camera: wrists.get(camera, camera) for camera in source.cameras}
@@ -88,16 +88,16 @@ def serve_arms(
     faults: Sequence[BusFault] = (),
     start: str = "rest",
 ) -> ServedArms:
-    """The arms of a session's rig, with the task's things at their start.
+    """Return the simulated arms of a session's rig, with the task's objects at their initial poses.
 
     Args:
         channels: names of the buses, see `channel_names`.
         start: one of STARTS.
 
     Raises:
-        ConfigError: an arm's or a gripper's motors are not known.
-        UsageError: a channel's name is not valid, or a fault names a channel or motor that does not exist.
-        SimulationError: the scene cannot be compiled, or the task's things have no room.
+        ConfigError: the motors of an arm or a gripper are unknown.
+        UsageError: the name of a channel is invalid, or a fault names a channel or motor that does not exist.
+        SimulationError: the scene cannot be compiled, or the objects of the task have no room.
     """
     config = session.config
     arms = [config.rig.arms[number] for number in config.rig.recording_order]
@@ -128,16 +128,16 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     if layout is None:
         raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its things")
-    stands = []
+    postures = []
     for arm in scene.arms:
         robot = config.rig.arms[arm.number].robot
         joints = {"rest": np.zeros(arm.dof), "home": robot.home, "task": robot.start}[start]
-        stands.append(ArmPosture(np.array(joints), 0.0))
-    return scene.start_qpos(layout, stands)
+        postures.append(ArmPosture(np.array(joints), 0.0))
+    return scene.start_qpos(layout, postures)
 
 
 def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
-    """Raise a UsageError for a fault of a channel or a motor that does not exist."""
+    """Raise a UsageError for a fault that names a channel or a motor that does not exist."""
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
         if not meant:

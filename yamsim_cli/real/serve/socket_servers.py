@@ -1,4 +1,4 @@
-"""Socket servers that never block, and the folder in which the Unix sockets of `serve-robot` lie."""
+"""Non-blocking socket servers, and the folder of the Unix sockets of `serve-robot`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError
 
-CAMERA_SOCKET = "cameras.sock"  # the socket that serves pictures; names of buses have no dot, so none is equal to it
+CAMERA_SOCKET = "cameras.sock"  # file of the image server's socket; its dot avoids conflicts with names of buses
 
-_MAX_CLIENTS = 16  # connections to one server; a further connection is closed at once
+_MAX_CLIENTS = 16  # connections to one server; further connections are closed at once
 
 
 def default_folder(environ: Mapping[str, str]) -> Path:
-    """The user's own folder for the sockets."""
+    """Return the user's folder for the sockets."""
     runtime = environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
 
@@ -28,9 +28,9 @@ class ClientConnection:
     """One connection to a server.
 
     Attributes:
-        received: bytes that are received and not handled yet.
+        received: received bytes that are not handled yet.
         outgoing: bytes that wait to be sent.
-        handshake_done: whether the protocol's handshake is received, where the protocol has one.
+        handshake_done: whether the handshake was received, if the protocol has a handshake.
     """
 
     socket: socket.socket
@@ -40,12 +40,12 @@ class ClientConnection:
 
 
 class SocketServer:
-    """The clients of a listening socket; close it. No method blocks.
+    """Server on a listening socket. The caller must close the server. No method blocks.
 
     Args:
-        listener: closed with the server.
-        read_bytes: the most that one read takes from a client.
-        max_outgoing: bytes that may wait for a client that reads nothing, before the client is dropped; None for any.
+        listener: listening socket, which is closed with the server.
+        read_bytes: largest number of bytes per read from a client.
+        max_outgoing: unsent bytes above which a client that reads nothing is dropped; None for no limit.
     """
 
     def __init__(self, listener: socket.socket, read_bytes: int, max_outgoing: int | None = None) -> None:
@@ -56,35 +56,35 @@ class SocketServer:
 
     @property
     def clients(self) -> list[ClientConnection]:
-        """All connected clients."""
+        """Connected clients."""
         return list(self._clients.values())
 
     @property
     def readers(self) -> list[socket.socket]:
-        """The sockets to select for reading."""
+        """Sockets to select for reading."""
         return [self._listener, *self._clients]
 
     @property
     def writers(self) -> list[socket.socket]:
-        """The sockets to select for writing: those of clients for which bytes wait."""
+        """Sockets to select for writing: those of clients with unsent bytes."""
         return [one for one, client in self._clients.items() if client.outgoing]
 
     def read(self, ready: set[socket.socket]) -> Iterator[ClientConnection]:
-        """Accept connections and receive bytes; yields the clients that sent some.
+        """Accept connections, receive bytes, and yield the clients that sent bytes.
 
         Args:
-            ready: the sockets that `select` reports readable.
+            ready: sockets that `select` reports as readable.
         """
         if self._listener in ready:
             self._accept()
         for one in ready & self._clients.keys():
-            # A client may have been dropped while an earlier one was handled.
+            # The caller may have dropped a client while it handled an earlier one.
             client = self._clients.get(one)
             if client is not None and self._receive(client):
                 yield client
 
     def write(self, client: ClientConnection) -> None:
-        """Send as much of a client's outgoing bytes as its socket takes."""
+        """Send as many of a client's outgoing bytes as its socket accepts."""
         try:
             del client.outgoing[: client.socket.send(client.outgoing)]
         except BlockingIOError:
@@ -124,7 +124,7 @@ class SocketServer:
         self._clients[one] = ClientConnection(one)
 
     def _receive(self, client: ClientConnection) -> bool:
-        """Receive bytes; whether there were any."""
+        """Receive bytes. Return whether any were received."""
         try:
             data = client.socket.recv(self._read_bytes)
         except BlockingIOError:
@@ -139,17 +139,17 @@ class SocketServer:
 
 
 class TcpServer(SocketServer):
-    """A server at a TCP port.
+    """Server on a TCP port.
 
     Attributes:
-        port: the port on which it listens.
+        port: port on which the server listens.
 
     Args:
-        port: 0 takes any free port.
-        flag: the flag that sets the port, for the error message.
+        port: requested port; 0 selects a free port.
+        flag: flag that sets the port, for the error message.
 
     Raises:
-        ResourceError: the port cannot be listened on.
+        ResourceError: the server cannot listen on the port.
     """
 
     def __init__(self, host: str, port: int, flag: str, read_bytes: int, max_outgoing: int | None = None) -> None:
@@ -162,13 +162,13 @@ class TcpServer(SocketServer):
 
 
 class UnixServer(SocketServer):
-    """A server at a Unix socket, whose folder only the user can reach.
+    """Server on a Unix socket in a folder that only the user can access.
 
     Attributes:
-        path: the socket's file, removed on `close`.
+        path: file of the socket, which `close` removes.
 
     Raises:
-        ResourceError: another program listens there, or the folder or the socket cannot be made.
+        ResourceError: another program listens on the socket, or the folder or the socket cannot be made.
     """
 
     def __init__(self, path: Path, read_bytes: int) -> None:
@@ -193,7 +193,7 @@ class UnixServer(SocketServer):
 
 
 def _make_folder(folder: Path) -> None:
-    """Make sure that a folder exists which no other user can reach; a ResourceError where that fails."""
+    """Make a folder that no other user can access. Raise a ResourceError if the folder is not private."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
@@ -204,7 +204,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the socket of a killed server; an OSError if a server still listens there."""
+    """Remove the socket of a killed server. Raise an OSError if a server still listens on it."""
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
