@@ -183,7 +183,7 @@ class Outcome:
     Attributes:
         success: whether the attempt succeeded by the task's own threshold.
         cause: why the attempt failed; None on success.
-        detail: the figures behind the cause, as text for a person.
+        detail: the figures behind the cause, as text.
         dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.

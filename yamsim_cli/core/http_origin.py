@@ -56,5 +56,5 @@ def _is_own(name: str, bound: str) -> bool:
     except ValueError:
         machine = socket.gethostname().lower() if bound in ("0.0.0.0", "::", "") else bound
         return name in (_LOOPBACK_NAME, bound, machine)
-    # No site can make a browser send an address in place of the site's name.
+    # No site can make a browser send an address instead of the site's name.
     return address.is_loopback or name == bound or bound in ("0.0.0.0", "::", "")

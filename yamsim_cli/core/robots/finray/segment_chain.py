@@ -18,9 +18,9 @@ _OSCILLATION_TIME = 3e-3
 def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     """Add both fingers to a gripper's MJCF.
 
-    The MJCF has the default classes `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs, which
-    do not collide, and `soft` for meshes. A foot is a body without a joint. Its origin lies on the outer face of the
-    front wall at the base; its x axis points to the tip, its y axis to the other finger.
+    The MJCF has default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs without
+    collisions, and `soft` for meshes. A foot is a body without a joint. Its origin lies on the outer face of the front
+    wall at the base. Its x axis points to the tip, its y axis to the other finger.
 
     Args:
         name: name of the gripper and of its asset set.
