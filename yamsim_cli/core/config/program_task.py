@@ -517,7 +517,6 @@ class ProgramTask(Config):
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
-    """Return the text with known placeholders replaced."""
     return _PLACEHOLDER.sub(lambda found: words.get(found[1], found[0]), text)
 
 

@@ -48,7 +48,6 @@ class _OfEachThing(Predicate):
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
         return [measure for thing in roles.objects_of(self.thing) for measure in self._measures(world, thing)]
 
     def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
@@ -64,7 +63,6 @@ class _OfEachPair(Predicate):
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
         return [self._measure(world, *pair) for pair in roles.pairs(self.thing, getattr(self, self.ROLES[1]))]
 
     @abstractmethod

@@ -33,7 +33,7 @@ _MIN_FORCE = 15.0  # N, least force of a pad
 _FORCE_FACTOR = 8.0  # half weights, force of a pad
 _LEVEL_FACTOR = 1.2  # times the force of a pad that just holds an object level beside its centre of mass
 _MIN_FORCE_FACTOR = 3.0  # half weights, force of a pad below which an object slides out of the pads
-# Limits of a pad's force: stiffness of the drive for both pads, N/m; least command's distance behind closed fingers, m;
+# Limits of a pad's force: stiffness of the drive for both pads, N/m; depth of the lowest command below 0 (closed), m;
 # force limit of the drive, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
 _STIFFNESS, _OVERTRAVEL, _MAX_FORCE = 1000.0, 0.005, 50.0
 _WALL_CLEARANCE = 0.006  # m, from a finger to a wall: the outer finger fits between a plate's rim and the table

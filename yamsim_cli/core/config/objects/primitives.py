@@ -86,7 +86,6 @@ class _MeshPart(Config):
 
     @property
     def bounding_box(self) -> Box:
-        """The box from `low` to `high`."""
         centre = tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(self.low, self.high, strict=True))
         return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]

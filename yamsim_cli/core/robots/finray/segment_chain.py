@@ -98,7 +98,6 @@ def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) ->
 
 
 def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]:
-    """Yield the feet and the bodies that contain them."""
     parents = {child: parent for parent in root.iter() for child in parent}
     wanted = [body for body in root.iter("body") if body.get("name") in tuple(feet)]
     seen: list[Element] = []
