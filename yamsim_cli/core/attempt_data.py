@@ -1,4 +1,4 @@
-"""What the stages of a recording hand to each other: plain frozen data, no simulator types."""
+"""Frozen values that the stages of a recording exchange; none contains simulator types."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .config.goals.role_assignment import RoleAssignment
 from .config.variation import Variation
 from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
 
-# A pose as records hold it where things need not stand upright: x, y, z in m, and a unit quaternion w, x, y, z.
+# The pose in records of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
 FullPose = tuple[float, float, float, float, float, float, float]
 
-# Whether each arm's weld holds, on each of some ticks: (ticks, arms) or (arms,), the left arm's first.
+# Whether each arm's weld is active: (ticks, arms), or (arms,) for one tick; the left arm comes first.
 WeldStates = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the objects stand at the start of an episode.
+    """The initial poses of all objects in an episode.
 
     Attributes:
         T_in_world: object name -> pose (4, 4) in `world`.
-        upright: whether all of them stand upright, so that records need but their headings.
+        upright: whether all objects stand upright, so that records contain only their headings.
     """
 
     T_in_world: Mapping[str, Array]
@@ -35,12 +35,12 @@ class Layout:
 
     @classmethod
     def from_places(cls, places: Mapping[str, UprightPose | FullPose]) -> Layout:
-        """From what `places` gave."""
+        """Return the layout with the given `places`."""
         return cls({name: _pose(place) for name, place in places.items()}, all(len(p) == 4 for p in places.values()))
 
     @property
     def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> where it is, in `world`, as records hold it."""
+        """Object name -> its pose in `world`, in the format of records."""
         return {name: self._place(T) for name, T in self.T_in_world.items()}
 
     def _place(self, T: Array) -> UprightPose | FullPose:
@@ -57,7 +57,7 @@ def _pose(place: UprightPose | FullPose) -> Array:
 
 @dataclass(frozen=True)
 class ArmPosture:
-    """Where an arm stands: its joints (dof,) in rad, and the opening of one finger in m."""
+    """The posture of an arm: its joints (dof,) in rad, and the opening of one finger in m."""
 
     joints: Array
     opening: float
@@ -68,11 +68,11 @@ class JointPath:
     """A path of one arm in joint space, for n control ticks.
 
     Attributes:
-        joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is where the arm starts.
-        torques: the torques (n, dof) that this motion takes, in the middle of each tick, N m.
+        joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is the arm's start.
+        torques: torques (n, dof) that the motion needs in the middle of each tick, N m.
         gripper: opening (n,) of one finger, m.
-        grip_force: how hard each finger presses (n,), N.
-        weld_on: whether the weld holds during each tick, (n,) of bool.
+        grip_force: force (n,) of each finger, N.
+        weld_on: (n,) of bool, whether the weld is active during each tick.
         tick: length of a tick, s.
     """
 
@@ -92,13 +92,13 @@ class JointPath:
 
 @dataclass(frozen=True)
 class ActionSequence:
-    """All that acts on the scene during n control ticks. The same actions from the same start give the same states.
+    """All commands during n control ticks. The same actions from the same start give the same states.
 
     Attributes:
-        ctrl: what the drives are told during each tick (n, nu), rad and m, in MuJoCo's order.
-        magnet: whether each arm's weld holds during each tick (n, arms).
-        joints: the joints and the finger opening of each arm (n, arms, drives) that the plan asks for at the end of
-            each tick, rad and m. Nothing in physics depends on them.
+        ctrl: drive commands (n, nu) during each tick, rad and m, in MuJoCo's order.
+        magnet: (n, arms), whether each arm's weld is active during each tick.
+        joints: planned joints and finger opening of each arm (n, arms, drives) at the end of each tick, rad and m.
+            Physics does not depend on them.
     """
 
     ctrl: Array
@@ -108,14 +108,13 @@ class ActionSequence:
 
 @dataclass(frozen=True)
 class StepState:
-    """The simulation at a recorded frame, and what acts from there until the next one.
+    """The simulation state at a recorded frame, and the actions until the next frame.
 
     Attributes:
         time: simulated time, s.
-        qpos: MuJoCo's positions (nq,), before the frame's first command acts.
-        actions: of the ticks until the next frame.
-        sensed: where the joints and fingers (arms, drives) were when what is read now was measured; None where encoders
-            read at once.
+        qpos: MuJoCo's positions (nq,) before the frame's first command.
+        actions: the actions of the ticks until the next frame.
+        sensed: delayed positions (arms, drives) that the encoders report now, rad and m; None without sensor delay.
     """
 
     time: float
@@ -125,7 +124,7 @@ class StepState:
 
 
 class FailureCause(StrEnum):
-    """Why an attempt failed. `WORKER_LOST` alone is never the task's doing: the worker died, or hung."""
+    """Why an attempt failed. Only `WORKER_LOST` does not depend on the task: the worker died or hung."""
 
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
@@ -143,14 +142,14 @@ class FailureCause(StrEnum):
 
 @dataclass(frozen=True)
 class MotionMargins:
-    """How near an attempt's simulated motion came to what the arm can do: the worst over all joints and all times.
+    """Margins of an attempt's simulated motion to the limits of the arm: the worst over all joints and times.
 
     Attributes:
         velocity: largest speed of a joint, as a share of its motor's no-load speed.
-        torque: largest torque of a drive, as a share of the most that it gives.
-        joint: smallest distance of a joint from its nearer stop, rad; negative beyond it.
-        slip: largest distance that a thing moved in a hand that held it, m; None if that was not measured.
-        tilt: largest angle between a thing's vertical axis when it was taken and while it was held, rad; likewise.
+        torque: largest torque of a drive, as a share of the drive's limit.
+        joint: smallest distance of a joint from its nearer joint limit, rad; negative beyond the limit.
+        slip: largest distance that a held object moved in the hand, m; None if not measured.
+        tilt: largest rotation of a held object's vertical axis since its grasp, rad; None if not measured.
     """
 
     velocity: float
@@ -165,9 +164,9 @@ class Recovery:
     """A skill that failed and was tried again.
 
     Attributes:
-        step: its number in the program as run.
-        skill: its name.
-        detail: what had gone wrong.
+        step: number of the skill in the program as run.
+        skill: name of the skill.
+        detail: the reason of the failure.
         frame: the first recorded frame of the new try.
     """
 
@@ -179,18 +178,18 @@ class Recovery:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How an attempt ended, in numbers, so that any other threshold can be applied later.
+    """The result of an attempt in numbers, so that other thresholds can be applied later.
 
     Attributes:
-        success: whether it succeeded by the task's own threshold.
-        cause: why it failed; None on success.
-        detail: the figures behind the cause, as text for a person.
+        success: whether the attempt succeeded by the task's own threshold.
+        cause: why the attempt failed; None on success.
+        detail: the figures behind the cause, as text.
         dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.
-        margins: of the motion; None if never simulated.
-        measures: of everything that a goal asks for; none where a task has no goal of its own.
-        recoveries: of a program: what had to be tried again.
+        margins: margins of the motion; None if never simulated.
+        measures: measures of the goal's predicates; empty for a task without a goal.
+        recoveries: skills of the program that failed and were tried again.
     """
 
     success: bool
@@ -206,7 +205,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class AttemptJob:
-    """What a worker is asked for: an attempt, in which everything random follows from these two numbers."""
+    """The seed and the number of an attempt, which determine everything random in the attempt."""
 
     seed: int
     attempt: int
@@ -214,15 +213,15 @@ class AttemptJob:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What was sampled for one attempt. What happens in it follows from this value and from what acts.
+    """The samples of one attempt. These and the commands determine the course of the attempt.
 
     Attributes:
-        job: its numbers.
-        layout: where things stand; None where there was no room for them.
-        variation: what differs from other attempts beside the layout.
-        start: MuJoCo's positions (nq,) at the beginning, when everything is at rest; None without a layout.
-        roles: who plays which role, in a task that has roles.
-        phrasing: what is said to have it done; empty where the task's own prompt is.
+        job: seed and number of the attempt.
+        layout: initial poses of the objects; None if there was no room for them.
+        variation: samples of the domain randomization.
+        start: MuJoCo's positions (nq,) at the start, with everything at rest; None without a layout.
+        roles: role assignment; None for a task without roles.
+        phrasing: the instruction; empty for the task's own prompt.
     """
 
     job: AttemptJob
@@ -234,21 +233,21 @@ class Attempt:
 
     @property
     def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> where it is at the start, in `world`; empty without a layout."""
+        """Object name -> its initial pose in `world`; empty without a layout."""
         return {} if self.layout is None else self.layout.places
 
 
 @dataclass(frozen=True)
 class AttemptPayload:
-    """What a worker gives back for one attempt.
+    """The result, files and figures that a worker returns for one attempt.
 
     Attributes:
-        attempt: what was sampled for it.
-        outcome: how it ended.
-        files: relative POSIX path -> content of the episode, without `episode.json`; empty unless it succeeded.
-        frames: how many frames `files` holds.
-        content_sha256: hash of the decoded lowdim values, so that it does not depend on the pickle format.
-        versions: package -> version, of those that the bytes depend on, where they were made.
+        attempt: the samples of the attempt.
+        outcome: the result of the attempt.
+        files: relative POSIX path -> content of an episode's file, without `episode.json`; empty without success.
+        frames: number of frames in `files`.
+        content_sha256: hash of the decoded lowdim values; independent of the pickle format.
+        versions: package -> version in the worker, for each package that affects the bytes.
         renderer: the OpenGL implementation that rendered the images; empty without images.
     """
 
@@ -262,5 +261,5 @@ class AttemptPayload:
 
     @property
     def job(self) -> AttemptJob:
-        """The attempt's numbers."""
+        """Seed and number of the attempt."""
         return self.attempt.job

@@ -7,11 +7,11 @@ from typing import Self
 
 
 class Closable(ABC):
-    """Base of objects that own a resource, such as a renderer or workers: a `with` statement closes them."""
+    """Base of objects that own a resource, such as a renderer or workers. A `with` statement closes the object."""
 
     @abstractmethod
     def close(self) -> None:
-        """Free what this object owns."""
+        """Free the resources of this object."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,7 +1,7 @@
-"""The errors that users see, each one line of text and one documented exit code, and words for messages.
+"""Errors that users see, with their documented exit codes, and helpers for one-line messages.
 
-A message says what is wrong, where, the value found, what would be valid, and what to do. Anything that is not a
-`YamsimError` is a bug: it keeps its traceback and exits with 1.
+A message names the fault, the place, the value, the valid values and the remedy. Every exception that is not a
+`YamsimError` is a bug: the program prints its traceback and exits with 1.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import ClassVar
 
 
 class YamsimError(Exception):
-    """Base of every error that is the user's or the machine's, not a bug in yamsim."""
+    """Base of errors with a cause outside yamsim: the user's input, a file or the machine."""
 
     exit_code: ClassVar[int] = 1
 
@@ -30,13 +30,13 @@ class ConfigError(YamsimError):
 
 
 class ResourceError(YamsimError):
-    """Something the job needs is missing: a mesh, a GL backend, a package extra, write permission."""
+    """A missing resource: a mesh, a GL backend, a package extra or write permission."""
 
     exit_code = 4
 
 
 class DatasetError(YamsimError):
-    """A dataset, or a file of one, that cannot be trusted."""
+    """A damaged or inconsistent dataset, or such a file of a dataset."""
 
     exit_code = 4
 
@@ -60,12 +60,12 @@ class InterruptedJobError(YamsimError):
 
 
 def count_noun(number: int, noun: str) -> str:
-    """A number with its noun: ``"1 episode"``, ``"2 episodes"``."""
+    """Return a number with its noun: ``"1 episode"``, ``"2 episodes"``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def join_ranges(numbers: Iterable[int]) -> str:
-    """Ordered numbers with runs joined: ``"0-4, 7, 9-10"``."""
+    """Return ordered numbers as text with consecutive ones joined: ``"0-4, 7, 9-10"``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:
@@ -76,7 +76,7 @@ def join_ranges(numbers: Iterable[int]) -> str:
 
 
 def file_size(size: float) -> str:
-    """A number of bytes for a person, in kB, MB or GB."""
+    """Return a number of bytes as text in kB, MB or GB."""
     for unit, scale in (("GB", 1e9), ("MB", 1e6)):
         if size >= scale:
             return f"{size / scale:.1f} {unit}"
@@ -84,11 +84,7 @@ def file_size(size: float) -> str:
 
 
 def suggest(value: str, valid: Iterable[str]) -> str:
-    """The valid values in words, after the closest one if there is a close one.
-
-    Returns:
-        For example ``"did you mean 'single'? valid: bimanual, single"``.
-    """
+    """Return text such as ``"did you mean 'single'? valid: bimanual, single"``; no question without a close value."""
     choices = sorted(valid)
     close = difflib.get_close_matches(value, choices, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""

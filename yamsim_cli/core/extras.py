@@ -1,4 +1,4 @@
-"""Libraries that only some commands need, each installed by an extra of yamsim."""
+"""Checks for optional libraries, each installed by an extra of yamsim."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def require_library(feature: str, library: str, extra: str) -> None:
     """Make sure that a library is installed.
 
     Args:
-        feature: what needs the library, for the message.
+        feature: the feature that needs the library, for the message.
         library: name of the module.
         extra: extra of yamsim that installs the library.
 

@@ -15,9 +15,9 @@ _LOOPBACK_NAME = "localhost"
 
 
 def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | None:
-    """The reason why a request is refused; None if the request is accepted.
+    """Return the reason to refuse a request; None if the request is accepted.
 
-    Programs other than browsers send no `Origin`, and are accepted. A page is accepted if this server sent the page.
+    Requests without `Origin`, as from programs other than browsers, are accepted. So are pages of this server.
 
     Args:
         hosts: values of the header `Host`.
@@ -39,7 +39,7 @@ def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> 
 
 
 def _split(url: str) -> SplitResult | None:
-    """The parts of a URL; None if the URL is not valid."""
+    """Return the parts of a URL; None if the URL is invalid, or has more parts than scheme, host and port."""
     try:
         parts = urlsplit(url)
         _ = parts.port
@@ -49,12 +49,12 @@ def _split(url: str) -> SplitResult | None:
 
 
 def _is_own(name: str, bound: str) -> bool:
-    """Whether a host name, without its port, means the server that listens on `bound`."""
+    """Return whether a host name, without its port, is a name of the server that listens on `bound`."""
     name, bound = name.lower().rstrip("."), bound.lower()
     try:
         address = ipaddress.ip_address(name)
     except ValueError:
         machine = socket.gethostname().lower() if bound in ("0.0.0.0", "::", "") else bound
         return name in (_LOOPBACK_NAME, bound, machine)
-    # No site can make a browser send an address in place of the site's name.
+    # No site can make a browser send an address instead of the site's name.
     return address.is_loopback or name == bound or bound in ("0.0.0.0", "::", "")

@@ -1,6 +1,6 @@
-"""HTML and SVG as text, and the parts that report pages share.
+"""HTML and SVG as text, and the common parts of report pages.
 
-Everything that is not markup itself is escaped, so that no data can break out of a page.
+All text except `Markup` is escaped, so that data cannot inject elements into a page.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from pathlib import Path
 from .. import __version__
 from .files.writing import write_output
 
-# Elements that never have content, in HTML.
+# HTML elements without content.
 _VOID = frozenset({"meta", "img", "br", "hr"})
 
 _SPACES = "\n\N{NO-BREAK SPACE}"
 
-# The browser loads nothing but the page itself: no script, font or picture from elsewhere, whatever the data holds.
+# The browser loads only the page itself: no script, font or picture from other sources, whatever the data contains.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 _STYLE = Path(__file__).with_name("report.css")
 
 
 class Markup(str):
-    """Text that is markup, made by `tag` and `join`. Any other text in a page is escaped."""
+    """Markup made by `html_tag` and `join_markup`. All other text in a page is escaped."""
 
     __slots__ = ()
 
@@ -35,11 +35,11 @@ Child = str | int | float | None | Iterable["Child"]
 
 
 def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
-    """An element.
+    """Return an element.
 
     Args:
-        children: text, which is escaped; markup; or lists of them. None is left out.
-        attributes: `_` stands for `-`, and at the end for nothing (`class_`). None leaves the attribute out.
+        children: text, which is escaped; markup; or lists of both. None is left out.
+        attributes: `_` becomes `-`, and is removed at the end (`class_`). The value None leaves the attribute out.
     """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{html.escape(_text(value))}"'
@@ -52,17 +52,17 @@ def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
 
 
 def join_markup(children: Iterable[Child]) -> Markup:
-    """Children one after the other."""
+    """Return the concatenated markup of children."""
     return Markup("".join(map(_child, children)))
 
 
 def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
-    """A whole page.
+    """Return a whole HTML page.
 
     Args:
         title: title of the browser's tab.
-        kicker: the kind of page, above the heading.
-        made: the foot of the page, see `page_footer`.
+        kicker: the kind of page, shown above the heading.
+        made: the footer, see `page_footer`.
     """
     head = [
         html_tag("meta", charset="utf-8"),
@@ -70,7 +70,7 @@ def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made
         html_tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         html_tag("meta", name="referrer", content="no-referrer"),
         html_tag("title", title),
-        # The style sheet is the project's own, and must not be escaped.
+        # The project's own style sheet must not be escaped.
         Markup(f"<style>{_STYLE.read_text(encoding='utf-8')}</style>"),
     ]
     top = [html_tag("p", kicker, class_="kicker"), html_tag("h1", heading)]
@@ -79,7 +79,7 @@ def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made
 
 
 def page_footer() -> str:
-    """The foot of a page: yamsim's version, and the date."""
+    """Return the footer of a page: yamsim's version and the date."""
     return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
 
 
@@ -93,12 +93,12 @@ def write_page(text: str, path: Path) -> None:
 
 
 def section(title: str, *children: Child) -> Markup:
-    """A section with its heading."""
+    """Return a section with its heading."""
     return html_tag("section", html_tag("h2", title), children)
 
 
 def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Markup | None = None) -> Markup | None:
-    """A section of figures in a grid; None without figures.
+    """Return a section of figures in a grid; None without figures.
 
     Args:
         kind: the grid's class in the style sheet: `columns`, `plans` or `strips`.
@@ -107,7 +107,7 @@ def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Marku
 
 
 def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
-    """The large figures at the top of a page, each a value and its label."""
+    """Return the large figures at the top of a page, each a value and its label."""
     return html_tag(
         "div",
         [html_tag("div", html_tag("b", value), html_tag("span", label)) for value, label in figures],
@@ -116,51 +116,51 @@ def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
 
 
 def verdict(text: str, kind: str) -> Markup:
-    """One line on the whole page's subject; `kind` is `fine`, `warning` or `error`."""
+    """Return the line that summarizes a page; `kind` is `fine`, `warning` or `error`."""
     return html_tag("p", html_tag("span", text), class_=f"verdict {kind}")
 
 
 def captioned(title: str, picture: Markup, caption: str) -> Markup:
-    """A plot with its title and caption."""
+    """Return a plot with its title and caption."""
     return html_tag("figure", html_tag("h3", title), picture, html_tag("figcaption", caption))
 
 
 def jpeg_image(data: bytes, alt: str, width: int | None = None) -> Markup:
-    """A JPEG file as an image within the page; `width` in px."""
+    """Return a JPEG file as an image embedded in the page; `width` in px."""
     return html_tag("img", src=f"data:image/jpeg;base64,{base64.b64encode(data).decode()}", alt=alt, width=width)
 
 
 def captioned_jpeg(caption: str, data: bytes, width: int) -> Markup:
-    """A JPEG file with its caption; `width` in px."""
+    """Return a JPEG file with its caption; `width` in px."""
     return html_tag("figure", jpeg_image(data, caption, width), html_tag("figcaption", caption))
 
 
 def legend(entries: Iterable[tuple[str | None, str]]) -> Markup:
-    """A legend of pairs: a mark's class in the style sheet, None for the usual dot, and what the mark means."""
+    """Return a legend of pairs: a mark's class in the style sheet (None for the default dot) and its meaning."""
     return html_tag(
         "div", [html_tag("span", html_tag("i", class_=kind), text) for kind, text in entries], class_="legend"
     )
 
 
 def header_row(headings: Iterable[str]) -> Markup:
-    """A table's row of column headings."""
+    """Return a table's row of column headings."""
     return html_tag("tr", [html_tag("th", text, scope="col") for text in headings])
 
 
 def table_rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
-    """A table's rows, whose first cells are their headings."""
+    """Return a table's rows, whose first cells are their headings."""
     return [
         html_tag("tr", html_tag("th", row[0], scope="row"), [html_tag("td", cell) for cell in row[1:]]) for row in cells
     ]
 
 
 def html_table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
-    """A table with column headings, see `rows`."""
+    """Return a table with column headings, see `table_rows`."""
     return html_tag("table", html_tag("thead", header_row(headings)), html_tag("tbody", table_rows(cells)))
 
 
 def percent(rate: float, digits: int = 1) -> str:
-    """A rate of 0..1 in per cent."""
+    """Return a rate of 0..1 as text in percent."""
     return f"{rate * 100:.{digits}f}\N{NO-BREAK SPACE}%"
 
 
@@ -175,7 +175,7 @@ def _child(child: Child) -> str:
 
 
 def _text(value: object) -> str:
-    """A value as text: floats with two decimals, and strings without characters that control or reverse other text."""
+    """Return floats with two decimals, and strings without characters that control or reverse other text."""
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".")
     return "".join(

@@ -1,6 +1,6 @@
 """Plots as SVG: histograms, bars, rates, curves over time, and the workspace from above.
 
-Their colours come from the page's style sheet.
+The page's style sheet defines the colours.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from .markup import Markup, html_tag, join_markup, percent
 from .statistics import Coverage
 
 _WIDTH = 460.0  # px
-_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, of the workspace from above
+_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, size of the plot of the workspace
 
-_STRETCH = 2.0  # times the largest distance; a limit farther out is only named, as it would squeeze the histogram
-_MAX_CURVE_POINTS = 500  # the lowest and the highest of each of half as many stretches, so that no peak is lost
-_CURVE_ROOM = 0.06  # room above and below curves, as a share of their span
-_MAX_DOTS = 4000  # of a workspace: more dots cannot be told apart, and make the page large
-_MAX_NAME = 20  # letters of a bar's name
+_MAX_LIMIT_RATIO = 2.0  # times the largest distance; a farther limit is only named, since it would squeeze the bars
+_MAX_CURVE_POINTS = 500  # points of a curve: minimum and maximum of each of 250 intervals, which keeps every peak
+_CURVE_ROOM = 0.06  # margin above and below curves, as a share of their span
+_MAX_DOTS = 4000  # dots of one kind in a workspace; more cannot be distinguished, and make the page large
+_MAX_NAME = 20  # characters of a bar's name
 
 Values = NDArray[np.float64]
 Point = tuple[float, float]
@@ -30,7 +30,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class PixelScale:
-    """A linear scale from values to pixels. `start` is the pixel of `low`, `end` that of `high`; both may decrease."""
+    """A linear scale from values to pixels. `start` is the pixel of `low`, `end` the pixel of `high`."""
 
     low: float
     high: float
@@ -38,12 +38,12 @@ class PixelScale:
     end: float
 
     def __call__(self, value: float) -> float:
-        """The pixel of a value."""
+        """Return the pixel of a value."""
         span = self.high - self.low
         return self.start + (value - self.low) / span * (self.end - self.start) if span else (self.start + self.end) / 2
 
     def ticks(self, maximum: int) -> list[float]:
-        """Round values between `low` and `high`, about `maximum` of them."""
+        """Return about `maximum` round values between `low` and `high`."""
         low, high = sorted((self.low, self.high))
         span = high - low
         if span == 0:
@@ -58,13 +58,13 @@ class PixelScale:
 
 @dataclass(frozen=True)
 class Axes:
-    """Two scales: `x` along the lower edge of a rectangle, `y` along its left edge."""
+    """The scales of a plot: `x` along its lower edge, `y` along its left edge."""
 
     x: PixelScale
     y: PixelScale
 
     def draw(self, x_label: str, y_label: str, *, x_ticks: int = 6, y_ticks: int = 5, x_grid: bool = True) -> Markup:
-        """Grid, numbers and labels."""
+        """Return the grid with its numbers and labels."""
         left, right = sorted((self.x.start, self.x.end))
         top, bottom = sorted((self.y.start, self.y.end))
         parts = []
@@ -89,14 +89,14 @@ class Axes:
 
 
 def format_number(value: float) -> str:
-    """A round number, without the noise of floating point, and with a true minus sign."""
+    """Return a number as text, without rounding errors, with a typographic minus sign."""
     return f"{round(value, 9) + 0.0:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
 def plot_distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
-    """A histogram of distances, with a line at every limit; limits far out are only named.
+    """Return a histogram of distances, with a line at every limit; far limits are only named.
 
     Args:
         edges: edges of the bins, m.
@@ -106,10 +106,10 @@ def plot_distances(
     """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
-    near = [limit for limit in limits if limit * 1000 < _STRETCH * high]
+    near = [limit for limit in limits if limit * 1000 < _MAX_LIMIT_RATIO * high]
     low = 0.0 if limits else low - (edges[1] - edges[0]) * 1000
     high = max([high, *(limit * 1000 for limit in near)]) + (high - low) * 0.04
-    # At least 4, so that ticks are whole numbers.
+    # With at least 4, ticks are whole numbers.
     top = max(max(counts) * 1.08, 4.0)
     axes = Axes(PixelScale(low, high, 44, right), PixelScale(0, top, height - 46, 26))
     parts = [
@@ -137,7 +137,7 @@ def plot_distances(
 
 
 def plot_failures(counts: Mapping[str, int]) -> Markup:
-    """A horizontal bar for each cause of failure, the longest first."""
+    """Return a plot with a horizontal bar for each cause of failure, the longest first."""
     row, left = 26.0, 130.0
     scale = PixelScale(0, max(counts.values()), 0, _WIDTH - left - 56)
     parts = []
@@ -153,7 +153,7 @@ def plot_failures(counts: Mapping[str, int]) -> Markup:
 
 
 def plot_rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
-    """A line for each rate, with its interval; rows are name, rate, (low, high), all in 0..1."""
+    """Return a plot of rates with their intervals; rows are name, rate, (low, high), with values in 0..1."""
     row, left, top = 30.0, 150.0, 6.0
     height = top + row * len(rows) + 26
     low = max(0.0, math.floor(min(interval[0] for _, _, interval in rows) * 10 - 0.5) / 10)
@@ -190,11 +190,11 @@ def plot_curves(
     mark: float | None = None,
     min_span: float = 0.0,
 ) -> Markup:
-    """A plot of curves over one time.
+    """Return a plot of curves over time.
 
     Args:
-        times: (n,), s.
-        lines: class in the style sheet -> values (n,), NaN where unknown.
+        times: times (n,), s.
+        lines: class in the style sheet -> values (n,), NaN if unknown.
         mark: a time to mark, s.
         min_span: smallest span of the vertical axis, so that noise does not look large.
     """
@@ -230,13 +230,13 @@ def _points(axes: Axes, times: Values, values: Values) -> str:
 
 @dataclass(frozen=True)
 class ObjectPlaces:
-    """The places of an object.
+    """The positions of an object.
 
     Attributes:
-        good: in episodes that count as a success.
-        bad: in episodes that do not.
-        failed: in attempts that failed.
-        grid: how they cover the sampling box; None where the box is not known.
+        good: positions in successful episodes.
+        bad: positions in episodes without success.
+        failed: positions in failed attempts.
+        grid: coverage of the sampling box; None if the box is unknown.
     """
 
     good: Sequence[Point]
@@ -246,17 +246,17 @@ class ObjectPlaces:
 
 
 def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
-    """The workspace from above, with the robot's base at the bottom: x points up and y to the left, both in metres.
+    """Return a plot of the workspace from above, the robot's base at the bottom: x points up, y to the left, in m.
 
     Args:
         box: the sampling box, as x and y ranges.
-        frame: name of the frame that the points are in.
+        frame: name of the points' frame.
     """
     points = [*places.good, *places.bad, *places.failed]
     corners = [*points, *zip(*box, strict=True)] if box else points
     (x_low, x_high), (y_low, y_high) = (_padded([corner[k] for corner in corners]) for k in (0, 1))
     left, right, top = 46.0, _PLAN_WIDTH - 10, 26.0
-    # A metre is as long on both axes. A plot that would get too tall is made narrower.
+    # Both axes have the same scale. A plot that would be too tall becomes narrower.
     scale = min((right - left) / (y_high - y_low), _PLAN_MAX_HEIGHT / (x_high - x_low))
     right, bottom = left + scale * (y_high - y_low), top + scale * (x_high - x_low)
     axes = Axes(PixelScale(y_high, y_low, left, right), PixelScale(x_low, x_high, bottom, top))
@@ -267,7 +267,7 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
         _cells(axes, box, places.grid) if box and places.grid else None,
         axes.draw(f"y, m, in {frame}", "x, m", x_ticks=5),
         _rectangle(axes, *box, "box") if box else None,
-        # Strokes without length are dots, and take a tenth of the bytes of as many circles.
+        # Strokes without length are dots. They take a tenth of the bytes of circles.
         _marks(axes, places.good, 0.0, "h0", "dots good-dots"),
         _marks(axes, places.bad, 0.0, "h0", "dots bad-dots"),
         _marks(axes, places.failed, 2.5, "l5 5m0 -5l-5 5", "crosses"),
@@ -275,7 +275,7 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
 
 
 def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]:
-    """The cells of the sampling box that were hit."""
+    """Return the cells of the sampling box that contain points."""
     (x0, x1), (y0, y1) = box
     dx, dy = (x1 - x0) / grid.shape[0], (y1 - y0) / grid.shape[1]
     return [
@@ -287,13 +287,13 @@ def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]
 
 
 def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
-    """A rectangle over ranges of the workspace's x and y, m."""
+    """Return a rectangle over ranges of the workspace's x and y, m."""
     left, top = axes.x(y[1]), axes.y(x[1])
     return html_tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
 
 
 def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
-    """One path with a stroke at every point, from `offset` px above and left of the point."""
+    """Return one path with a stroke at every point, which starts `offset` px above and left of the point."""
     if not points:
         return None
     kept = points[:: math.ceil(len(points) / _MAX_DOTS)]
@@ -308,7 +308,7 @@ def _padded(values: Sequence[float]) -> Point:
 
 
 def _svg(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
-    """A picture, with a title for people who cannot see it."""
+    """Return a picture with a title for screen readers."""
     return html_tag(
         "svg",
         html_tag("title", title),

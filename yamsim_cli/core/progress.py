@@ -4,5 +4,5 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Called with how many parts are done, and how many there are.
+# Called with the number of finished parts and the total number of parts.
 Progress = Callable[[int, int], None]

@@ -1,4 +1,4 @@
-"""Commands and measurements of arms over time: a recording without its pictures."""
+"""Commands and measurements of arms over time: a recording without images."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from .geometry.se3 import Array
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """One arm of a motion; rows are samples.
+    """The motion of one arm; rows are samples.
 
     Attributes:
-        side: `left` or `right` of two arms, empty of a lone one.
-        joints: measured (n, dof), rad; NaN in samples with a command alone.
-        commands: of the joints' drives (n, dof), rad; None if not recorded.
-        openings: measured, of one finger (n,), m; NaN as for `joints`, None if not recorded.
-        commanded_openings: (n,), m; None if not recorded.
-        velocities: measured (n, dof), rad/s; NaN as for `joints`, None if not recorded.
+        side: `left` or `right` for two arms, empty for a single arm.
+        joints: measured joints (n, dof), rad; NaN in samples that have only a command.
+        commands: commands (n, dof) of the joints' drives, rad; None if not recorded.
+        openings: measured openings (n,) of one finger, m; NaN as for `joints`, None if not recorded.
+        commanded_openings: commanded openings (n,) of one finger, m; None if not recorded.
+        velocities: measured joint velocities (n, dof), rad/s; NaN as for `joints`, None if not recorded.
     """
 
     side: str
@@ -32,14 +32,14 @@ class ArmMotion:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A recorded motion of one arm or two.
+    """A recorded motion of one or two arms.
 
     A command acts from its sample's time until the next sample's.
 
     Attributes:
         name: source of the motion, for messages.
-        times: of the samples (n,), s, strictly increasing, the first one 0.
-        arms: the left arm first.
+        times: times (n,) of the samples, s, strictly increasing from 0.
+        arms: the motion of each arm, the left arm first.
 
     Raises:
         ValueError: times do not increase from 0, or an array has another number of rows.

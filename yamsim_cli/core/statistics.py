@@ -9,32 +9,32 @@ from dataclasses import dataclass
 import numpy as np
 
 _Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
-THRESHOLDS = (0.05, 0.08)  # m, default distances by which attempts are scored. Source: the lab reports both
-_MAX_BINS = 40  # of a histogram
-_MIN_SPAN = 1e-4  # m, smallest span of values that is divided into bins
+THRESHOLDS = (0.05, 0.08)  # m, default success distances of attempts. Source: the lab reports both
+_MAX_BINS = 40  # bins of a histogram
+_MIN_SPAN = 1e-4  # m, span of a histogram with a smaller span of values
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a success rate, valid for small n and rates near 0 and 1; (0, 1) for n = 0."""
+    """Return Wilson's 95 % interval of a success rate, valid for small n and rates near 0 and 1; (0, 1) for n = 0."""
     if n == 0:
         return 0.0, 1.0
     rate = successes / n
     scale = 1 + _Z95**2 / n
     centre = (rate + _Z95**2 / (2 * n)) / scale
     half = _Z95 / scale * math.sqrt(rate * (1 - rate) / n + _Z95**2 / (4 * n**2))
-    # For rates of 0 and 1 one bound is exact; rounding would move that bound slightly inside.
+    # For rates of 0 and 1, one bound is exact. Rounding would move that bound slightly inside.
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
 def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
-    """Median, 95th percentile and maximum; None without values."""
+    """Return median, 95th percentile and maximum; None without values."""
     if not values:
         return None
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """`edges` and `counts` of a histogram; None without values. Edges are multiples of a round bin width."""
+    """Return `edges` and `counts` of a histogram with round edges; None without values."""
     if not values:
         return None
     span = max(max(values) - min(values), _MIN_SPAN)
@@ -88,7 +88,7 @@ def compute_coverage(
 
 
 def _cells(span: tuple[float, float], cell: float) -> int:
-    # Slightly less, so that 0.25 m are five cells of 0.05 m in spite of rounding.
+    # Subtract a tolerance, so that rounding does not divide 0.25 m into six cells of 0.05 m.
     return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
 
 

@@ -1,4 +1,4 @@
-"""Loads configs by name or file. Errors name the file, the key, the value and what would be valid."""
+"""Loads configs by name or file. Error messages contain the file, the key, the value and the valid values."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ KINDS: Mapping[str, type[Config]] = {
     "revisions": Dynamics,
 }
 
-REVISION = "revision"  # the override's key below a rig that replaces the revision of its robots
-ROBOT = "robot"  # the override's key below a rig that adds identified dynamics to its arms
-_JOINED = "+"  # between the names of a robot and its gripper
+REVISION = "revision"  # key below a rig in overrides: another revision of its robots
+ROBOT = "robot"  # key below a rig in overrides: identified dynamics of its arms
+_JOINED = "+"  # separator between the names of a robot and its gripper
 _DYNAMICS = "revisions"
 
 C = TypeVar("C", bound=Config)
@@ -63,14 +63,13 @@ Check = Callable[[Config], None]
 
 
 def config_model(kind: str) -> type[Config]:
-    """The model of a kind of config. Raises ConfigError if no kind has that name."""
+    """Return the model of a kind of config. Raises ConfigError if no kind has that name."""
     if kind not in KINDS:
         raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
     return KINDS[kind]
 
 
 def _require_task_kind(document: Document) -> None:
-    """Make sure that a task's `kind` is known."""
     kind = document.data.get("kind")
     valid = (PROGRAM, *OLDER_KINDS)
     if kind is not None and kind not in valid:
@@ -78,7 +77,7 @@ def _require_task_kind(document: Document) -> None:
 
 
 def config_json_schema(kind: str) -> dict[str, Any]:
-    """The JSON schema of a kind of config. Raises as `config_model`."""
+    """Return the JSON schema of a kind of config. Raises as `config_model`."""
     return config_model(kind).model_json_schema()
 
 
@@ -96,16 +95,16 @@ def load_config(
         kind: folder under `configs/`.
         name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (origin, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
-        check: a further check, which raises a `ConflictError`.
+        check: an additional check, which raises a `ConflictError`.
 
     Raises:
-        ConfigError: the config is not valid; the message has file, line, key path, value and what would be valid.
-        UsageError: likewise, for a value that a flag or keyword in `overrides` gave.
+        ConfigError: the config is not valid; the message has file, line, key path, value and valid values.
+        UsageError: the same for a value from a flag or keyword in `overrides`.
     """
     document = _load_named(model, kind, name, locations)
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    # References are resolved between two passes: a flag can change a value inside a config that another flag names.
+    # Override top-level keys first, then resolve references: a flag can change a value in a config that another names.
     changes = overrides or {}
     for path, (place, value) in changes.items():
         if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
@@ -133,13 +132,13 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
     """Validate a config in YAML text. Raises as `load_config`.
 
     Args:
-        as_recorded: accept implausible values, since the config is that of a recorded dataset.
+        as_recorded: accept implausible values, for the config of a recorded dataset.
     """
     return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
 
 
 def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
-    """The document of a named config. Raises as `Locations.config_file`."""
+    """Return the document of a named config. Raises as `Locations.config_file`."""
     if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
         return _single_arm_rig(name)
     if kind == robot_names.ARMS:
@@ -148,7 +147,7 @@ def _load_named(model: type[Config], kind: str, name: str, locations: Locations)
 
 
 def _single_arm_rig(name: str) -> Document:
-    """The rig of one arm named by its robot and its gripper: `yam_pro+linear_4310`."""
+    """Return a rig of one arm from the names of robot and gripper: `yam_pro+linear_4310`."""
     robot, _, gripper = name.partition(_JOINED)
     document = parse_yaml("{}", f"rig {name}")
     arm = {"name": "arm1", "side": "right", "model": robot, "gripper": gripper}
@@ -167,7 +166,7 @@ def _set_revision(document: Document, path: KeyPath, revision: str, place: str, 
 
 
 def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
-    """Add the dynamics in each file to the arms of the rig at `path` with its model and side."""
+    """Add the dynamics in each file to the arms with the same model and side in the rig at `path`."""
     for file in files:
         try:
             dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
@@ -189,7 +188,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
 
 
 def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
-    """Index of each arm of the rig at `path` -> its robot model and its side."""
+    """Return the index of each arm of the rig at `path` -> its robot model and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
@@ -213,14 +212,13 @@ def _read(model: type[Config], path: Path) -> Document:
 
 
 def _upgrade(task: dict[str, Any]) -> None:
-    """Upgrade a task of an older kind in place."""
     upgraded = upgrade_task(task)
     task.clear()
     task.update(upgraded)
 
 
 def _other_kind(model: type[Config], document: Document) -> str | None:
-    """An error message if the file's keys are those of another kind of config; else None."""
+    """Return an error message if the file's keys are those of another kind of config; else None."""
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
     if kind is None or (instead := detect_other_kind(KINDS, kind, document.data)) is None:
         return None
@@ -265,7 +263,7 @@ def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
 
 
 def _resolve_references(model: type[Config], document: Document, path: KeyPath, locations: Locations) -> None:
-    """Replace references to other configs by their content, in place."""
+    """Replace references to other configs in place by their content."""
     here: Any = document.data
     for key in path:
         here = here[key]
@@ -311,7 +309,7 @@ def _insert_referenced_config(
 
 
 def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Locations) -> str:
-    """Add the dynamics in a file beside the `model` at `path`, and return the name of their robot model."""
+    """Add the dynamics in a file beside the `model` at `path`, and return the name of the robot model."""
     key = (*path[:-1], "dynamics")
     try:
         dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
@@ -322,7 +320,6 @@ def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Loca
 
 
 def _base(dynamics: Document) -> str:
-    """The robot model of identified dynamics."""
     base = dynamics.data.get("base")
     if not isinstance(base, str):
         raise ConfigError(

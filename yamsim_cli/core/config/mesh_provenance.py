@@ -1,6 +1,6 @@
-"""Descriptions of the meshes that a dataset shows, one for each asset set.
+"""Descriptions of the meshes in a dataset's images, one for each asset set.
 
-A description is `primitives`, or `full` or `reduced` with a hash over the files. Meshes do not change physics.
+A description is `primitives`, or `full` or `reduced` with a hash of the files. Meshes do not affect physics.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ REDUCED = "reduced"
 
 PATTERN = rf"^({PRIMITIVES}|({FULL}|{REDUCED}) [0-9a-f]{{64}})$"
 
-_DIGITS = 12  # of a hash in messages
+_DIGITS = 12  # digits of a hash in messages
 
 # Asset set -> description.
 ShownMeshes = Mapping[str, str]
 
 
 def describe(text: str | None) -> str:
-    """A description for messages; `text` is None for an unused set."""
+    """Return a description for messages; `text` is None for an unused set."""
     if text is None:
         return "not used"
     kind, _, digest = text.partition(" ")
@@ -28,7 +28,7 @@ def describe(text: str | None) -> str:
 
 
 def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
-    """`set: description there, description now` for every set whose descriptions differ."""
+    """Return `set: description there, description now` for every set whose descriptions differ."""
     return [
         f"{name}: {describe(one.get(name))} {places[0]}, {describe(other.get(name))} {places[1]}"
         for name in sorted({*one, *other})
@@ -37,7 +37,7 @@ def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, st
 
 
 def describe_remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
-    """How to get the meshes that a dataset was recorded with."""
+    """Return an instruction for getting the meshes of a recorded dataset."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
     if any(now.get(name) == PRIMITIVES for name in changed):
         return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"

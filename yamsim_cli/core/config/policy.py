@@ -1,4 +1,4 @@
-"""How a policy of another program names its observations and actions, and their units and order."""
+"""Names, units and order of the observations and actions of a policy in another program."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Dtype = Literal["float32", "float64"]
 Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
-CameraName = Name  # of a camera in `policies.policy_protocol.IMAGES`, or of a station's camera
+CameraName = Name  # name of a camera in `policies.policy_protocol.IMAGES`, or of a station's camera
 Constant = bool | int | float | str
 
 
 class PictureMapping(Config):
-    """A picture in the format of a policy.
+    """An image in the format of a policy.
 
     Attributes:
-        cameras: the first of these cameras that the rig has gives the picture.
+        cameras: candidate cameras; the image is from the first one that the rig has.
         size_px: width and height; as rendered if left out.
-        fit: "stretch" changes the aspect ratio to fill that size; "pad" keeps it and adds black.
+        fit: "stretch" changes the aspect ratio to fill the size; "pad" keeps the aspect ratio and adds black.
         layout: "rows" for (height, width, 3), "channels" for (3, height, width).
-        optional: whether the picture is left out where the rig has no such camera, or a checkpoint has no such input.
+        optional: whether the image is left out if the rig has no such camera, or a checkpoint has no such input.
     """
 
     cameras: tuple[CameraName, ...] = Field(min_length=1)
@@ -38,21 +38,21 @@ class PictureMapping(Config):
 
 
 class StateMapping(Config):
-    """A row of numbers: the arms' joints and grippers, or the poses of things."""
+    """A row of numbers: the arms' joints and grippers, or the poses of objects."""
 
     key: Key
     dtype: Dtype = "float32"
 
 
 class ActionsMapping(Config):
-    """Actions in the answer of a policy: (actions, numbers), or one row.
+    """Actions in the answer of a policy: an array (actions, numbers), or one row.
 
     Attributes:
-        key: of the rows in the answer.
-        weld: whether each row has, after all drives, a number for each arm that turns its weld on from 0.5.
+        key: key of the array in the answer.
+        weld: whether each row has, after all drives, a number for each arm; at least 0.5 activates the arm's weld.
         hz: actions per second.
-        period_ms_key: key of the period of the actions in the answer, ms, which overrides `hz` where it is above 0.
-        done_key: key of a truth value in the answer that ends the trial after these actions.
+        period_ms_key: key of the action period in the answer, ms; a period above 0 overrides `hz`.
+        done_key: key of a boolean in the answer that ends the trial after these actions.
     """
 
     key: Key = "actions"
@@ -66,17 +66,17 @@ class PolicyConfig(Config):
     """Names, units and order of a policy's observations and actions.
 
     Attributes:
-        arms: the order of the arms in the state and in actions; "all" for all arms of a rig, the left one first. Each
-            arm has its joints in rad, and then its gripper.
+        arms: order of the arms in the state and in actions; "all" for all arms of a rig, the left one first. Each arm
+            has its joints in rad, and then its gripper.
         gripper: "share" for 0 closed .. 1 open, "metres" for the opening of one finger.
-        environment_state: poses of things, see `core.dataset.environment_state`; not sent to a checkpoint without this
+        environment_state: poses of objects, see `core.dataset.environment_state`; not sent to a checkpoint without this
             input.
-        images: key -> picture.
-        images_under: key of a mapping with all pictures; if left out, the pictures are at the top of the message.
+        images: key -> image.
+        images_under: key of a mapping with all images; if left out, images are at the top level of the message.
         prompt: key of the prompt.
         time: key of the time since the trial's start, s.
         seed: key of the trial's seed.
-        constants: key -> value that is sent with every observation.
+        constants: key -> constant value in every observation.
     """
 
     name: Name

@@ -1,4 +1,4 @@
-"""Tasks as data: things by role, their starts, phrasings, a goal, and an expert made of skills."""
+"""Configs of tasks: objects by role, their starts, instructions, a goal, and an expert of skills."""
 
 from __future__ import annotations
 
@@ -39,29 +39,28 @@ from .objects.object_config import ObjectConfig
 
 PROGRAM = "program"  # the `kind` of tasks
 
-# By a constraint; by friction; or cloth by a constraint and everything else by friction.
+# A weld constraint; friction; or a constraint for cloth and friction for all other objects.
 GraspKind = Literal["weld", "contact", "cloth_constraint"]
-# The arm that `RecordConfig.arm` names is the first, the other arm the second.
+# The first arm is `RecordConfig.arm`; the second is the other arm.
 Turn = Literal["first", "second"]
 Attitude = Literal["upright", "lying", "upside_down"]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
-_Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]  # of a crumpled cloth, as a share of its half diagonal
-# Share by which a control tick may become longer or shorter for a frame rate: skills count some waits in ticks.
-_MAX_TICK_CHANGE = 0.07
+_Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]  # drop height of a cloth, as a share of its half diagonal
+_MAX_TICK_CHANGE = 0.07  # share, change of a control tick for a frame rate; small, as skills count some waits in ticks
 
 
 class Role(Config):
-    """The things that play a role, each drawn from a list of objects.
+    """The objects of a role, each sampled from a list of object configs.
 
-    No object is drawn twice while others are left: a count as long as the list takes each object once, in random order.
+    A config is sampled again only after all others: a count as long as the list uses each config once, in random order.
 
     Attributes:
-        of: the objects to draw from.
-        count: how many things play the role.
-        sizes: factors of their lengths; each thing gets one of them. Only for objects with a `shape`.
-        named: whether a thing is named after its role or its object in the scene and in records. Tasks always name
-            roles.
+        of: the object configs to sample from.
+        count: number of objects with the role.
+        sizes: scale factors of lengths; each object gets one of them. Only for configs with a `shape`.
+        named: source of an object's name in the scene and in records: its role or its config. Within a task's config,
+            names are always roles.
     """
 
     of: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects"), Field(min_length=1)]
@@ -94,25 +93,25 @@ class Role(Config):
     @model_validator(mode="before")
     @classmethod
     def _single_object(cls, given: Any) -> Any:
-        """Accept `of: plate` for `of: [plate]`."""
+        """Accept `of: plate` as `of: [plate]`."""
         single = isinstance(given, Mapping) and isinstance(given.get("of"), Mapping)
         return {**given, "of": [given["of"]]} if single else given
 
 
 class Start(Config):
-    """Where the things of a role start, and in which attitudes.
+    """Ranges of the initial poses of a role's objects.
 
     Attributes:
-        on: `table`, or a role: the things start on its first thing.
-        x, y: range of the middle of a thing's outline, m: on the table in `world` (x ahead of the arms, y to the left
-            of the middle between them), else in the frame of the thing below.
-        from_arm: the arm from whose place along y the region is measured, instead of from `world`.
+        on: `table`, or a role whose first object supports the objects.
+        x, y: range of the middle of an object's outline, m. On the table, coordinates are in `world`: x ahead of the
+            arms, y to the left of the middle between them. Otherwise, they are in the frame of the object below.
+        from_arm: if given, `y` is relative to the place of this arm, not to `world`.
         yaw_deg: range of the heading.
-        attitudes: how a thing may lie; all are equally likely.
-        apart: the smallest gap between the outlines, seen from above, of this thing and any thing placed before, m.
-        open: of articulated things, part -> range of the share by which it is open; other parts are closed.
-        crumpled: of cloth, range of the height from which it is dropped by one point, as a share of its half diagonal:
-            0.3 is light, 0.6 moderate. Without, the cloth lies flat.
+        attitudes: possible stable poses of an object, equally probable.
+        apart: least gap, seen from above, between an object's outline and those of objects placed before, m.
+        open: part of an articulated object -> range of its opening as a share; other parts are closed.
+        crumpled: range of the height from which a cloth is dropped by one point, as a share of its half diagonal.
+            Crumpling is light at 0.3 and moderate at 0.6. If left out, the cloth lies flat.
     """
 
     on: Name = TABLE
@@ -138,17 +137,17 @@ class Start(Config):
         return self
 
     def moved(self, y: float) -> Start:
-        """The start in `world`, from the place of its arm along y, m."""
+        """Return the start in `world`, given the place `y` (m) of its arm."""
         return self.model_copy(update={"from_arm": None, "y": (self.y[0] + y, self.y[1] + y)})
 
 
 class Arrangement(Config):
-    """Where everything starts in one attempt of a task that draws no places from regions.
+    """Initial poses of all objects in one attempt, for a task that does not sample from regions.
 
     Attributes:
-        seed: identifies the places in their source, such as a benchmark.
-        places: thing, named by its role -> its origin in `world`, x and y in m, and its heading in degrees. Things are
-            placed in this order.
+        seed: identifier of the poses in their source, such as a benchmark.
+        places: object, named after its role -> x and y (m) of its origin in `world`, and its heading (degrees). Objects
+            are placed in this order.
     """
 
     seed: Annotated[int, Field(ge=0)]
@@ -156,11 +155,11 @@ class Arrangement(Config):
 
 
 class Phrasings(Config):
-    """Prompts of a task.
+    """Instructions of a task.
 
     Attributes:
-        training: each recorded episode has one of these, drawn at random.
-        held_out: never recorded, for evaluating a policy on unseen prompts.
+        training: instructions of recorded episodes; each episode has a random one.
+        held_out: instructions that are never recorded, for the evaluation of policies on unseen ones.
     """
 
     training: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -173,20 +172,20 @@ class Phrasings(Config):
         return self
 
     def filled(self, fill: Callable[[str], str]) -> Phrasings:
-        """The phrasings with `fill` applied to each."""
+        """Return the phrasings with `fill` applied to each."""
         return Phrasings.model_construct(
             training=tuple(map(fill, self.training)), held_out=tuple(map(fill, self.held_out))
         )
 
 
 class NearMiss(Config):
-    """A displacement of a thing from its final pose that has to make a success a failure.
+    """A displacement of an object from its final pose that must turn a success into a failure.
 
     Attributes:
-        thing: a role; each of its things is displaced alone.
-        what: describes the displacement in messages, such as "30 mm beside its place".
-        move: along the axes of `world`, m.
-        tilt_deg: about the x axis of `world`.
+        thing: a role; each of its objects is displaced alone.
+        what: description of the displacement in messages, such as "30 mm beside its place".
+        move: translation along the axes of `world`, m.
+        tilt_deg: rotation about the x axis of `world`.
     """
 
     thing: str
@@ -199,10 +198,10 @@ class ProgramTiming(Config):
     """Rates of physics, control and recorded frames.
 
     Attributes:
-        settle_ticks: control ticks after the program, during which everything comes to rest.
-        physics_steps_per_tick: physics steps in a control tick, during which commands do not change.
+        settle_ticks: control ticks after the program, in which objects come to rest.
+        physics_steps_per_tick: physics steps per control tick; commands are constant during a tick.
         timestep: length of a physics step, s.
-        ticks_per_frame: control ticks in a recorded frame.
+        ticks_per_frame: control ticks per recorded frame.
     """
 
     settle_ticks: int = Field(default=15, ge=0, le=10_000)
@@ -216,10 +215,7 @@ class ProgramTiming(Config):
         return self.physics_steps_per_tick * self.timestep
 
     def at_rate(self, fps: float) -> dict[str, float | int]:
-        """The values to change for a frame rate: the ticks per frame that fit best, each a little longer or shorter.
-
-        Returns:
-            `timestep` (s) and `ticks_per_frame`.
+        """Return the `timestep` (s) and `ticks_per_frame` that give a frame rate with about the same control tick.
 
         Raises ValueError if no whole number of ticks of about this length gives the rate.
         """
@@ -236,27 +232,27 @@ class ProgramTiming(Config):
 
 
 class ProgramTask(Config):
-    """A task: things, starts, a goal, and an expert made of skills.
+    """A task: objects, starts, a goal, and an expert of skills.
 
     Attributes:
-        rig: the rig unless the user gives another.
-        things: role -> the things that play it.
-        starts: role -> where its things start. They are placed in this order.
-        arrangements: all possible starts, instead of random ones. The attempts of a seed take them in random order,
-            none twice while others are left; `starts` then only bounds their regions.
-        phrasings: prompts; the first one stands for the task. `{ROLE}` is the name of the object that plays a role,
-            `{ROLE.preposition}` the preposition before it, such as "onto"; `{first_arm}` and `{second_arm}` are "right"
+        rig: the default rig.
+        things: role -> its objects.
+        starts: role -> ranges of its objects' initial poses. Roles are placed in this order.
+        arrangements: all possible starts, instead of random ones. The attempts of a seed use them in random order, each
+            again only after all others. `starts` then only bounds the regions.
+        phrasings: instructions; the first one represents the task. `{ROLE}` is the name of a role's object,
+            `{ROLE.preposition}` the object's preposition, "on" or "in". `{first_arm}` and `{second_arm}` are "right"
             or "left".
         language_task: the task's name in the data, with the same placeholders; if left out, `name`.
-        goal: the condition of success.
+        goal: the condition for success.
         near_misses: displacements that must not count as success, for `yamsim tasks check`.
-        expert: a list of skills that perform the task, each step of one key; see `core.expert.skills.program`.
-        time_limit_s: longest duration of an attempt, s of simulated time.
-        start_joints: of the arms at the start, rad; if left out, those of their robot model.
-        arms: which of two arms act: all, or only the one that `RecordConfig.arm` names.
-        grasps: how hands may hold things; the first one unless the user gives another.
-        held_at_the_end: whether hands hold long things far from their middle: contacts are then ten times as stiff
-            along surfaces, so that things do not droop.
+        expert: list of skills that perform the task, each a mapping with one key; see `core.expert.skills.program`.
+        time_limit_s: largest duration of an attempt, s of simulated time.
+        start_joints: joints of the arms at the start, rad; if left out, those of their robot model.
+        arms: the arms that act: all, or only `RecordConfig.arm`.
+        grasps: possible grasps, the default first.
+        held_at_the_end: whether hands hold long objects far from the middle. Contacts are then ten times as stiff along
+            surfaces, so that the objects do not droop.
     """
 
     name: Name
@@ -391,18 +387,18 @@ class ProgramTask(Config):
         return self
 
     def of_cloth(self, name: str) -> bool:
-        """Whether cloth may play a role, or be the thing of that name."""
+        """Return whether the role or object with a name may be cloth."""
         names = {thing: role for role in self.things for thing in (role, *self.possible_names(role))}
         return name in names and any(item.cloth is not None for item in self.things[names[name]].of)
 
     @property
     def objects(self) -> tuple[ObjectConfig, ...]:
-        """All objects that may play a role, each once, in the order of records."""
+        """All object configs of all roles, each once, in the order of records."""
         return tuple({item.name: item for role in self.things.values() for item in role.of}.values())
 
     @property
     def language_prompt(self) -> str:
-        """The first training prompt with the names of the typical cast."""
+        """The first training instruction with the names of `typical_roles`."""
         return _filled(self.phrasings.training[0], _without_underscores(self._words(self.typical_roles)))
 
     @property
@@ -412,14 +408,14 @@ class ProgramTask(Config):
 
     @property
     def target_predicate(self) -> On | None:
-        """The goal's first `on` with a radius, which scores the distance from the target."""
+        """The goal's first `on` with a radius, which measures the distance from the target."""
         return next((on for _, on in self._scored()), None)
 
     @property
     def radius_path(self) -> tuple[str | int, ...]:
         """Key path of the radius of `target_predicate`, relative to the task.
 
-        Raises ConflictError if its goal has no `on` with a radius.
+        Raises ConflictError if the goal has no `on` with a radius.
         """
         for path, _ in self._scored():
             return ("goal", *path, "radius")
@@ -428,7 +424,7 @@ class ProgramTask(Config):
         )
 
     def _scored(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
-        """Each `on` with a radius in the goal, with its key path."""
+        """Yield each `on` with a radius in the goal, with its key path."""
         for path, predicate in self.goal.predicates():
             if isinstance(predicate, On) and predicate.radius is not None:
                 yield path, predicate
@@ -445,7 +441,7 @@ class ProgramTask(Config):
 
     @property
     def typical_roles(self) -> RoleAssignment:
-        """The cast that takes the first objects of each list, for everything that no draw changes."""
+        """The role assignment with the first configs of each list, for values that do not depend on samples."""
         return self.assign_roles(
             {role: tuple(k % len(one.of) for k in range(one.count)) for role, one in self.things.items()}
         )
@@ -453,11 +449,11 @@ class ProgramTask(Config):
     def assign_roles(
         self, drawn: Mapping[str, tuple[int, ...]], sizes: Mapping[str, float] | None = None
     ) -> RoleAssignment:
-        """The cast of drawn objects.
+        """Return the role assignment of sampled object configs.
 
         Args:
-            drawn: role -> indices in `of` of the objects that play it.
-            sizes: thing -> scale factor of its lengths.
+            drawn: role -> indices in `of` of its objects' configs.
+            sizes: object -> scale factor of its lengths.
         """
         kinds = {
             name: self.things[role].of[k].name
@@ -469,15 +465,15 @@ class ProgramTask(Config):
         )
 
     def names_of(self, role: str, drawn: tuple[int, ...]) -> tuple[str, ...]:
-        """Names of the things of a role, given the indices in `of` of their objects.
+        """Return the names of a role's objects, given the indices in `of` of their configs.
 
-        A thing is named after its object or its role; several things of a role are numbered from 1.
+        An object has the name of its config or its role; several objects of a role are numbered from 1.
         """
         one = self.things[role]
         return self._numbered(role) if one.named == "role" else tuple(one.of[k].name for k in drawn)
 
     def possible_names(self, role: str) -> tuple[str, ...]:
-        """All names that things of a role can have."""
+        """Return all possible names of a role's objects."""
         one = self.things[role]
         return self._numbered(role) if one.named == "role" else tuple(item.name for item in one.of)
 
@@ -486,7 +482,7 @@ class ProgramTask(Config):
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
     def _words(self, roles: RoleAssignment) -> dict[str, str]:
-        """Placeholder -> its text."""
+        """Return placeholder -> its text."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
             if one.count == 1:
@@ -496,7 +492,7 @@ class ProgramTask(Config):
         return words
 
     def with_arm_sides(self, first: str, second: str) -> ProgramTask:
-        """The task with the sides of its arms, "left" and "right", in its phrasings and its name."""
+        """Return the task with the sides of its arms, "left" or "right", in its phrasings and its name."""
         words = {"first_arm": first, "second_arm": second}
         return self._filled(words, words)
 
@@ -507,7 +503,7 @@ class ProgramTask(Config):
         )
 
     def with_objects_of(self, roles: RoleAssignment) -> ProgramTask:
-        """The task whose roles have the things of a cast, by their names there."""
+        """Return the task with the objects of a role assignment, under their assigned names."""
         words = self._words(roles)
         things = {}
         for role, one in self.things.items():
@@ -521,10 +517,8 @@ class ProgramTask(Config):
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
-    """The text with its known placeholders filled in."""
     return _PLACEHOLDER.sub(lambda found: words.get(found[1], found[0]), text)
 
 
 def _without_underscores(words: Mapping[str, str]) -> dict[str, str]:
-    """The words with spaces for underscores."""
     return {name: word.replace("_", " ") for name, word in words.items()}

@@ -1,4 +1,4 @@
-"""Domain randomization: ranges of what varies between attempts."""
+"""Domain randomization: ranges of the values that vary between attempts."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
 class LightRanges(Config):
-    """The scene's lights, each sampled independently.
+    """Ranges for the scene's lights, each sampled independently.
 
     Attributes:
         intensity: range of the factor on a light's colour.
-        tint: largest relative deviation of red, green and blue from that factor.
+        tint: largest relative deviation of red, green and blue from the factor.
         tilt_deg: largest rotation of a light's direction, degrees; its position turns with it.
     """
 
@@ -65,20 +65,20 @@ class HeadlightRanges(Config):
 
 
 class CameraRanges(Config):
-    """The scene camera's pose: largest shift along each axis (m) and rotation about each axis (degrees)."""
+    """Ranges of the scene camera's pose: largest shift along each axis (m) and rotation about each axis (degrees)."""
 
     position: Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
     rotation_deg: float = Field(ge=0, le=20)
 
 
 class SurfaceRanges(Config):
-    """The looks of the table or the floor.
+    """Ranges for the appearance of the table or the floor.
 
     Attributes:
         saturation, value: ranges of the colours' saturation and value; the hue is arbitrary.
-        contrast: range of the difference between the two colours of a pattern, in `value`.
-        textures: texture -> its weight, that is its relative probability. A checkered floor is made of tiles and costs
-            nothing; other patterns cost rendering time, see docs/recording.md.
+        contrast: range of the difference in `value` between the two colours of a pattern.
+        textures: texture -> its relative probability. A checkered floor is made of tiles and costs no rendering time;
+            other patterns do, see docs/recording.md.
     """
 
     saturation: Share
@@ -88,12 +88,12 @@ class SurfaceRanges(Config):
 
 
 class LookRanges(Config):
-    """The objects' looks.
+    """Ranges for the appearance of objects.
 
     Attributes:
         hue_deg: largest change of a colour's hue, degrees.
         saturation, value: ranges of the factors on a colour's saturation and value.
-        specular, shininess: ranges of these properties of an object's surface.
+        specular, shininess: ranges of specular reflection and shininess of surfaces.
     """
 
     hue_deg: float = Field(ge=0, le=180)
@@ -104,13 +104,13 @@ class LookRanges(Config):
 
 
 class Distractors(Config):
-    """Objects on the table that have no part in the task. They do not move, and nothing touches them.
+    """Objects on the table without a role in the task. Distractors do not move, and nothing touches them.
 
     Attributes:
-        objects: the objects to choose from; each is chosen at most once.
-        count: the least and the largest number of distractors; fewer where no free place is found.
-        x, y: ranges of their places on the table, m.
-        clearance: smallest distance (m) from each other and, during the whole episode, from everything that moves.
+        objects: objects to sample from; each is used at most once.
+        count: least and largest number of distractors; fewer if no free place is found.
+        x, y: ranges of their positions on the table, m.
+        clearance: least distance (m) between distractors and, during the whole episode, to everything that moves.
     """
 
     objects: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects")] = Field(min_length=1, max_length=20)
@@ -128,12 +128,12 @@ class Distractors(Config):
 
 
 class PictureRanges(Config):
-    """Image noise of a camera and its cable.
+    """Ranges of the image noise of a camera and its cable.
 
     Attributes:
-        brightness: added to every pixel, as a share of the largest value; sampled for each picture.
-        contrast: factor on the difference from mid grey; sampled for each picture.
-        noise: standard deviation of Gaussian noise, of 255; sampled for each attempt.
+        brightness: offset of every pixel, as a share of the largest value; sampled for each image.
+        contrast: factor on the difference from mid grey; sampled for each image.
+        noise: standard deviation of Gaussian noise, on a scale of 0..255; sampled for each attempt.
         salt_pepper: share of pixels that turn white or black; sampled for each attempt.
     """
 
@@ -144,14 +144,14 @@ class PictureRanges(Config):
 
 
 class ArmRanges(Config):
-    """Dynamics of arms, sampled for each arm and added to the arm's own dynamics.
+    """Ranges of dynamics, sampled for each arm and added to the arm's own dynamics.
 
     Attributes:
         command_delay_ms: delay between a command and its effect.
         sensor_delay_ms: age of the encoders' readings.
         sensor_noise_rad: standard deviation of a joint's reading.
         encoder_step_rad: resolution of the encoders.
-        gravity_error: error of the gravity compensation as a factor of the joint's weight; sampled for each joint.
+        gravity_error: error of the gravity compensation as a factor of a joint's gravity load; sampled for each joint.
     """
 
     command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(require_ordered)] = (0.0, 0.0)
@@ -162,14 +162,14 @@ class ArmRanges(Config):
 
 
 class RandomizationConfig(Config):
-    """Ranges of what varies between attempts; a part that is left out does not vary.
+    """Ranges of the values that vary between attempts; a part that is left out does not vary.
 
-    Each part samples from a random stream of its own, so that leaving a part out does not change the others.
+    Each part has its own random stream, so that leaving a part out does not change the others.
 
     Attributes:
         mass: range of the factor on each object's mass.
-        friction: range of the factor on the friction of each object and of the table. Of all parts only mass, friction
-            and arm_dynamics act in physics.
+        friction: range of the factor on the friction of each object and of the table. Only mass, friction and
+            arm_dynamics affect physics.
         lens_deg: range of the change of the scene camera's field of view, degrees.
         arm_dynamics: delays, noise and gravity compensation of arms.
     """
@@ -195,5 +195,5 @@ class RandomizationConfig(Config):
 
     @property
     def extras(self) -> tuple[ObjectConfig, ...]:
-        """The distractors to choose from."""
+        """The distractors to sample from."""
         return self.distractors.objects if self.distractors else ()

@@ -1,4 +1,4 @@
-"""Real recordings: the names of joints in other programs, and the config of a dataset of imported recordings."""
+"""Real recordings: names of joints in other programs, and the config of a dataset of imported recordings."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class ArmNames(Config):
     """Names of an arm's columns in another program.
 
     Attributes:
-        joints: from the base to the flange, rad.
-        gripper: None for an arm without one.
+        joints: columns of the joints (rad) from the base to the flange.
+        gripper: column of the gripper; None for an arm without a gripper.
     """
 
     joints: Annotated[tuple[_ForeignName, ...], Field(min_length=1)]
@@ -31,8 +31,8 @@ class ArmTopics(Config):
     """Names of an arm's topics in another program's file of messages.
 
     Attributes:
-        state, action: topics whose field `field` has the measured and the commanded joints, rad.
-        gripper_state, gripper_action: topics whose field `field` begins with the gripper.
+        state, action: topics whose `RecordingNames.field` contains the measured and the commanded joints, rad.
+        gripper_state, gripper_action: topics whose `RecordingNames.field` begins with the gripper.
     """
 
     state: _ForeignName
@@ -45,12 +45,12 @@ class RecordingNames(Config):
     """Names in recordings of another program.
 
     Attributes:
-        arms: `left` and `right`, or `only` for one arm -> names of its columns, measured and commanded alike.
+        arms: `left` and `right`, or `only` for one arm -> names of its columns, both measured and commanded.
         topics: instead of `arms`, for files of messages: the same keys -> the arm's topics.
-        field: the field of a topic's messages with the numbers.
+        field: field of the messages with the numbers.
         prompt_topic, prompt_field: topic and field of the prompt.
         cameras: topic of compressed video -> name of the camera in yamsim.
-        gripper: `metres` of one finger, `share` 0 closed .. 1 open, or `closed_share` 0 open .. 1 closed.
+        gripper: unit: `metres` of one finger, `share` 0 closed .. 1 open, or `closed_share` 0 open .. 1 closed.
     """
 
     name: Name

@@ -1,4 +1,4 @@
-"""The config of a recording: everything that decides its bytes, and the number of workers."""
+"""The config of a recording: all values that determine its bytes, and the number of workers."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from .scene import SceneConfig, Table
 
 SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
 
-# Actions in frames: the commands of all drives and of the weld; with "joints" also `state` and `action` as real YAM
-# stations record them: for each arm its joints and the opening of its gripper as a share.
+# Recorded actions. "drives": commands of all drives and of the weld. "joints": also `state` and `action` in the format
+# of real YAM stations: for each arm its joints and the opening of its gripper as a share.
 ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
 
-_RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # suggested: a rig of one arm, and of two
+_RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # suggested rigs of one arm and of two arms
 
 
 class RecordConfig(Config):
-    """What `yamsim record` and `yamsim trials` run.
+    """The config of `yamsim record` and `yamsim trials`.
 
     Attributes:
-        arm: which of two arms does the task, or begins it; the only arm of a rig always does.
-        grasp: "weld" holds things by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
-            friction between a gripper's pads alone. "cloth_constraint", for all tasks with cloth and no others, holds
-            things by friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`. If left
+        arm: side of the arm that does or begins the task; a rig's only arm always does.
+        grasp: "weld" holds objects by a constraint that is active during the grasp, as with the lab's magnet. "contact"
+            holds objects only by friction between pads. "cloth_constraint", for exactly the tasks with cloth, holds
+            objects by friction, and cloth by a constraint between both closed fingers, see `core.sim.cloth`. If left
             out, the first grasp of the task.
-        episodes: the number of successful episodes to record, or of trials to run.
-        workers: the number of processes; the data does not depend on it.
+        episodes: number of successful episodes to record, or of trials to run.
+        workers: number of processes; the data does not depend on this number.
         action: "joints" also records `state` and `action`, see `core.dataset.lowdim.frame_data`.
-        seed: with an attempt's number, decides everything random in the attempt.
-        wrist: also record the wrist camera.
-        cameras: which cameras to record, in order. If left out: where the rig has cameras of its own, these and the
-            wrist cameras; else the scene's, and with `wrist` those of the acting arms.
-        boards: also show the base boards and their mounts, as they are on a real arm.
-        randomization: what varies between episodes besides the starts of things.
-        truth: also record ground truth for every image, see `core.dataset.ground_truth_files`.
-        meshes: asset set -> the meshes that are shown, see `core.config.describe_meshes`. Written by the recorder,
-            whatever a file has; None in datasets without this entry.
+        seed: determines, with an attempt's number, everything random in the attempt.
+        wrist: whether to record the wrist camera too.
+        cameras: the cameras to record, in order. If left out, a rig's own cameras and the wrist cameras. If the rig has
+            no own cameras, the scene camera, and with `wrist` the wrist cameras of the acting arms.
+        boards: whether to show the base boards and their mounts, as on a real arm.
+        randomization: domain randomization of the episodes, in addition to the starts of objects.
+        truth: whether to record ground truth for every image, see `core.dataset.ground_truth_files`.
+        meshes: asset set -> description of the shown meshes, see `core.config.mesh_provenance`. The recorder replaces
+            any value in a file; None in datasets without this entry.
     """
 
     rig: Annotated[RigConfig, ConfigReference("rigs")]
     scene: Annotated[SceneConfig, ConfigReference("scenes")]
     task: Annotated[ProgramTask, ConfigReference("tasks")]
     arm: Annotated[Side, omit_if_default("right")] = "right"
-    # Validation replaces None by the task's default.
+    # Validation replaces None by the task's first grasp.
     grasp: GraspKind = Field(default=cast(GraspKind, None), validate_default=True)
     action: Annotated[ActionKind, omit_if_default("drives")] = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
@@ -78,7 +78,7 @@ class RecordConfig(Config):
         if given is not None:
             return given
         task = info.data.get("task")
-        # An invalid task is reported in any case, so that any value will do here.
+        # Validation reports an invalid task in any case, so any value is sufficient here.
         return task.valid_grasps[0] if isinstance(task, ProgramTask) else "contact"
 
     @model_validator(mode="after")
@@ -139,7 +139,7 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # `core.expert.skills.program_checks` knows the things that the task picks up, and checks them.
+            # `core.expert.skills.program_checks` knows the objects that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
             _check_pads(self.grasp, self.rig, self.acting_arms)
@@ -167,7 +167,7 @@ class RecordConfig(Config):
 
     @property
     def start_joints(self) -> tuple[float, ...]:
-        """Joints of the acting arms at the start, rad."""
+        """Joints (dof,) of each acting arm at the start, rad."""
         assert self.task.start_joints is not None  # filled in by `_start_is_valid`
         return self.task.start_joints
 
@@ -185,23 +185,23 @@ class RecordConfig(Config):
 
     @property
     def acting_indices(self) -> tuple[int, ...]:
-        """Indices in the rig of the arms that do the task, the one that begins first."""
+        """Indices in the rig of the arms that do the task, in the order in which they begin."""
         alone = self.task.arms == "one" or self.second_arm == self.first_arm
         return (self.first_arm,) if alone else (self.first_arm, self.second_arm)
 
     @property
     def first_arm(self) -> int:
-        """Index in the rig of the arm that does the task, or begins it."""
+        """Index in the rig of the arm that does or begins the task."""
         return next((k for k, arm in enumerate(self.rig.arms) if arm.side == self.arm), 0)
 
     @property
     def second_arm(self) -> int:
-        """Index in the rig of the other arm; of the same one in a rig of one arm."""
+        """Index in the rig of the other arm; in a rig of one arm, of the same arm."""
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property
     def starts(self) -> Mapping[str, Start]:
-        """Role -> where its things start, with all regions in `world`."""
+        """Role -> start of its objects, with all regions in `world`."""
         places = {"first": self.rig.base_y(self.first_arm), "second": self.rig.base_y(self.second_arm)}
         return {
             role: start if start.from_arm is None else start.moved(places[start.from_arm])
@@ -210,17 +210,17 @@ class RecordConfig(Config):
 
     @property
     def acting_arms(self) -> tuple[ArmConfig, ...]:
-        """The arms at the indices `acting`."""
+        """The arms at `acting_indices`."""
         return tuple(self.rig.arms[k] for k in self.acting_indices)
 
     @property
     def acting_scene_arms(self) -> tuple[int, ...]:
-        """Indices of the acting arms in compiled scenes and recordings, where the left one of two arms is 0."""
+        """Indices of the acting arms in compiled scenes and recordings, where the left of two arms is 0."""
         return tuple(self.rig.recording_order.index(k) for k in self.acting_indices)
 
     @property
     def recorded_cameras(self) -> tuple[str, ...]:
-        """Names of the cameras that are recorded, in order."""
+        """Names of the recorded cameras, in order."""
         if self.cameras is not None:
             return self.cameras
         if self.rig.cameras:
@@ -230,24 +230,24 @@ class RecordConfig(Config):
 
     @property
     def wrist_arms(self) -> tuple[ArmConfig, ...]:
-        """The arms whose wrist cameras are recorded, the left arm first."""
+        """The arms with recorded wrist cameras, the left arm first."""
         arms = (self.rig.arms[k] for k in self.rig.recording_order)
         return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
 
     def data_config(self) -> dict[str, Any]:
-        """Everything that decides an episode's bytes, as plain data."""
+        """Return all values that determine an episode's bytes, as plain data."""
         return self.model_dump(mode="json", exclude={"episodes", "workers"})
 
 
 def check_fingers(
     rig: RigConfig, arms: Sequence[ArmConfig], items: Mapping[tuple[str | int, ...], ObjectConfig]
 ) -> None:
-    """Make sure that the acting arms have fingers, and that the things that they pick up fit between the fingers.
+    """Make sure that arms have fingers, and that objects fit between the fingers.
 
     Args:
-        items: key path in the recording's config -> a thing that is picked up by a weld.
+        items: key path in the recording's config -> an object that is picked up by a weld.
 
-    Raises ConflictError if an arm cannot grasp a thing.
+    Raises ConflictError if an arm cannot grasp an object.
     """
     for arm in arms:
         fingers = arm.gripper.fingers
@@ -289,7 +289,7 @@ def _check_pads(grasp: GraspKind, rig: RigConfig, arms: Sequence[ArmConfig]) -> 
 
 
 def _common_start(task: str, arms: Sequence[ArmConfig]) -> tuple[float, ...]:
-    """The start joints that the models of all acting arms agree on, rad."""
+    """Return the start joints that the models of all acting arms have in common, rad."""
     robots = [arm.robot for arm in arms]
     starts = {robot.start for robot in robots}
     if len(starts) > 1:
@@ -304,7 +304,7 @@ def _common_start(task: str, arms: Sequence[ArmConfig]) -> tuple[float, ...]:
 
 
 def _check_start(task: str, rig: RigConfig, arms: Sequence[ArmConfig], given: Sequence[float], *, stops: bool) -> None:
-    """Make sure that the acting arms have as many joints as are given, and, with `stops`, reach them."""
+    """Make sure that the acting arms have the given number of joints; with `stops`, also check joint limits."""
     for arm in arms:
         robot, where = arm.robot, (("task", "start_joints"), ("task",), ("rig",))
         if len(given) != robot.dof:

@@ -1,4 +1,4 @@
-"""Size and rendering quality of recorded pictures."""
+"""Size and rendering quality of recorded images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..files.documents.units import QuantityBounds
 
 
 class ImageConfig(Config):
-    """Size in pixels (width, height) and JPEG quality of recorded images."""
+    """Size (width, height in px) and JPEG quality of recorded images."""
 
     size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
     jpeg_quality: int = Field(ge=1, le=100)
@@ -25,15 +25,15 @@ class RenderConfig(Config):
 
     Attributes:
         multisamples: samples per pixel, which smooth edges on a GPU; 0 for none.
-        supersampling: factor by which pictures are rendered wider and higher, and then averaged. This also smooths
-            edges of shadows, and costs less without a GPU than 4 samples per pixel.
+        supersampling: factor on the width and height of rendered images, which are then averaged. Supersampling also
+            smooths edges of shadows, and without a GPU costs less than 4 samples per pixel.
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
-        shadow_lights: the number of the scene's lights that cast shadows. Each renders the scene twice more.
+        shadow_lights: number of the scene's lights that cast shadows. Each needs two more renderings of the scene.
         shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
             smaller radius gives finer shadows.
         reduced_meshes: whether meshes are shown with fewer faces, see `core.scene.assets.mesh_reduction`.
-        reflections: whether surfaces reflect, which renders the scene once more.
-        slices: faces around round primitives.
+        reflections: whether surfaces reflect. Reflections need one more rendering of the scene.
+        slices: number of faces around round primitives.
     """
 
     name: Name = "custom"
@@ -47,5 +47,5 @@ class RenderConfig(Config):
     slices: int = Field(ge=8, le=128, multiple_of=4)
 
     def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Width and height (px) of supersampled pictures."""
+        """Return width and height (px) of images before they are averaged."""
         return round(size[0] * self.supersampling), round(size[1] * self.supersampling)

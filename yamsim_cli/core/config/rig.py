@@ -1,4 +1,4 @@
-"""Rigs: which arms stand where, with which gripper, board and mount."""
+"""Rigs: arms with their poses, grippers, boards, mounts and cameras."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_for_size
 from ..robots.robot import Robot, assemble
 
-_OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # a coordinate of a printed mount
-_MIN_MM = 1.0  # smallest distance from the base and extent of a mount: smaller values were probably given in m
+_OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # coordinate of a printed mount
+_MIN_MM = 1.0  # mm, least extent of a mount and distance from the base; smaller values were probably given in m
 
 
 def _require_off_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
@@ -58,7 +58,7 @@ _Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_require_extended)]
 
 
 class BasePose(Config):
-    """Pose of a base: position (m) and heading about +z (degrees)."""
+    """Pose of an arm's base: position (m) and heading about +z (degrees)."""
 
     position: PlacePoint = (0.0, 0.0, 0.0)
     yaw_deg: Heading = 0.0
@@ -73,9 +73,9 @@ class BoardConfig(Config):
     """A fiducial board beside an arm's base.
 
     Attributes:
-        marker_length_mm: edge of a marker as measured on the print.
-        gap_mm: between markers as measured on the print.
-        position_mm, quat: of the `board` frame (origin at the centre, z out of the paper) in the base mesh's frame.
+        marker_length_mm: edge of a marker, measured on the print.
+        gap_mm: gap between markers, measured on the print.
+        position_mm, quat: pose of the `board` frame (centre of the board, z out of the paper) in the base mesh's frame.
     """
 
     name: Name
@@ -111,8 +111,9 @@ class MountConfig(Config):
     """The printed plate that carries a board, in the base mesh's frame.
 
     Attributes:
-        stl: the user's mesh (mm, base mesh's frame); if left out, a plain plate of the same outline is drawn.
-        x_mm, y_mm, z_mm: extent of the outline; `mirror_x` mirrors the outline or the mesh at x = 0.
+        stl: the user's mesh (mm, in the base mesh's frame); if left out, a plain plate of the same outline is drawn.
+        mirror_x: whether the outline or the mesh is mirrored at x = 0.
+        x_mm, y_mm, z_mm: extent of the outline.
     """
 
     name: str
@@ -123,7 +124,7 @@ class MountConfig(Config):
     z_mm: _Side
 
 
-# Configs have robots by their names.
+# Robots are dumped as their names.
 _BY_NAME = (
     PlainSerializer(lambda robot: robot.name, return_type=str, when_used="json"),
     WithJsonSchema({"type": "string"}),
@@ -134,16 +135,16 @@ class ArmConfig(Config):
     """One arm of a rig.
 
     Attributes:
-        name: unique in the rig.
-        side: of the arm; its wrist camera is named after the side.
-        prefix: of all names of the arm in a scene, such as `arm2_`; unique in the rig.
-        model: a folder of `robot_models/`. A rig's file may also name a file of identified dynamics, which names the
-            model.
+        name: name of the arm, unique in the rig.
+        side: side of the arm. The wrist camera is named after this side.
+        prefix: prefix of all names of the arm in a scene, such as `arm2_`; unique in the rig.
+        model: a folder of `robot_models/`. A rig's file may instead name a file of identified dynamics, which contains
+            the name of the model.
         dynamics: identified dynamics of this arm.
         gripper: a folder of `robot_models/grippers/` that fits the model.
-        grasp_offset: height of `grasp_site` over the flange along the gripper, m; the gripper's if left out.
+        grasp_offset: distance of `grasp_site` from the flange along the gripper, m; the gripper's if left out.
         base: pose of the base relative to the arm's place in the rig.
-        wrist_camera: the gripper's camera if left out.
+        wrist_camera: the wrist camera; the gripper's if left out.
     """
 
     name: Name
@@ -199,7 +200,7 @@ class ArmConfig(Config):
 
     @property
     def wrist_camera_name(self) -> str:
-        """The name of the wrist camera's recorded images."""
+        """Name of the wrist camera's recorded images."""
         return self.wrist_camera.name or f"{self.side}_wrist_camera"
 
 
@@ -207,12 +208,12 @@ class RigCamera(Config):
     """A fixed camera of a station.
 
     Attributes:
-        name: of the recorded images.
-        arm: name of the arm in whose base frame the pose is given; if left out, in `world`.
-        position, quat: of the camera's OpenCV frame (x right, y down, z forward), m.
+        name: name of the recorded images.
+        arm: name of the arm whose base frame is the pose's frame; if left out, that frame is `world`.
+        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward), m.
         fovy_deg: vertical field of view.
         modes: image sizes with another field of view.
-        housing: the visual model `robot_models/cameras/<housing>.xml`, in the camera's frame.
+        housing: name of the visual model `robot_models/cameras/<housing>.xml`, in the camera's frame.
         mesh_sets: the asset sets of the housing's meshes.
     """
 
@@ -226,18 +227,18 @@ class RigCamera(Config):
     mesh_sets: tuple[Name, ...] = ()
 
     def fovy(self, size: tuple[int, int]) -> float:
-        """Vertical field of view of images of a size (width, height), degrees."""
+        """Return the vertical field of view of images of a size (width, height in px), degrees."""
         return fovy_for_size(size, self.fovy_deg, self.modes)
 
 
 class RigConfig(Config):
-    """The arms of a station. Source of the figures: see each file in `configs/rigs/`.
+    """The arms of a station. Each file in `configs/rigs/` states the sources of its figures.
 
     Attributes:
         margin: distance between the places of neighbouring arms along world y, m. The places are centred on the world's
             origin; the first arm is the rightmost.
-        cameras: fixed cameras of the station. With any, recordings have these and every wrist camera, and not the
-            scene's.
+        cameras: fixed cameras of the station. If given, recordings have these and every wrist camera, but no scene
+            camera.
     """
 
     name: Name
@@ -247,14 +248,14 @@ class RigConfig(Config):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the station's cameras, then of the wrist cameras, the left arm's first."""
+        """Names of the station's cameras, then of the wrist cameras, from the left arm."""
         return (
             *(camera.name for camera in self.cameras),
             *(self.arms[k].wrist_camera_name for k in self.recording_order),
         )
 
     def T_cam_in_world(self, camera: RigCamera) -> Array:
-        """Pose (4, 4) of a station's camera in OpenCV's convention."""
+        """Return the pose (4, 4) of a station camera's OpenCV frame."""
         T = pose_from_quat(camera.position, camera.quat)
         bases = {arm.name: self.T_base_in_world(k) for k, arm in enumerate(self.arms)}
         return T if camera.arm is None else bases[camera.arm] @ T
@@ -271,15 +272,15 @@ class RigConfig(Config):
 
     @property
     def drives(self) -> int:
-        """The number of drives of each arm: of its joints, and of its gripper if that has fingers."""
+        """Number of drives of each arm: its joints, and its fingers if any."""
         return len(self.arms[0].robot.drives)
 
     def base_y(self, arm: int) -> float:
-        """Position of an arm's place along world y, m."""
+        """Return the position of an arm's place along world y, m."""
         return (arm - (len(self.arms) - 1) / 2) * self.margin
 
     def T_base_in_world(self, arm: int) -> Array:
-        """Pose (4, 4) of an arm's base."""
+        """Return the pose (4, 4) of an arm's base."""
         return pose((0.0, self.base_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ Families = Mapping[str, Mapping[str, str]]
 
 
 def find_families(locations: Locations) -> Families:
-    """All families of arms, see `ArmModel`.
+    """Return all families of arms, see `ArmModel`.
 
     Raises ConfigError if a model cannot be read, or two models of a family have the same revision.
     """
@@ -27,10 +27,10 @@ def find_families(locations: Locations) -> Families:
 
 
 def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigError]]:
-    """The families of all valid models, and model -> fault of each invalid one.
+    """Return the families of all valid models, and model -> error of each invalid model.
 
-    Of two models with the same revision, the one in the later root is valid: the fault is the user's file's, not the
-    shipped one's.
+    Of two models with the same revision, the one in the later data root is valid, so that the error names the user's
+    file, not the built-in one.
     """
     found: dict[str, dict[str, str]] = {}
     faults: dict[str, ConfigError] = {}
@@ -61,9 +61,9 @@ def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigE
 
 
 def resolve_model_name(name: str, locations: Locations) -> str:
-    """The model of that name, or the newest revision of the family of that name.
+    """Return the model with a name, or the newest revision of the family with that name.
 
-    Raises ConfigError if there is neither.
+    Raises ConfigError if no model or family has the name.
     """
     models = locations.config_names(ARMS)
     if name in models:
@@ -75,7 +75,7 @@ def resolve_model_name(name: str, locations: Locations) -> str:
 
 
 def other_revision(model: str, revision: str, locations: Locations) -> str:
-    """Another revision of a model's family. Raises ConfigError if there is no such revision."""
+    """Return the model of another revision of a model's family. Raises ConfigError if the revision does not exist."""
     for family, revisions in find_families(locations).items():
         if model in (family, *revisions.values()):
             if revision not in revisions:

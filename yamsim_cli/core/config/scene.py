@@ -13,7 +13,7 @@ from .objects.object_config import Contact
 
 
 class Table(Config):
-    """The work surface, a box: centre and half-size (m), and the share of light that it mirrors."""
+    """The work surface, a box: centre and half-size (m), and the share of light that the surface reflects."""
 
     position: PlacePoint
     half_size: tuple[Size, Size, Size]
@@ -27,17 +27,18 @@ class Table(Config):
         return self.position[2] + self.half_size[2]
 
     def widened(self, by: float) -> Table:
-        """The table, wider along world y by `by` metres."""
+        """Return the table, wider along world y by `by` metres."""
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
 
 
 class Light(Config):
-    """A directional light: the direction in which it shines, and its colour.
+    """A directional light.
 
     Attributes:
-        castshadow: whether the light casts shadows in other programs. In yamsim's pictures, the quality decides how
-            many lights cast shadows.
+        direction: direction in which the light shines.
+        castshadow: whether the light casts shadows in other programs. In yamsim's images, the quality determines the
+            number of lights that cast shadows.
     """
 
     direction: Vector
@@ -46,11 +47,11 @@ class Light(Config):
     castshadow: bool = False
 
 
-_STEP_BACK = 0.5  # m that the scene camera moves back for each m by which the scene is widened
+_STEP_BACK = 0.5  # m per m, backward shift of the scene camera for a wider scene
 
 
 class FixedCamera(Config):
-    """A camera in `world`: its position and the point that it looks at (m); image up is world up."""
+    """A camera in `world`: its position and the point in the middle of its image (m); image up is world up."""
 
     position: PlacePoint
     look_at: PlacePoint
@@ -63,7 +64,7 @@ class FixedCamera(Config):
         return self
 
     def moved_back(self, by: float) -> FixedCamera:
-        """The camera, `by` metres farther from the point that it looks at."""
+        """Return the camera, `by` metres farther from `look_at`."""
         away = 1 + by / math.dist(self.position, self.look_at)
         x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
         return self.model_copy(update={"position": (x, y, z)})
@@ -73,10 +74,11 @@ class SceneConfig(Config):
     """A station's surroundings.
 
     Attributes:
-        table: the work surface; without one, a rig stands on the floor.
+        table: the work surface; if left out, the rig stands on the floor.
         safety_plane: height of the floor in `world`, m.
         floor_rgba: the two colours of the floor's tiles.
         sky: the two colours of the sky's gradient.
+        ambient: colour of the ambient light.
         scene_camera: the camera of recordings.
     """
 
@@ -100,7 +102,7 @@ class SceneConfig(Config):
         return self
 
     def for_span(self, span: float) -> SceneConfig:
-        """The scene for arms `span` metres apart: a wider table, and a scene camera that sees all of it."""
+        """Return the scene for arms `span` metres apart: with a wider table, and a scene camera that sees the table."""
         if not span:
             return self
         return self.model_copy(

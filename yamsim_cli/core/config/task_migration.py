@@ -9,15 +9,15 @@ from .program_task import PROGRAM
 
 _ROLES = ("object", "target")
 
-_HOLD_S = 0.25  # s, for which the object has to lie on its target
+_HOLD_S = 0.25  # s, hold time of the goal
 
 # Former placeholder -> placeholder.
 _PLACEHOLDERS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
 
-# Keys without a counterpart: skills plan heights and the exchange.
+# Keys without a counterpart, since skills plan heights and the handover.
 _DROPPED = ("heights", "exchange")
 
-# Kind -> keys of all its tasks, and steps between picking and placing.
+# Kind -> (keys of all its tasks, steps between pick and place).
 _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
     "handover": (
@@ -30,14 +30,14 @@ OLDER_KINDS = tuple(_KINDS)
 
 
 def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A task's mapping as the kind `program`; a task of any other kind than `OLDER_KINDS` is returned unchanged.
+    """Return a task of a former kind as the kind `program`; other tasks are returned unchanged.
 
-    Things, regions and phrasings are kept. Dropped are the least distance between the two origins, the heights and
-    ticks of the plan, the points of the exchange, and the largest final height and speed of the object. Unknown keys
-    are kept, so that validation names them.
+    Objects, regions and phrasings are kept. Dropped values of the plan are its heights, ticks and handover points.
+    Dropped limits are the least distance of the two origins, and the object's largest final height and speed. Unknown
+    keys are kept, so that validation reports them.
 
     Args:
-        data: from a task's file, or from a dataset's config, where objects are mappings.
+        data: content of a task's file, or of a dataset's config, where objects are mappings.
     """
     kind = data.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -72,7 +72,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _starts(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
-    """Starts of object and target; with `second`, the target starts before the second arm."""
+    """Return the starts of object and target; with `second`, the target starts in front of the second arm."""
     region = {key: box[key] for key in ("x", "y") if key in box}
     if "clearance" in box:
         region["apart"] = box["clearance"]

@@ -1,4 +1,4 @@
-"""What varies between attempts besides the starts of things: plain frozen data."""
+"""Samples of the domain randomization of one attempt, as frozen values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class LightVariation:
-    """A light's factors on red, green and blue, and the rotation vector (3,) of its direction, rad."""
+    """Factors on a light's red, green and blue, and the rotation vector (3,) of its direction, rad."""
 
     colour: tuple[float, float, float]
     turn: tuple[float, float, float]
@@ -16,7 +16,7 @@ class LightVariation:
 
 @dataclass(frozen=True)
 class SurfaceVariation:
-    """A surface's pattern of two colours (RGB, 0..1), its repetitions along each edge, and the seed of its noise."""
+    """Texture of a surface: two colours (RGB, 0..1), repetitions along each edge, and the seed of its noise."""
 
     texture: str
     colours: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -26,7 +26,7 @@ class SurfaceVariation:
 
 @dataclass(frozen=True)
 class LookVariation:
-    """An object's colour (RGB, 0..1) and shine."""
+    """Appearance of an object: colour (RGB, 0..1), specular reflection and shininess."""
 
     rgb: tuple[float, float, float]
     specular: float
@@ -35,7 +35,7 @@ class LookVariation:
 
 @dataclass(frozen=True)
 class ArmVariation:
-    """Added to one arm's dynamics, see `config.randomization.ArmRanges`; `gravity` is the error of each joint."""
+    """Changes of one arm's dynamics, see `config.randomization.ArmRanges`; `gravity` has an error for each joint."""
 
     command_delay_ms: float
     sensor_delay_ms: float
@@ -49,14 +49,14 @@ class Variation:
     """The samples of one attempt from the ranges of a randomization; a part that does not vary is empty or None.
 
     Attributes:
-        headlight: factors on the camera's headlight, and on the ambient light.
+        headlight: factors on the camera's headlight and on the ambient light.
         mass, friction: body -> factor.
-        lens_deg: added to the scene camera's field of view.
+        lens_deg: change of the scene camera's field of view.
         camera: shift (m) and rotation (rad) of the scene camera, along and about the axes of `world`.
-        looks: object -> its look.
-        distractors: object -> its place `[x, y, z, yaw]` in `world`, m and rad.
-        noise, salt_pepper: of the pictures, see `config.randomization.PictureRanges`.
-        arm_dynamics: in the scene's order of arms.
+        looks: object -> its appearance.
+        distractors: object -> its pose `[x, y, z, yaw]` in `world`, m and rad.
+        noise, salt_pepper: image noise, see `config.randomization.PictureRanges`.
+        arm_dynamics: samples of each arm, in the scene's order of arms.
     """
 
     lights: tuple[LightVariation, ...] = ()

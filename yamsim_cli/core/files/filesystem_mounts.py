@@ -1,6 +1,6 @@
-"""Which filesystem a path is on, from the kernel's mount table alone.
+"""Finds the filesystem of a path in the kernel's mount table.
 
-No file of a network mount is opened: a process that waits for a dead server cannot even be killed.
+The module opens no file of a network mount: a process that waits for a dead server cannot even be killed.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from pathlib import Path, PurePosixPath
 
 _TABLE = Path("/proc/self/mountinfo")
 
-# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE`.
+# Filesystems with files on another machine. Every `fuse.*` also counts, except those in `_LOCAL_FUSE`.
 _NETWORK = re.compile(
     "9p|afs|autofs|beegfs|ceph|cifs|coda|davfs|fuse|gfs2|glusterfs|gpfs|lustre|ncpfs|nfs|nfs4|ocfs2|orangefs|prl_fs|"
     "pvfs2|smb3|smbfs|vboxsf|wekafs"
 )
 _LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
-# Network filesystems whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
+# Network filesystems with locks (flock) between machines. Source: flock(2) for NFS and CIFS; the others' manuals.
 _SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
-_MAX_LINKS = 40  # links of a path, beyond which they are a loop. Source: the kernel's limit, path_resolution(7)
+_MAX_LINKS = 40  # symbolic links in a path; more are a loop. Source: the kernel's limit, path_resolution(7)
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Mount:
     """One line of the mount table.
 
     Attributes:
-        number, parent: number of the mount, and of the mount below it.
-        point: where the filesystem is mounted.
+        number, parent: number of the mount, and of its parent mount.
+        point: mount point.
         kind: type of filesystem, such as `ext4` or `fuse.sshfs`.
-        source: what is mounted, such as `server:/export`.
-        options: of the mount and of the filesystem.
+        source: the mounted device or export, such as `server:/export`.
+        options: options of the mount and of the filesystem.
     """
 
     number: int
@@ -47,21 +47,21 @@ class Mount:
 
     @property
     def is_network(self) -> bool:
-        """Whether the files lie on another machine, or may: FUSE and automounters do not tell."""
+        """Whether the files are or may be on another machine: FUSE and automounters do not state this."""
         return bool(_NETWORK.fullmatch(self.kind)) or (
             self.kind.startswith("fuse.") and not _LOCAL_FUSE.fullmatch(self.kind)
         )
 
     @property
     def locks_reach_others(self) -> bool:
-        """Whether other machines that can write here see a lock of this machine."""
+        """Whether other machines that can write to the filesystem see a lock of this machine."""
         if not self.is_network:
             return True
         return bool(_SHARED_LOCKS.fullmatch(self.kind)) and not self.options & _UNSHARED_OPTIONS
 
 
 def read_mounts() -> list[Mount]:
-    """The current mount table; empty on systems without one, such as macOS."""
+    """Return the current mount table; empty on systems without one, such as macOS."""
     try:
         return parse_mounts(_TABLE.read_text(errors="surrogateescape"))
     except OSError:
@@ -69,7 +69,7 @@ def read_mounts() -> list[Mount]:
 
 
 def parse_mounts(text: str) -> list[Mount]:
-    """The mounts of a table in the format of `/proc/self/mountinfo`. Source: proc(5)."""
+    """Return the mounts of a table in the format of `/proc/self/mountinfo`. Source: proc(5)."""
     mounts = []
     for line in text.splitlines():
         before, dash, after = line.partition(" - ")
@@ -82,9 +82,9 @@ def parse_mounts(text: str) -> list[Mount]:
 
 
 def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
-    """The mount of an absolute path without links; None if the table has none.
+    """Return the mount of an absolute path without links; None if the table has no such mount.
 
-    The search walks down from the root, so that mounts covered by later mounts do not count.
+    The search goes down from the root, which excludes mounts that later mounts cover.
     """
     numbers = {mount.number for mount in mounts}
     current = next((mount for mount in mounts if mount.parent not in numbers or mount.parent == mount.number), None)
@@ -101,13 +101,13 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 
 
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
-    """The network mount that a path leads to, or None.
+    """Return the network mount that contains a path, or None.
 
-    Links on local filesystems are followed, up to the first step onto a network mount.
+    Links on local filesystems are followed until the path reaches a network mount.
 
     Args:
-        path: need not exist; relative to the current directory, or absolute.
-        readlink: reads a link; raises OSError for anything else.
+        path: relative to the current directory, or absolute; need not exist.
+        readlink: reads a link; raises OSError for other paths.
     """
     rest = list(Path.cwd().joinpath(path).parts[1:])
     here = PurePosixPath("/")
@@ -120,7 +120,7 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
         step = here / part
         mount = mount_at(step, mounts)
         if mount is not None and mount.is_network:
-            # Links in the rest of the path are not followed. A local filesystem may be mounted below.
+            # Do not follow links in the rest of the path. A local filesystem may be mounted below.
             mount = mount_at(PurePosixPath(os.path.normpath(step.joinpath(*rest))), mounts)
             return mount if mount is not None and mount.is_network else None
         try:
@@ -138,5 +138,5 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
 
 
 def _unescaped(text: str) -> str:
-    """A field as plain text: the table escapes blanks, tabs, newlines and backslashes as three octal digits."""
+    """Return a field as plain text: the table escapes blanks, tabs, newlines and backslashes as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)

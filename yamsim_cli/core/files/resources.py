@@ -1,4 +1,4 @@
-"""Locations of configs, robot models and assets: a checkout, an installed wheel, or the user's own folder."""
+"""Locations of configs, robot models and assets: a checkout, an installed wheel, or the user's folder."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 from ..errors import ConfigError, ResourceError, suggest
 
-AUTO = ("quality", "auto")  # kind and name of the config that stands for `Locations.auto_quality`
-IMPORTED = "imported"  # asset set of the user's own meshes: a folder of the cache that no lock lists
-_ENDINGS = (".yaml", ".yml")  # of config files
-_CAMERA_ENDINGS = (*_ENDINGS, ".json", ".xml")  # of camera files, which may come from other programs
-_KITCHEN = "kitchen_"  # prefix of the names of kitchen things
+AUTO = ("quality", "auto")  # kind and name that stand for the config `Locations.auto_quality`
+IMPORTED = "imported"  # asset set of the user's meshes: a folder of the cache without an entry in a lock file
+_CONFIG_SUFFIXES = (".yaml", ".yml")  # suffixes of config files
+_CAMERA_SUFFIXES = (*_CONFIG_SUFFIXES, ".json", ".xml")  # suffixes of camera files, also of other programs
+_KITCHEN = "kitchen_"  # prefix of the names of kitchen objects
 
-# Asset set -> folder of its meshes; None shows primitives instead.
+# Asset set -> folder of its meshes; None for primitives instead.
 Meshes = Mapping[str, Path | None]
 
 # Kind -> path of its configs below a data root, with `*` for the name.
@@ -25,33 +25,33 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 
 
 def _built_in() -> Path:
-    """The data root that ships with yamsim: `_data` in an installed wheel, else the checkout's top level."""
+    """Return the built-in data root: `_data` in an installed wheel, else the checkout's top level."""
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
 
 
 def config_path_pattern(kind: str) -> str:
-    """Path of the configs of a kind below a data root, with `*` for the name."""
+    """Return the path of the configs of a kind below a data root, with `*` for the name."""
     return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
 
 def camera_file(name: str) -> tuple[Path, str] | None:
-    """File and camera of `FILE` or `FILE:CAMERA`, the camera empty if not given; None if `name` names no file."""
-    if name.endswith(_CAMERA_ENDINGS):
+    """Return file and camera of `FILE` or `FILE:CAMERA`, with an empty camera for `FILE`; None for other names."""
+    if name.endswith(_CAMERA_SUFFIXES):
         return Path(name), ""
     file, _, camera = name.rpartition(":")
-    return (Path(file), camera) if file.endswith(_CAMERA_ENDINGS) else None
+    return (Path(file), camera) if file.endswith(_CAMERA_SUFFIXES) else None
 
 
 @dataclass(frozen=True)
 class Locations:
-    """The directories that a job may read from; plain data that can be sent to workers on any machine.
+    """The directories that a job may read, as plain data for workers on any machine.
 
     Attributes:
-        data: roots that hold `configs/`, `robot_models/` and `assets/`, most important first.
+        data: roots with `configs/`, `robot_models/` and `assets/`; earlier roots have priority.
         assets: the cache of fetched meshes.
-        auto_quality: the quality that the name `auto` stands for; depends on the GPU.
-        meshes: folders of the meshes that scenes show; empty shows primitives.
+        auto_quality: the quality for the name `auto`; depends on the GPU.
+        meshes: folders of the meshes that scenes show; empty for primitives.
     """
 
     data: tuple[Path, ...]
@@ -61,7 +61,7 @@ class Locations:
 
     @classmethod
     def find(cls, environ: Mapping[str, str]) -> Locations:
-        """The locations from `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME`; opens no file."""
+        """Return the locations from `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME`; open no file."""
         roots = [Path(environ["YAMSIM_DATA_DIR"])] if environ.get("YAMSIM_DATA_DIR") else []
         if environ.get("YAMSIM_ASSETS"):
             assets = Path(environ["YAMSIM_ASSETS"])
@@ -72,7 +72,7 @@ class Locations:
         return cls(data=(*roots, _built_in()), assets=assets)
 
     def file(self, relative: str) -> Path:
-        """The file at `relative` in the first data root that has it; ResourceError if none has."""
+        """Return the file at `relative` in the first data root that has it. Raises ResourceError if none has."""
         for root in self.data:
             if (root / relative).is_file():
                 return root / relative
@@ -81,7 +81,7 @@ class Locations:
         )
 
     def config_names(self, kind: str) -> list[str]:
-        """Names of the configs of one kind (`rigs`, `tasks`, `robots`, ...), sorted."""
+        """Return the names of the configs of one kind (`rigs`, `tasks`, `robots`, ...), sorted."""
         place = config_path_pattern(kind)
         depth = place.split("/").index("*") if kind in _PLACES else -1
         found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
@@ -89,18 +89,18 @@ class Locations:
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
-        """The file of a named config, or of a path that ends in `.yaml` or `.yml`.
+        """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`.
 
-        Names may leave out a prefix, as in `013_apple` and `kitchen_spoon`. A camera's file may also end in `.json` or
-        `.xml`, and be followed by the name of one of its cameras, as in `calibration.json:left`. The returned path
-        keeps that name.
+        Names may leave out a prefix, such as `013_` of `013_apple` and `kitchen_` of `kitchen_spoon`. A camera's path
+        may also end in `.json` or `.xml`, and have the name of a camera after a colon: `calibration.json:left`. The
+        returned path keeps the camera's name.
 
         Raises:
-            ConfigError: no such config; the message lists valid names.
+            ConfigError: the config does not exist; the message lists valid names.
         """
         path = Path(name)
-        # Recordings state a robot by its name, so that robots and grippers are found by names alone.
-        file = path if name.endswith(_ENDINGS) and kind not in _PLACES else None
+        # Recordings contain only the names of robots and grippers, so these are not found by paths.
+        file = path if name.endswith(_CONFIG_SUFFIXES) and kind not in _PLACES else None
         if kind == "cameras" and (found := camera_file(name)):
             file = found[0]
         if file is not None:
@@ -110,7 +110,7 @@ class Locations:
         if name not in self.config_names(kind):
             name = self._prefixed(kind, name) or name
         if name not in self.config_names(kind):
-            endings = _CAMERA_ENDINGS if kind == "cameras" else _ENDINGS
+            endings = _CAMERA_SUFFIXES if kind == "cameras" else _CONFIG_SUFFIXES
             hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
             robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
             valid = suggest(name, self.config_names(kind))
@@ -119,7 +119,7 @@ class Locations:
         return self.file(config_path_pattern(kind).replace("*", chosen))
 
     def _prefixed(self, kind: str, name: str) -> str | None:
-        """The only config named by a number and `name` (`013_apple`), or else `kitchen_` and `name`; or None."""
+        """Return the only config named by a number and `name` (`013_apple`), or else `kitchen_` and `name`; or None."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
         if not found and (ours := f"{_KITCHEN}{name}") in names:

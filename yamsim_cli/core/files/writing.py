@@ -1,7 +1,7 @@
-"""Writes files and directories whole or not at all.
+"""Writes files and directories atomically.
 
-Content is written beside its destination, flushed to the disk, and then renamed. A crash at any moment leaves the old
-or the new state under the final name, never half of either.
+Content is written beside its destination, flushed to the disk, and then renamed. A crash at any time leaves either the
+complete old state or the complete new state under the final name.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from pathlib import Path
 
 from ..errors import ResourceError, UsageError
 
-# Errors of a path, which `obstacle` explains better than the system's text.
+# Errors of a path, for which `why_not_directory` gives a clearer reason than the system's text.
 _PATH_ERRORS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
-_FLUSHERS = 16  # threads: each waits for the disk and releases the GIL
+_FLUSH_THREADS = 16  # threads that flush files; each waits for the disk and releases the GIL
 
 
 def sha256_bytes(data: bytes) -> str:
-    """Hex SHA-256 of `data`."""
+    """Return the SHA-256 of `data` in hex."""
     return hashlib.sha256(data).hexdigest()
 
 
 def sha256_file(path: Path) -> str:
-    """Hex SHA-256 of a file, read in pieces."""
+    """Return the SHA-256 of a file in hex; reads the file in pieces."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def fsync_directory(path: Path) -> None:
-    """Flush a directory's entries, so that a rename in it survives a power cut."""
+    """Flush a directory's entries, so that a rename in the directory survives a power cut."""
     with _opened(path, os.O_RDONLY | os.O_DIRECTORY) as descriptor:
         os.fsync(descriptor)
 
 
 @contextlib.contextmanager
 def _opened(path: Path, flags: int) -> Iterator[int]:
-    """A descriptor for the block. Errors in the block name the file, unlike errors of `os.read` and `os.write`."""
+    """Open a file for the block. Errors in the block name the file, unlike errors of `os.read` and `os.write`."""
     descriptor = os.open(path, flags, 0o666)
     try:
         yield descriptor
@@ -58,7 +58,7 @@ def _opened(path: Path, flags: int) -> Iterator[int]:
 
 
 def _write_and_fsync(path: Path, data: bytes) -> None:
-    """Create a file that must not exist."""
+    """Create a file; raise FileExistsError if it exists."""
     with _opened(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
         rest = memoryview(data)
         while rest:
@@ -70,17 +70,17 @@ def write_file(path: Path, data: bytes) -> None:
     """Replace or create one file atomically; its directory must exist.
 
     Raises:
-        OSError: the file could not be written, and has its old content. If only the last flush, of the directory,
+        OSError: the file could not be written, and keeps its old content. If only the last flush (of the directory)
             fails, the file has the new content.
     """
     write_files({path: data})
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Replace or create several files: all content is on the disk before the first file gets its name.
+    """Replace or create several files; the first rename follows after all content is on the disk.
 
     Raises:
-        OSError: a file could not be written; no file has changed, unless a rename failed.
+        OSError: a file could not be written. No file has changed, unless a rename failed.
     """
     parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
@@ -96,20 +96,20 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 
 def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
-    """Write a command's result that is one file, see `write_outputs`."""
+    """Write a command's only output file, see `write_outputs`."""
     write_outputs({path: data}, flag)
 
 
 def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_folder: bool = False) -> None:
-    """Write all files of a command's result or none; if that fails, keep the result among the temporary files.
+    """Write all output files of a command or none; on failure, save the result in a temporary folder.
 
     Args:
         files: path -> content, all in one directory; existing files are replaced.
-        flag: the option that names the files, for the message.
-        make_folder: make the directory if missing.
+        flag: the option for the output path, for the message.
+        make_folder: whether to create a missing directory.
 
     Raises:
-        ResourceError: a file cannot be written; the message says where the result is kept.
+        ResourceError: a file cannot be written; the message contains the temporary folder.
     """
     folder = next(iter(files)).parent
     try:
@@ -125,7 +125,7 @@ def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_fold
 
 
 def _save_to_temporary(files: Mapping[str, bytes]) -> Path | None:
-    """Save a result in a new temporary folder; None if that fails too."""
+    """Save a result in a new temporary folder, and return the folder; None on failure."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="yamsim-"))
         write_files({folder / name: data for name, data in files.items()})
@@ -135,16 +135,16 @@ def _save_to_temporary(files: Mapping[str, bytes]) -> Path | None:
 
 
 def publish_file(part: Path, final: Path) -> None:
-    """Rename the finished file `part` to `final`, in the same directory; raises as `write_file`, and keeps `part`."""
+    """Rename the complete file `part` to `final` in the same directory. Raises as `write_file`, and keeps `part`."""
     _fsync(part)
     os.replace(part, final)
     fsync_directory(final.parent)
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append one line by a single write, and flush it to the disk: a crash leaves a whole line or none.
+    """Append one line with a single write, and flush it to the disk: a crash leaves the whole line or none of it.
 
-    A last line without an end, from a power cut, is ended first.
+    If a power cut left an incomplete last line, the function first ends that line.
     """
     with _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
         size = os.fstat(descriptor).st_size
@@ -157,15 +157,15 @@ def append_line(path: Path, line: str) -> None:
 
 
 def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) -> None:
-    """Create directory `final` with all of `files` in one step.
+    """Create directory `final` with all `files` in one step.
 
     Args:
-        final: must not exist; its parent must exist.
+        final: the new directory, which must not exist; its parent must exist.
         files: relative POSIX path -> content.
-        staging: a directory on the same filesystem where the tree is built first; made if missing.
+        staging: a directory on the same filesystem, where the tree is built first; created if missing.
 
     Raises:
-        OSError: nothing appeared under `final`, and the staged tree was removed.
+        OSError: the tree could not be written; `final` does not exist, and the staged tree is removed.
     """
     stage = staging / f"{final.name}.{uuid.uuid4().hex}"
     try:
@@ -179,7 +179,7 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
             _write_and_fsync(path, data)
         for directory in directories:
             fsync_directory(directory)
-        # rename(2) refuses a non-empty target, and silently replaces an empty directory.
+        # rename(2) refuses a non-empty target, but silently replaces an empty directory.
         if final.exists():
             raise FileExistsError(f"{final} already exists")
         os.rename(stage, final)
@@ -195,11 +195,11 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
 
 @dataclass
 class StagedDirectory:
-    """A directory that is being filled.
+    """A directory under construction.
 
     Attributes:
-        path: where to write.
-        moved_aside: after the block, the new place of an earlier directory; None if there was none.
+        path: the directory to write to.
+        moved_aside: after the block, the backup of an earlier directory; None without an earlier directory.
     """
 
     path: Path
@@ -208,18 +208,18 @@ class StagedDirectory:
 
 @contextlib.contextmanager
 def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
-    """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
+    """Yield a hidden directory beside `final`; after the block, flush it to the disk and rename it to `final`.
 
-    For trees that are too large for `publish_directory`. An exception in the block removes what was written, and the
-    next call for the same `final` removes what a killed process left.
+    The function serves trees that are too large for `publish_directory`. An exception in the block removes the
+    directory. The next call for the same `final` removes directories of killed processes.
 
     Args:
-        overwrite: move what is at `final` aside, after the block.
+        overwrite: move an existing `final` to a backup, after the block.
 
     Raises:
-        UsageError: the process's current directory is `final` or lies in it.
-        FileExistsError: `final` exists, and not as an empty directory.
-        OSError: the tree could not be written; nothing appeared under `final`.
+        UsageError: the process's current directory is `final` or lies in `final`.
+        FileExistsError: `final` exists, and is not an empty directory.
+        OSError: the tree could not be written; `final` is not created.
     """
     final = _named(final)
     _refuse_own_directory(final)
@@ -242,7 +242,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
             final.rmdir()
         if overwrite and os.path.lexists(final):
             stage.moved_aside = move_to_backup(final)
-        # rename(2) refuses a non-empty target, and silently replaces a file.
+        # rename(2) refuses a non-empty target, but silently replaces a file.
         if final.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(final))
         os.rename(stage.path, final)
@@ -254,7 +254,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
 
 @contextlib.contextmanager
 def scratch_directory(prefix: str) -> Iterator[Path]:
-    """A new temporary folder for the block; folders of killed processes are removed first."""
+    """Yield a new temporary folder for the block; first remove folders of killed processes."""
     _remove_stale(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
     with _locked_folder(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
         try:
@@ -265,10 +265,10 @@ def scratch_directory(prefix: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
-    """A new folder, locked for the block as a sign that a living process uses it."""
+    """Yield a new folder, with a lock for the block that marks the folder as in use by a living process."""
     while True:
         folder = make()
-        # Another process may remove the folder as stale before it is locked here: then another folder is made.
+        # Another process may remove the folder as stale before this process locks it. In that case, create another.
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
@@ -285,11 +285,11 @@ def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
 
 
 def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
-    """Remove folders of these names that no process has locked: killed processes left them."""
+    """Remove unlocked folders with matching names, which are those of killed processes."""
     for folder in parent.iterdir() if parent.is_dir() else ():
         if not names.fullmatch(folder.name):
             continue
-        # Folders of other users, in use, or on a filesystem without locks raise OSError, and stay.
+        # Folders of other users, locked folders, and folders on a filesystem without locks raise OSError, and stay.
         with contextlib.suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
@@ -301,9 +301,9 @@ def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
 
 
 def _fsync_tree(root: Path) -> None:
-    """Flush all files and directories below `root`, many at a time."""
+    """Flush all files and directories below `root` in parallel."""
     paths = [root, *root.rglob("*")]
-    with ThreadPoolExecutor(_FLUSHERS) as flushers:
+    with ThreadPoolExecutor(_FLUSH_THREADS) as flushers:
         list(flushers.map(_fsync, paths))
 
 
@@ -313,13 +313,13 @@ def _fsync(path: Path) -> None:
 
 
 def nearest_directory(path: Path) -> Path:
-    """The directory at `path`, or the nearest one above it that exists."""
-    # Not Path.is_dir, which raises for names that are too long and directories that may not be read.
+    """Return the directory at `path`, or its nearest existing ancestor."""
+    # Path.is_dir is not used: it raises for too long names and for unreadable directories.
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
 
 def why_not_directory(path: Path) -> str | None:
-    """Why no directory can be made at `path`, such as `it is a file`; None if no reason is known."""
+    """Return the reason why no directory can be created at `path`, such as `it is a file`; None if unknown."""
     try:
         path.lstat()
     except OSError as error:
@@ -337,18 +337,18 @@ def why_not_directory(path: Path) -> str | None:
 
 
 def describe_refusal(error: OSError, path: Path) -> str:
-    """Why a directory cannot be made or filled at `path`: an error of the system as a clause."""
+    """Return, as a clause, the reason why a directory cannot be created or filled at `path`."""
     found = why_not_directory(path) if error.errno in _PATH_ERRORS else None
     return found or error.strerror or str(error)
 
 
 def _named(path: Path) -> Path:
-    """The same path, resolved if it does not end in a name."""
+    """Return the path, resolved if it does not end in a name."""
     return path.resolve() if path.name in ("", "..") else path
 
 
 def _refuse_own_directory(path: Path) -> None:
-    """Raise UsageError if `path` is this process's directory, or contains it."""
+    """Raise UsageError if `path` is or contains this process's current directory."""
     if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
         raise UsageError(
             f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
@@ -356,10 +356,10 @@ def _refuse_own_directory(path: Path) -> None:
 
 
 def move_to_backup(path: Path) -> Path:
-    """Rename `path` to the first free `<name>.old-<n>` beside it, and return that.
+    """Rename `path` to the first free `<name>.old-<n>` beside it, and return the new path.
 
     Raises:
-        UsageError: `path` is this process's directory, or contains it: the user's shell is there too.
+        UsageError: `path` is or contains this process's current directory, and so that of the user's shell.
         OSError: `path` cannot be renamed.
     """
     path = _named(path)
@@ -373,7 +373,7 @@ def move_to_backup(path: Path) -> Path:
 
 @contextlib.contextmanager
 def exclusive_lock(path: Path) -> Iterator[None]:
-    """Hold an advisory lock on `path`, made if missing, for the block; waits for another holder to finish."""
+    """Hold an advisory lock on `path` for the block; wait for other holders, and create the file if missing."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""Identified dynamics of one arm, which replace values of its model: written by `yamsim identify`."""
+"""Identified dynamics of one arm, which `yamsim identify` writes and which replace values of the arm's model."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _Milliseconds = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 
 
 class JointDynamics(Config):
-    """Dynamics of one joint; values that are left out are the model's.
+    """Dynamics of one joint. Keys that are left out keep the model's values.
 
     Attributes:
-        armature: of the motor at the joint, kg m2.
-        damping: passive damping, besides that of the drive, N m s/rad.
+        armature: rotor inertia of the motor at the joint, kg m2.
+        damping: passive damping in addition to that of the drive, N m s/rad.
         frictionloss: Coulomb friction, N m.
         kp, kv: gains of the drive, N m/rad and N m s/rad.
-        offset_rad: the encoder's reading where the drive holds the joint at 0.
-        gravity_factor: gravity compensation as a factor of the joint's weight; 1 is exact.
+        offset_rad: encoder reading while the drive holds the joint at 0.
+        gravity_factor: gravity compensation as a factor of the joint's gravity load; 1 is exact.
     """
 
     armature: Annotated[FiniteFloat, QuantityBounds("kg m2", 0, 100)] | None = None
@@ -35,12 +35,12 @@ class JointDynamics(Config):
 
 
 class Dynamics(Config):
-    """A named revision of a robot model: of one arm, as it was measured.
+    """A named revision of a robot model with the measured dynamics of one arm.
 
     Attributes:
         revision: name of the revision.
         base: the robot model of which this is a revision.
-        side: `left` or `right`: the arms of a rig with these dynamics; if left out, all arms of the model.
+        side: `left` or `right`, the arms of a rig that have these dynamics; if left out, all arms of the model.
         source: the data of the identification, in a few words.
         joints: joint -> its dynamics; other joints keep those of the model.
         command_delay_ms: delay between a command and its effect.
@@ -66,14 +66,11 @@ class Dynamics(Config):
         return hash(self.model_dump_json())
 
     def joint(self, name: str) -> JointDynamics:
-        """The dynamics of a joint."""
+        """Return the dynamics of a joint."""
         return self.joints.get(name, JointDynamics())
 
     def check(self, arm: ArmModel) -> None:
-        """Make sure that these are dynamics of an arm.
-
-        Raises ValueError if the dynamics are of another model, or name a joint that the arm lacks.
-        """
+        """Raise ValueError if the dynamics belong to another model than `arm`, or name a joint that `arm` lacks."""
         if self.base != arm.name:
             raise ValueError(f"revision {self.revision!r} is one of {self.base!r}, and the arm is {arm.name!r}")
         names = [joint.name for joint in arm.joints]

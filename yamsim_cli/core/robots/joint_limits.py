@@ -1,4 +1,4 @@
-"""Checks joints from files, flags and programs against the stops of an arm."""
+"""Checks joints from files, flags and programs against the joint limits of an arm."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from .robot import Robot
 
 
 def describe_limit_violation(name: str, robot: Robot, joints: Array, slack: float) -> str | None:
-    """An error message for the first joint beyond its stops, with its worst value; None if there is none.
+    """Return an error message for the first joint beyond its limits, with its worst value; None if all are within.
 
     Args:
-        name: of the arm, for the message.
-        joints: (dof,) or (rows, dof), rad.
-        slack: tolerance beyond a stop, rad.
+        name: name of the arm, for the message.
+        joints: joint positions (dof,) or (rows, dof), rad.
+        slack: tolerance beyond a joint limit, rad.
 
     Returns:
-        Such as "arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees? Then give 1.85".
+        For example "arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees? Then give 1.85".
     """
     rows = np.atleast_2d(joints)
     for j, joint in enumerate(robot.joints):

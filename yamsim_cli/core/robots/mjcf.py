@@ -13,21 +13,21 @@ from .dynamics import Dynamics, JointDynamics
 from .finray.segment_chain import add_fingers, get_section
 from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
 
-# Sections of a gripper's MJCF that are merged into the arm's, besides its body and its classes.
+# Sections of a gripper's MJCF that are merged into the arm's MJCF, besides body and default classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
-# Sections that only an arm may have. There are no keyframes, since a keyframe fits one model only.
+# Sections that only an arm may have. Keyframes are not allowed, since a keyframe fits only one model.
 _ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 
-# Elements that read files or load plugins, which MJCFs of robots may not have. Includes are expanded before.
-_NOT_READ = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
+# Elements that read files or load plugins, which MJCFs of robots must not have. Includes are expanded before the check.
+_FORBIDDEN_ELEMENTS = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
-# Sites of every gripper: where the fingers meet, and the frame of recorded poses.
+# Sites of every gripper: the point where the fingers meet, and the frame of recorded poses.
 _SITES = ("pinch_site", "grasp_site")
 
 # Attributes outside `worldbody` that name a body.
 _BODY_KEYS = ("body", "body1", "body2")
 
-# Key of a joint's values -> element and attribute.
+# Field of `JointChange` or `JointDynamics` -> element and attribute in MJCF.
 _ATTRIBUTES = {
     "range": ("joint", "range"),
     "armature": ("joint", "armature"),
@@ -38,15 +38,15 @@ _ATTRIBUTES = {
     "torque": ("drive", "forcerange"),
 }
 _TIP_SITE = "pinch_site"
-_POINT_INERTIA = 1e-9  # kg m2, of a point mass, since MuJoCo needs an inertia above 0
+_POINT_INERTIA = 1e-9  # kg m2, inertia of a point mass: MuJoCo needs an inertia above 0
 
 
 def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
-    """The MJCF of an arm with a gripper.
+    """Return the MJCF of an arm with a gripper.
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
 
-    Raises ConfigError if a file is no MJCF of a robot, or the two contradict each other.
+    Raises ConfigError if a file is no MJCF of a robot, or the files contradict each other.
     """
     root, hand = parse_mjcf(arm.mjcf), parse_mjcf(gripper.mjcf)
     if gripper.finray is not None:
@@ -75,9 +75,9 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
 
 
 def parse_mjcf(mjcf: Mjcf) -> Element:
-    """The root element of an MJCF.
+    """Return the root element of an MJCF.
 
-    Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes of its sets.
+    Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes of asset sets.
     """
     try:
         root = parse_root(mjcf.text)
@@ -90,9 +90,9 @@ def parse_mjcf(mjcf: Mjcf) -> Element:
 
 
 def _check_files(root: Element, mjcf: Mjcf) -> None:
-    """Make sure that MuJoCo opens no file by itself: the only files that an MJCF may name are meshes of asset sets."""
+    """Make sure that MuJoCo opens no file by itself: an MJCF may only name meshes of asset sets."""
     for element in root.iter():
-        if element.tag in _NOT_READ:
+        if element.tag in _FORBIDDEN_ELEMENTS:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
         for key, value in element.attrib.items():
             if key.endswith("dir") and element.tag == "compiler":
@@ -107,7 +107,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The body of that name. Raises ConfigError if there is no such body."""
+    """Return the body with a name. Raises ConfigError if the MJCF has no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -115,7 +115,7 @@ def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The joint of that name in `worldbody`. Raises ConfigError if there is no such joint."""
+    """Return the joint with a name in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
@@ -123,9 +123,9 @@ def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
-    """The position drive of a joint.
+    """Return the position drive of a joint.
 
-    Raises ConfigError if the joint has not exactly one drive, a <position> with a name.
+    Raises ConfigError unless the joint has exactly one actuator, which is a <position> with a name.
     """
     found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
@@ -134,7 +134,7 @@ def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
 
 
 def format_numbers(values: Iterable[float]) -> str:
-    """Numbers as an attribute, without loss of precision."""
+    """Return numbers as the text of an attribute, without loss of precision."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
@@ -157,7 +157,7 @@ def _attributes(root: Element, tag: str) -> dict[str, str]:
 
 
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
-    """The only body of a gripper's `worldbody`."""
+    """Return the only body of a gripper's `worldbody`."""
     bodies = list(_parts(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
         raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
@@ -235,7 +235,7 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
 
 
 def _move(inertial: Element, mount: Placement) -> None:
-    """Transform an inertial from the gripper's frame into the flange's."""
+    """Transform an inertial from the gripper's frame into the flange's frame."""
     place, turn = (
         [float(number) for number in inertial.get(key, default).split()]
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
@@ -268,7 +268,7 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
 
 
 def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChange]) -> None:
-    """Write the joints' stops and a gripper's changes of joints into the MJCF."""
+    """Write the joint limits and a gripper's changes of joints into the MJCF."""
     names = [limits.name for limits in arm.joints]
     for name in changes:
         if name not in names:
@@ -283,11 +283,11 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
 
 
 def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dynamics) -> None:
-    """Write an arm's dynamics into its MJCF with a gripper, as far as MJCF has attributes for them.
+    """Write an arm's dynamics into the merged MJCF of arm and gripper.
 
-    Gravity factors, offsets, sensors and delays have none. Scenes apply delays when they are stepped.
+    MJCF has no attributes for gravity factors, offsets, sensors and delays. Scenes apply delays during steps.
 
-    Raises ConfigError if there is a mass at the tip, and no site for it.
+    Raises ConfigError if the dynamics have a tip mass and the MJCF has no site for that mass.
     """
     for limits in arm.joints:
         _set_joint(root, arm, limits.name, dynamics.joint(limits.name))
@@ -314,7 +314,7 @@ def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | Jo
 
 
 def coupling_ratio(root: Element, one: str, other: str) -> float:
-    """The ratio of the positions of two joints that an equality couples linearly; 1 without an equality."""
+    """Return position of `one` / position of `other` for joints that an equality couples; 1 without an equality."""
     for element in _parts(root, "equality"):
         factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])
         match element.get("joint1"), element.get("joint2"):

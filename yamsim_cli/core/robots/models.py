@@ -39,22 +39,22 @@ from .finray.finger import FinRay
 
 Element = ElementTree.Element
 
-# Refusal codes of an include that names no file of the folder.
+# Refusal codes of an include whose file is not in the folder.
 _OUTSIDE_CODES = ("outside", "missing", "not-a-file")
 
-# A name in an MJCF.
+# The name of an element in an MJCF.
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
 _Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(require_ordered)]
 _Opening = Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 0.5)]
 
 
 class Mjcf(Config):
-    """The content of an MJCF file beside a YAML, so that a worker on another machine needs no file.
+    """The content of an MJCF file beside a YAML file, so that a worker on another machine needs no file.
 
     Attributes:
-        file: the path.
+        file: path of the file.
         text: the MJCF with its includes expanded.
-        includes: whether the file includes others, so that lines of `text` are not lines of the file.
+        includes: whether the file includes others; if so, line numbers of `text` differ from those of the file.
     """
 
     file: str
@@ -82,9 +82,9 @@ class JointLimits(Config):
     """The limits of a joint.
 
     Attributes:
-        range: between the stops, rad.
-        motor_rpm: the motor's no-load speed at the joint, revolutions a minute.
-        reported_rad_s: the fastest motion that the drive can report, rad/s.
+        range: lower and upper joint limit, rad.
+        motor_rpm: the motor's no-load speed at the joint, revolutions per minute.
+        reported_rad_s: the largest speed that the drive can report, rad/s.
     """
 
     name: Part
@@ -99,13 +99,13 @@ class JointLimits(Config):
 
 
 class JointChange(Config):
-    """Values of a joint that replace those of the arm's files.
+    """Values of a joint that replace values of the arm's files.
 
     Attributes:
-        range: between the stops, rad.
+        range: lower and upper joint limit, rad.
         kp, kv: gains of the drive, N m/rad and N m s/rad.
         torque: largest torque of the drive, N m.
-        armature: of the motor at the joint, kg m2.
+        armature: rotor inertia of the motor at the joint, kg m2.
         frictionloss: Coulomb friction, N m.
     """
 
@@ -118,7 +118,7 @@ class JointChange(Config):
 
 
 class Placement(Config):
-    """A pose in another frame: position in metres, quaternion wxyz."""
+    """A pose in another frame: position (m) and quaternion wxyz."""
 
     position: OffsetPoint = (0.0, 0.0, 0.0)
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -130,10 +130,10 @@ class Placement(Config):
 
 
 class Fit(Config):
-    """How a gripper is mounted on an arm, and what it changes there.
+    """The mounting of a gripper on an arm, and its changes to the arm.
 
     Attributes:
-        mount: pose of the gripper's frame in the flange's.
+        mount: pose of the gripper's frame in the flange's frame.
         joints: joint -> changed values.
         excludes: pairs of bodies that do not collide with this gripper.
     """
@@ -144,7 +144,7 @@ class Fit(Config):
 
 
 class CameraMode(Config):
-    """An image size (width, height in pixels) of a camera, and the field of view in this size."""
+    """An image size (width, height in px) of a camera, and the vertical field of view at this size."""
 
     size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
     fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
@@ -155,12 +155,12 @@ Modes = Annotated[tuple[CameraMode, ...], OMIT_EMPTY]
 
 
 class WristCamera(Config):
-    """A camera on the flange: its position (m) and the axes of its OpenCV frame (x right, y down, z forward) there.
+    """A camera on the flange: position (m) and axes of its OpenCV frame (x right, y down, z forward) in the flange's.
 
     Attributes:
         fovy_deg: vertical field of view.
         modes: image sizes with another field of view.
-        name: of the recorded images; if left out, `<side>_wrist_camera`.
+        name: name of the recorded images; if left out, `<side>_wrist_camera`.
     """
 
     position: OffsetPoint
@@ -171,19 +171,19 @@ class WristCamera(Config):
     name: Annotated[Name | None, OMIT_NONE] = None
 
     def fovy(self, size: tuple[int, int]) -> float:
-        """Vertical field of view of images of a size (width, height), degrees."""
+        """Return the vertical field of view of images of a size (width, height in px), degrees."""
         return fovy_for_size(size, self.fovy_deg, self.modes)
 
 
 def fovy_for_size(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...]) -> float:
-    """A camera's vertical field of view for images of a size (width, height), degrees."""
+    """Return a camera's vertical field of view for images of a size (width, height in px), degrees."""
     return next((mode.fovy_deg for mode in modes if mode.size_px == size), fovy_deg)
 
 
 def _read_mjcf(path: Path) -> dict[str, object]:
-    """The values of the `Mjcf` of a file, with its includes expanded.
+    """Return the values of a file's `Mjcf`, with includes expanded.
 
-    Raises ConfigError if the file cannot be read, is no XML, or includes files outside its folder.
+    Raises ConfigError if the file cannot be read, is no UTF-8, or has invalid includes.
     """
     data = read_config(path)
     try:
@@ -202,7 +202,7 @@ def _read_mjcf(path: Path) -> dict[str, object]:
 
 
 def parse_root(data: str | bytes) -> Element:
-    """The root element of an XML text. Raises RefusedError if the text is no XML, or declares entities."""
+    """Return the root element of an XML text. Raises RefusedError if the text is no XML, or declares entities."""
     text = data if isinstance(data, str) else data.decode(errors="replace")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise RefusedError("xml-entities", "declares a document type, which no MJCF needs; remove it")
@@ -213,21 +213,21 @@ def parse_root(data: str | bytes) -> Element:
 
 
 class _FolderConfig(Config):
-    """A config that is named after its folder, and has an MJCF beside its YAML."""
+    """A config with the name of its folder, and an MJCF beside its YAML."""
 
     name: Name
     mjcf: MjcfFile
     source: str | None = None
 
     def __hash__(self) -> int:
-        """Hash the MJCF, since the mappings inside have no hash."""
+        """Hash the MJCF, since the mappings in the config have no hash."""
         return hash((self.name, self.mjcf.text))
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """The YAML with the content of its MJCF.
+        """Return the YAML document with the content of its MJCF.
 
-        Raises ConfigError if a file cannot be read, or the name is not the folder's.
+        Raises ConfigError if a file cannot be read, or the name differs from the folder's.
         """
         document = load_yaml(path)
         name = path.absolute().parent.name
@@ -244,19 +244,19 @@ class ArmModel(_FolderConfig):
     """A robot model: an arm without its gripper.
 
     Attributes:
-        name: of the folder, `robot_models/<name>/`; may be left out.
+        name: name of the folder `robot_models/<name>/`; may be left out.
         source: origin of the figures, in a few words.
-        mjcf: the file beside the YAML with the arm's bodies up to the flange and a position drive for each joint, and
-            without the joints' stops.
+        mjcf: the MJCF file beside the YAML. The file has the arm's bodies up to the flange and a position drive for
+            each joint, but no joint limits.
         base: the body whose frame is the arm's base frame.
-        flange: the last body, which turns with the last joint; a gripper becomes part of it.
+        flange: the last body, which turns with the last joint. A gripper becomes part of this body.
         base_mesh: pose of the frame of boards and mounts in the base frame.
         mesh_sets: the asset sets of the MJCF's meshes.
-        joints: from the base to the flange.
+        joints: joints from the base to the flange.
         home: the joints at rest, rad.
-        start: the joints at the start of tasks without `start_joints`, rad; home if left out.
-        grippers: gripper -> how it fits, unless the gripper's file has this.
-        family, revision: the family of the model, and its revision; the name of a family means its newest revision.
+        start: the joints at the start of tasks without `start_joints`, rad; `home` if left out.
+        grippers: gripper -> its mounting, unless the gripper's file has an entry for this model.
+        family, revision: family and revision of the model. The name of a family stands for its newest revision.
     """
 
     base: Part
@@ -296,12 +296,12 @@ class Fingers(Config):
 
     Attributes:
         joints: slide joints of the left and the right finger, which an equality of the MJCF may couple.
-        bodies: of the left and the right finger, on these joints. Their child bodies belong to the finger.
+        bodies: bodies of the left and the right finger on these joints. Child bodies belong to the finger.
         drive: the actuator of the left finger's joint; its command is that finger's opening, m.
-        range: of one finger between its stops, m; 0 is closed. The MJCF has no range.
+        range: lower and upper limit of one finger's opening, m; 0 is closed. The MJCF has no range.
         full_opening: largest opening of one finger in use, m.
-        start_opening: of one finger when a task starts, m; `full_opening` if left out.
-        radius: half of a finger's width near its tip, m: the space that it needs beside an object.
+        start_opening: opening of one finger at the start of a task, m; `full_opening` if left out.
+        radius: half of a finger's width near its tip, m: the space that a finger needs beside an object.
         pads: whether the fingers can hold an object by friction.
     """
 
@@ -316,7 +316,7 @@ class Fingers(Config):
 
     @property
     def initial_opening(self) -> float:
-        """Opening of one finger when a task starts, m."""
+        """Opening of one finger at the start of a task, m."""
         return self.full_opening if self.start_opening is None else self.start_opening
 
     @model_validator(mode="after")
@@ -332,16 +332,16 @@ class Gripper(_FolderConfig):
     """A gripper, which becomes part of an arm's flange.
 
     Attributes:
-        name: of the folder, `robot_models/grippers/<name>/`; may be left out.
+        name: name of the folder `robot_models/grippers/<name>/`; may be left out.
         source: origin of the figures, in a few words.
-        mjcf: the file beside the YAML with one body, the gripper's frame, whose content becomes part of the flange; its
-            `inertial` is that of flange and gripper together. Equalities, excludes and actuators join the arm's. The
-            site `pinch_site` lies where the fingers meet, z into the grasp, y along the closing direction.
+        mjcf: the MJCF file beside the YAML. The file has one body, the gripper's frame, whose content becomes part of
+            the flange. Its `inertial` is that of flange and gripper together. Equalities, excludes and actuators are
+            added to the arm's. The site `pinch_site` lies where the fingers meet: z into the grasp, y along closing.
         mesh_sets: the asset sets of the MJCF's meshes.
         fingers: None for a gripper without fingers.
-        finray: soft fingers that are generated on two bodies of the MJCF.
-        wrist_camera: the camera of an arm with this gripper, unless the rig has another.
-        arms: robot model -> how the gripper fits there, unless the model's file has this.
+        finray: soft fingers, generated on two bodies of the MJCF.
+        wrist_camera: the wrist camera of an arm with this gripper, unless the rig has another.
+        arms: robot model -> the gripper's mounting, unless the model's file has an entry for this gripper.
     """
 
     mesh_sets: tuple[Name, ...] = ()
@@ -352,7 +352,7 @@ class Gripper(_FolderConfig):
 
 
 def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
-    """How a gripper fits an arm. Raises ValueError if the gripper does not fit, or both files say how."""
+    """Return a gripper's mounting on an arm. Raises ValueError if the gripper does not fit, or both files define it."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:
         raise ValueError(

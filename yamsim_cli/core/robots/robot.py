@@ -21,17 +21,17 @@ class Robot:
 
     Attributes:
         model, gripper: names of the arm and the gripper.
-        xml: the merged MJCF of both.
+        xml: the merged MJCF of arm and gripper.
         base: the body whose frame is the arm's base frame.
         flange: the body that turns with the last joint, and carries the gripper.
-        joints: from the base to the flange, with their stops for this gripper.
+        joints: joints from the base to the flange, with their limits for this gripper.
         joint_drives: the actuators of these joints, in the same order.
         home, start: joints at rest, and at the start of tasks without `start_joints`, rad.
         fingers: None for a gripper without fingers.
         finger_signs: for the left and the right finger, 1 if its joint increases with the opening, else -1.
         mesh_sets: the asset sets of the MJCF's meshes.
         T_base_mesh: pose (4, 4) of the frame of boards and mounts in the base frame.
-        dynamics: identified dynamics, as far as MJCF has attributes for them also in `xml`.
+        dynamics: identified dynamics; `xml` also has those with an attribute in MJCF.
     """
 
     model: str
@@ -51,7 +51,7 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """The number of the arm's joints, without fingers."""
+        """Number of the arm's joints, without fingers."""
         return len(self.joints)
 
     @property
@@ -61,25 +61,25 @@ class Robot:
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Names of the joints' drives, and of the gripper's if it has fingers."""
+        """Names of the joints' drives, then of the fingers' drive if the gripper has fingers."""
         return (*self.joint_drives, *((self.fingers.drive,) if self.fingers else ()))
 
     @property
     def joint_range(self) -> Array:
-        """The joints' stops (dof, 2), rad."""
+        """Joint limits (dof, 2), rad."""
         return np.array([joint.range for joint in self.joints])
 
 
 @functools.lru_cache(maxsize=64)
 def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) -> Robot:
-    """Mount a gripper on an arm.
+    """Return an arm with a gripper mounted.
 
     Args:
         dynamics: identified dynamics of the arm.
 
     Raises:
-        ValueError: the gripper does not fit the arm, or the dynamics are another arm's.
-        ConfigError: an MJCF lacks what its YAML names, or the two contradict each other.
+        ValueError: the gripper does not fit the arm, or the dynamics belong to another arm.
+        ConfigError: an MJCF lacks an element that its YAML names, or the two contradict each other.
     """
     how = find_gripper_fit(arm, gripper)
     root = mjcf.merge_gripper(arm, gripper, how)
@@ -111,7 +111,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
 
 
 def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
-    """An arm's joints with the widest stops of all grippers in its file."""
+    """Return an arm's joints with the widest limits of all grippers in its file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
@@ -122,7 +122,7 @@ def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
 
 
 def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:
-    """Write the fingers' stops into the MJCF, and return `Robot.finger_signs`."""
+    """Write the fingers' joint limits into the MJCF, and return `Robot.finger_signs`."""
     fingers = gripper.fingers
     assert fingers is not None
     drive = mjcf.find_position_drive(root, fingers.joints[0], gripper.mjcf)

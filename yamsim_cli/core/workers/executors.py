@@ -1,7 +1,4 @@
-"""Executors, which turn jobs into results: their protocols, and the one that works in this process.
-
-Executors know nothing of robots.
-"""
+"""Protocols of executors, which run jobs and return results, and the executor that runs jobs in this process."""
 
 from __future__ import annotations
 
@@ -22,26 +19,26 @@ ResultOut = TypeVar("ResultOut", covariant=True)
 
 
 class JobRunner(Protocol[JobIn, ResultOut]):
-    """What a worker runs. A runner is opened once in the worker's process, and then runs one job after the other."""
+    """Runs jobs in a worker. A runner is opened once in the worker's process, and then runs one job after the other."""
 
     def run(self, job: JobIn) -> ResultOut:
-        """The result of a job, which depends on nothing but the job."""
+        """Return the result of a job, which depends only on the job."""
         ...
 
 
-# Makes a worker's runner; picklable.
+# Creates a worker's runner; picklable.
 Factory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
 
 
 class WorkerBugError(RuntimeError):
-    """An exception in a worker that is no `YamsimError` and so a bug; its text is the worker's own traceback."""
+    """A bug in a worker: an exception other than a `YamsimError`. Its text is the worker's traceback."""
 
 
 class LostJobError(PartialJobError):
-    """A job that ended every worker that tried it. The executor itself goes on.
+    """A job whose every try ended the worker. The executor continues with other jobs.
 
     Attributes:
-        tries: how many workers tried the job.
+        tries: number of workers that tried the job.
         reason: how the last worker ended.
     """
 
@@ -53,39 +50,39 @@ class LostJobError(PartialJobError):
 
 
 class Executor(Protocol[J, R]):
-    """Workers that run jobs in parallel; a context manager that ends them all."""
+    """Workers that run jobs in parallel; as a context manager, ends all workers at exit."""
 
     @property
     def idle(self) -> int:
-        """How many jobs can be submitted now."""
+        """Number of jobs that can be submitted now."""
         ...
 
     @property
     def in_flight(self) -> int:
-        """How many jobs were submitted and have not returned."""
+        """Number of submitted jobs without a returned result."""
         ...
 
     def submit(self, job: J) -> None:
-        """Give a job to an idle worker; there must be one."""
+        """Give a job to an idle worker; requires `idle` above 0."""
         ...
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """The next job that finishes, and its result.
+        """Wait for the next job that finishes, and return the job and its result.
 
         Args:
             timeout: seconds to wait; None for no limit.
 
         Raises:
             TimeoutError: no job finished in that time.
-            YamsimError: the runner raised it.
-            WorkerBugError: the runner raised anything else.
+            YamsimError: the runner raised this error.
+            WorkerBugError: the runner raised another exception.
             LostJobError: a job ended every worker that tried it.
             PartialJobError: no worker can be kept alive.
         """
         ...
 
     def close(self) -> None:
-        """End all workers at once, in the middle of a job too: workers hold nothing that could be lost."""
+        """End all workers at once, even during a job: workers hold no data that could be lost."""
         ...
 
     def __enter__(self) -> Executor[J, R]: ...
@@ -98,10 +95,10 @@ class Executor(Protocol[J, R]):
 def run_all(
     executor: Executor[J, R], jobs: Iterable[J], lost: Callable[[LostJobError], R] | None = None
 ) -> Iterator[tuple[J, R]]:
-    """Every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
+    """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
 
     Args:
-        lost: gives the result of a job that ended every worker; None raises the `LostJobError`.
+        lost: returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
     """
     waiting = iter(jobs)
     while True:
@@ -140,7 +137,7 @@ class InlineExecutor(Closable, Generic[J, R]):
         self._waiting.append(job)
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """The waiting job and its result; `timeout` is ignored."""
+        """Run the waiting job, and return the job and its result; `timeout` is ignored."""
         job = self._waiting.popleft()
         return job, self._runner.run(job)
 

@@ -1,6 +1,6 @@
-"""What runs in a worker's process: a `JobServer` makes a runner, and then answers job by job.
+"""The server in a worker's process: a `JobServer` creates a runner, and then answers one job after the other.
 
-This module imports little, so that a new process soon ignores stop signals and watches its parent.
+This module has few imports, so that a new process soon ignores stop signals and watches its parent.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from ..errors import YamsimError
 from .executors import Factory, JobRunner
 from .worker_pool import Event, JobFailed, JobFinished, WorkerCrashed, WorkerReady
 
-# Signals that stop the parent. They reach all processes of the parent's group, and the parent alone acts on them.
+# Signals that stop the parent. All processes of the parent's group receive them, but only the parent reacts.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# Stands before every answer: the id of the answering process, and the number of the job, or 0 for "ready".
+# The header of every answer: the id of the answering process, and the number of the job, or 0 for "ready".
 HEADER = struct.Struct("!QQ")
 
 
 class JobServer:
-    """Runs jobs. A servant never raises: an error is an answer, too. Answers are pickled `pool.Event`s."""
+    """Runs jobs. Methods never raise: the answer reports errors. Answers are pickled `worker_pool.Event`s."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -36,14 +36,14 @@ class JobServer:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the runner could be made."""
+        """Whether the runner exists."""
         return self._runner is not None
 
     def open(self, factory: bytes) -> bytes:
-        """The answer to making the runner.
+        """Create the runner, and return the answer.
 
         Args:
-            factory: a pickled `executor.Factory`; unpickling imports what the runner needs, which takes seconds.
+            factory: a pickled `executors.Factory`; unpickling imports the runner's modules, which takes seconds.
         """
 
         def make() -> Event[Any]:
@@ -54,7 +54,7 @@ class JobServer:
         return _answer(make)
 
     def run(self, job: Any) -> bytes:
-        """The answer to one job."""
+        """Run one job, and return the answer."""
         runner = self._runner
         assert runner is not None, "open comes first"
         return _answer(lambda: JobFinished(runner.run(job)))
@@ -68,19 +68,19 @@ def serve_jobs(pipe: Connection, factory: bytes) -> None:
     """Answer jobs from a pipe until the pipe closes.
 
     Args:
-        pipe: brings numbered jobs, and takes pickled `pool.Event`s, each behind a `HEADER`.
+        pipe: delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
         factory: see `JobServer.open`.
     """
-    # EOFError or OSError mean that the parent closed the pipe, or is gone.
-    with contextlib.closing(JobServer()) as servant, contextlib.suppress(EOFError, OSError):
-        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + servant.open(factory))
-        while servant.is_ready:
+    # EOFError or OSError mean that the parent closed the pipe, or has ended.
+    with contextlib.closing(JobServer()) as server, contextlib.suppress(EOFError, OSError):
+        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.open(factory))
+        while server.is_ready:
             number, job = pipe.recv()
-            pipe.send_bytes(HEADER.pack(os.getpid(), number) + servant.run(job))
+            pipe.send_bytes(HEADER.pack(os.getpid(), number) + server.run(job))
 
 
 def end_with_parent() -> None:
-    """End this process as soon as its parent has ended, even in the middle of a job: MuJoCo releases the GIL."""
+    """End this process as soon as its parent has ended, even during a job: MuJoCo releases the GIL."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -93,16 +93,16 @@ def _answer(work: Callable[[], Event[Any]]) -> bytes:
             return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
     except YamsimError as error:
         return pickle.dumps(JobFailed(error))
-    # Every other exception is a bug. Its traceback goes to the parent, which stops with it.
+    # Every other exception is a bug. The parent gets the traceback, and raises a `WorkerBugError` with it.
     except Exception:  # noqa: BLE001
         return pickle.dumps(WorkerCrashed(traceback.format_exc()))
 
 
 @contextlib.contextmanager
 def kill_forks_at_exit() -> Iterator[None]:
-    """End every process that user code forked in the `with` block, at the end of the block.
+    """End, at the end of the `with` block, every process that user code forked in the block.
 
-    A fork that returns from a policy would otherwise go on as a second copy of the worker, and answer twice. A fork
+    A fork that returns from a policy would otherwise continue as a second copy of the worker, and answer twice. A fork
     that exits by itself keeps its exit code.
     """
     own = os.getpid()
@@ -110,7 +110,7 @@ def kill_forks_at_exit() -> Iterator[None]:
         yield
     except SystemExit as end:
         if os.getpid() != own:
-            # The code that `sys.exit` makes of its argument.
+            # The exit code that `sys.exit` derives from its argument.
             os._exit(0 if end.code is None else end.code if isinstance(end.code, int) else 1)
         raise
     finally:

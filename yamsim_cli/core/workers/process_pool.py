@@ -1,7 +1,7 @@
-"""Workers that are processes of this machine.
+"""Workers as processes of this machine.
 
-Each process has a pipe of its own, so that a process that dies costs only its job. Each process ends by itself when
-its parent has ended. Processes are spawned and never forked: a fork would share OpenGL.
+Each process has its own pipe, so that a process that dies loses only its job. Each process ends when its parent ends.
+Processes are spawned and never forked: a fork would share OpenGL.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from .executors import Factory, J, R
 from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_END_SECONDS = 5.0  # s, that a killed process may take to end
-_MESSAGE_SECONDS = 60.0  # s, from the first byte of a message to the last
+_END_SECONDS = 5.0  # s, timeout for the end of a killed process
+_MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
 
-# Signals that are blocked while a process starts, which must not be interrupted. SIGALRM is among them, because
-# `__main__` raises a stop that comes during an import later, by an alarm.
-_HELD = (*STOP_SIGNALS, signal.SIGALRM)
+# Signals that are blocked while a process starts. SIGALRM is included, because `__main__` uses an alarm to delay a stop
+# that arrives during an import.
+_BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 
 
 class ProcessPool(BaseWorkerPool[J, R]):
@@ -35,7 +35,7 @@ class ProcessPool(BaseWorkerPool[J, R]):
 
     def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
-        # At exit multiprocessing would send SIGTERM to workers that are left, which they ignore, and wait for ever.
+        # At exit, multiprocessing would send SIGTERM to remaining workers, which ignore it, and wait forever.
         atexit.register(self.close)
 
     def close(self) -> None:
@@ -59,8 +59,8 @@ class _Process(Generic[J, R]):
         self.pipe.send((self._sent, job))
 
     def receive(self) -> Event[R] | None:
-        """The event that the worker has begun to send; None if another process sent it, or it is on another job."""
-        # A worker that stops in the middle of a message would block the parent for ever.
+        """Return the event that the worker has begun to send; None if the sender or the job is another one."""
+        # A worker that stops during a message would block the parent forever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
@@ -92,7 +92,7 @@ class _Processes(Generic[J, R]):
     """The `WorkerBackend` that spawns processes."""
 
     def __init__(self, factory: Factory[J, R]) -> None:
-        # Pickled here, so that the worker unpickles it after it has set up its signals.
+        # The worker unpickles the factory itself, after its signal setup.
         self._factory = pickle.dumps(factory)
 
     def start(self, number: int) -> Worker[J]:
@@ -110,17 +110,17 @@ class _Processes(Generic[J, R]):
 
 @contextmanager
 def stop_signals_blocked() -> Iterator[None]:
-    """Block stop signals in the `with` block, and raise them after it. A process started there has them blocked."""
-    # Starting multiprocessing's resource tracker unblocks signals, so that the tracker is started first.
+    """Block stop signals in the `with` block, and raise them after it. Processes started in it inherit the block."""
+    # The start of multiprocessing's resource tracker unblocks signals, so the tracker is started first.
     resource_tracker.ensure_running()
     came: list[int] = []
     handlers = {}
     if threading.current_thread() is threading.main_thread():
         # A library's thread may receive the signal, and Python would run the handler in this thread.
-        for number in _HELD:
+        for number in _BLOCKED_SIGNALS:
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda number, frame: came.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED_SIGNALS)
     try:
         yield
     finally:
@@ -132,7 +132,7 @@ def stop_signals_blocked() -> Iterator[None]:
 
 
 def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection]:
-    """Start a process that calls `work(pipe, *arguments)`; returns the process and this end of the pipe.
+    """Start a process that calls `work(pipe, *arguments)`, and return the process and this end of the pipe.
 
     The process is spawned, ignores stop signals, and ends with this process. `work` and `arguments` are picklable.
     """
@@ -147,7 +147,7 @@ def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tupl
         if process.pid is not None:
             process.kill()
         raise
-    # Only the process may hold this end, or the pipe would not close when the process dies.
+    # Only the new process may hold the other end. Otherwise the pipe would not close when the process dies.
     theirs.close()
     return process, ours
 

@@ -1,4 +1,4 @@
-"""A request to end a job, which the job checks between two steps."""
+"""A stop request, which a job checks between two steps."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import time
 
 
 class StopRequest:
-    """A request to end a job. A signal handler or another thread makes it once; it is never withdrawn."""
+    """A request to end a job. A signal handler or another thread makes the request; no request is withdrawn."""
 
     def __init__(self) -> None:
         self._asked_at: float | None = None
 
     @property
     def is_requested(self) -> bool:
-        """Whether the job is to end."""
+        """Whether the end of the job is requested."""
         return self._asked_at is not None
 
     @property

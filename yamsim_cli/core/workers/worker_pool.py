@@ -1,11 +1,11 @@
-"""Runs jobs on workers that may die or hang: which worker gets which job, what is tried again, and when to give up.
+"""Runs jobs on workers that may die or hang: assigns jobs, repeats lost jobs, and limits the number of tries.
 
-The rules are the same for every kind of worker. A `WorkerBackend` starts workers, ends them, and receives their events.
+The rules are the same for every kind of worker. A `WorkerBackend` starts workers and receives their events.
 
 - A worker that dies, or takes too long for a job, is replaced, and the job is tried again.
-- A job's last try runs while all other workers are idle, so that other workers' memory cannot make it fail.
-- A worker that dies before it is ready counts against no job. A worker that fails to start `_FAILED_STARTS` times in a
-  row is dropped, and the others go on. The pool ends when no worker is left.
+- A job's last try runs while all other workers are idle, so that their memory use cannot make the job fail.
+- A worker that dies before it is ready counts against no job. A worker that fails to start `_MAX_STARTS` times in
+  a row is dropped, and the others continue. The pool ends with the last worker.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from ..closable import Closable
 from ..errors import PartialJobError, YamsimError
 from .executors import J, JobIn, LostJobError, R, WorkerBugError
 
-JOB_SECONDS = 600.0  # s, longest job; a job of many minutes means a hung driver, or a machine that swaps
-START_SECONDS = 300.0  # s, longest start of a worker: imports, compiling its scene, opening OpenGL
-_TRIES = 3  # workers that try a job before it is given up
-_FAILED_STARTS = 3  # failed starts in a row after which a worker is dropped
-_TICK_SECONDS = 0.5  # s between checks of the workers' times while waiting
+JOB_SECONDS = 600.0  # s, time limit of a job; a longer job means a hung driver or a swapping machine
+START_SECONDS = 300.0  # s, time limit for a worker's start: imports, compilation of its scene, OpenGL
+_MAX_TRIES = 3  # tries of a job, each on another worker
+_MAX_STARTS = 3  # consecutive failed starts after which a worker is dropped
+_POLL_SECONDS = 0.5  # s, period of the checks of time limits
 
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """The worker has made its runner, and takes jobs."""
+    """The worker has created its runner, and takes jobs."""
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,21 @@ class JobFinished(Generic[R]):
 
 @dataclass(frozen=True)
 class JobFailed:
-    """The runner, or making it, raised a `YamsimError`."""
+    """The runner or its factory raised a `YamsimError`."""
 
     error: YamsimError
 
 
 @dataclass(frozen=True)
 class WorkerCrashed:
-    """The runner, or making it, raised any other exception; `trace` is its traceback."""
+    """The runner or its factory raised another exception; `trace` is its traceback."""
 
     trace: str
 
 
 @dataclass(frozen=True)
 class WorkerDied:
-    """The worker is gone; `how` completes a sentence that begins with "its worker"."""
+    """The worker has ended; `how` completes a sentence that begins with "its worker"."""
 
     how: str
 
@@ -69,15 +69,15 @@ class Worker(Protocol[JobIn]):
 
     @property
     def name(self) -> str:
-        """The name in messages."""
+        """Name of the worker in messages."""
         ...
 
     def send(self, job: JobIn) -> None:
-        """Give the worker a job; raises OSError if the worker is gone."""
+        """Give the worker a job. Raises OSError if the worker has ended."""
         ...
 
     def kill(self) -> None:
-        """End the worker at once, and wait until it has ended."""
+        """End the worker at once, and wait for its end."""
         ...
 
 
@@ -88,15 +88,15 @@ class WorkerBackend(Protocol[W, R]):
     """A kind of worker."""
 
     def start(self, number: int) -> W:
-        """Start a worker, without waiting for it to be ready."""
+        """Start a worker, and return before the worker is ready."""
         ...
 
     def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, Event[R]]]:
-        """Events of workers, at most one for each; empty if none comes within `timeout` seconds."""
+        """Return events of workers, at most one for each; empty if none arrives within `timeout` seconds."""
         ...
 
     def close(self) -> None:
-        """Free what all workers share."""
+        """Free the resources that all workers share."""
         ...
 
 
@@ -107,7 +107,7 @@ class _Task(Generic[J]):
 
     @property
     def last_try(self) -> bool:
-        return self.losses == _TRIES - 1
+        return self.losses == _MAX_TRIES - 1
 
 
 @dataclass(eq=False)
@@ -116,15 +116,15 @@ class _Slot(Generic[J]):
     task: _Task[J] | None = None
     ready: bool = False
     failed_starts: int = 0
-    busy: float = 0.0  # s spent so far on starting or on the task
+    busy: float = 0.0  # s, time spent so far on the start or on the task
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
     """An `Executor` over any kind of worker.
 
     Args:
-        workers: how many workers there are.
-        job_seconds: a worker that takes longer for a job is ended and replaced.
+        workers: number of workers.
+        job_seconds: time limit of a job, s; after this time its worker is replaced.
     """
 
     def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
@@ -143,7 +143,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """How many jobs can be submitted now; none before and during a job's last try."""
+        """Number of jobs that can be submitted now; 0 before and during a job's last try."""
         tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
         if any(task.last_try for task in tasks):
             return 0
@@ -151,7 +151,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
 
     @property
     def in_flight(self) -> int:
-        """How many jobs were submitted and have not returned."""
+        """See `Executor.in_flight`."""
         return self._working + len(self._waiting) + len(self._done)
 
     @property
@@ -172,7 +172,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             left = end - time.monotonic()
             if left <= 0:
                 raise TimeoutError
-            self._listen(min(_TICK_SECONDS, left))
+            self._listen(min(_POLL_SECONDS, left))
         done = self._done.popleft()
         if isinstance(done, Exception):
             raise done
@@ -181,7 +181,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
     def _listen(self, timeout: float) -> None:
         began = time.monotonic()
         events = self._backend.wait([slot.worker for slot in self._slots], timeout)
-        # At most `timeout` counts: if the machine or this process slept, the workers slept too.
+        # Count at most `timeout`: while the machine or this process slept, the workers slept too.
         passed = min(time.monotonic() - began, timeout)
         heard = []
         for worker, event in events:
@@ -213,7 +213,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 self._replace(slot, how)
 
     def _check(self, slot: _Slot[J]) -> None:
-        """End and replace a worker that takes too long."""
+        """Replace a worker that exceeds its time limit."""
         limit = self._job_seconds if slot.ready else START_SECONDS
         if slot.busy > limit:
             slot.worker.kill()
@@ -223,20 +223,20 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         task, slot.task = slot.task, None
         if task:
             task.losses += 1
-        if task and task.losses >= _TRIES:
-            self._done.append(LostJobError(task.job, _TRIES, how))
+        if task and task.losses >= _MAX_TRIES:
+            self._done.append(LostJobError(task.job, _MAX_TRIES, how))
         elif task:
             self._waiting.appendleft(task)
         slot.failed_starts += not slot.ready
-        if slot.failed_starts < _FAILED_STARTS:
+        if slot.failed_starts < _MAX_STARTS:
             slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
             return
         self._slots.remove(slot)
         if not self._slots:
-            raise PartialJobError(f"workers do not start: each tried {_FAILED_STARTS} times, and the last one {how}")
+            raise PartialJobError(f"workers do not start: each tried {_MAX_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Give waiting jobs, in order, to workers that are ready; a last try only while no other worker is busy."""
+        """Give waiting jobs, in order, to ready workers; a last try only while no other worker is busy."""
         for slot in self._slots:
             if not self._waiting or (self._waiting[0].last_try and self._working):
                 return
@@ -245,7 +245,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 try:
                     slot.worker.send(slot.task.job)
                 except OSError:
-                    # The worker died while idle, which does not count against this job. Its `WorkerDied` event follows.
+                    # The worker died while idle; its `WorkerDied` event follows. The job loses no try.
                     self._waiting.appendleft(slot.task)
                     slot.task = None
 

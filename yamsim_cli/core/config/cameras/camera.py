@@ -1,4 +1,4 @@
-"""The config of a calibrated camera; `camera_files` reads its formats."""
+"""The config of a calibrated camera; `camera_files` reads the file formats."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .camera_files import cameras_in_file, read_camera
 
 Row = tuple[float, float, float]
 
-_COUNTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
+_COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)  # valid numbers of distortion coefficients in OpenCV's model
 
 
 class CameraConfig(Config):
-    """A calibrated camera, pinhole with OpenCV's distortion.
+    """A calibrated pinhole camera with OpenCV's distortion.
 
     Attributes:
-        K: the camera matrix (3, 3), px; pixel centres at whole numbers.
+        K: camera matrix (3, 3), px; pixel centres are at whole numbers.
         distortion: 0, 4, 5, 8, 12 or 14 coefficients in OpenCV's order.
         width, height: size of the calibration images, px.
         focal_sigma: relative standard deviation of the focal length.
@@ -35,7 +35,7 @@ class CameraConfig(Config):
 
     @property
     def model(self) -> CameraModel:
-        """The camera in numbers."""
+        """The camera model for computations."""
         return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
 
     @field_validator("K", mode="before")
@@ -51,7 +51,7 @@ class CameraConfig(Config):
     @model_validator(mode="after")
     def _plausible(self) -> CameraConfig:
         (fx, skew, cx), (left, fy, cy), last = self.K
-        # OpenCV would ignore a skew without a word.
+        # OpenCV would silently ignore a skew.
         if last != (0.0, 0.0, 1.0) or left != 0.0 or skew != 0.0:
             raise ValueError("K must have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
         if fx <= 0 or fy <= 0:
@@ -70,7 +70,7 @@ class CameraConfig(Config):
                 f"K does not fit images of {self.width} x {self.height}: its principal point ({cx:g}, {cy:g}) is the "
                 f"middle of images of about {round(2 * cx)} x {round(2 * cy)}"
             )
-        if len(self.distortion) not in _COUNTS:
+        if len(self.distortion) not in _COEFFICIENT_COUNTS:
             raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV's model has 0, 4, 5, 8, 12 or 14")
         return self
 

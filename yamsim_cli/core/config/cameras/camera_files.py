@@ -1,7 +1,7 @@
-"""Reads camera files of yamsim and of other programs under yamsim's keys: `K`, `distortion`, `width`, `height`.
+"""Reads camera files of yamsim and other programs, and converts them to the keys `K`, `distortion`, `width`, `height`.
 
-Files of one camera: yamsim's own, those of OpenCV's FileStorage (YAML, JSON, XML), and ROS's camera_info. Files of
-several cameras with names: Kalibr's camchain and raiden's calibration_results.json.
+Files of one camera: yamsim's, OpenCV's FileStorage (YAML, JSON, XML), and ROS's camera_info. Files of several named
+cameras: Kalibr's camchain and raiden's calibration_results.json.
 
 Sources: Kalibr, kalibr_common/ConfigReader.py; raiden, raiden/calibration/runner.py; `ros2 topic echo`,
 rosidl_runtime_py/convert.py.
@@ -18,7 +18,7 @@ from ...files.documents.yaml_document import Document, KeyPath, load_yaml, read_
 from ...files.resources import camera_file
 from .file_storage import parse_json, parse_xml
 
-# Key of yamsim -> keys of calibration programs.
+# Key of yamsim -> keys of other calibration programs.
 _ALIASES = {
     "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
     "distortion": (
@@ -39,21 +39,21 @@ Keys = tuple[str, ...]  # key path of a camera in its file
 
 _SIGMA = "focal_sigma"
 
-# Names of OpenCV's models of lenses and cameras in other programs.
+# Names of OpenCV's lens and camera models in other programs.
 _ROS_MODELS = ("plumb_bob", "rational_polynomial")
 _KALIBR_LENSES = ("radtan", "none")
 _KALIBR_MODELS = ("pinhole",)
 
 
 def read_camera(path: Path) -> Document:
-    """One camera of a file, under yamsim's keys.
+    """Return one camera of a file under yamsim's keys.
 
     Args:
         path: the file, or `FILE:CAMERA` for a file with several cameras.
 
     Raises:
-        ConfigError: the file is unreadable or not of the format of its suffix; the named camera is missing, or no
-            camera is named where the file has several; or the camera's model is not OpenCV's pinhole.
+        ConfigError: the file is unreadable, or does not have the format of its suffix. Or the camera is missing, `path`
+            names none of several cameras, or the camera's model is not OpenCV's pinhole.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -71,9 +71,9 @@ def read_camera(path: Path) -> Document:
 
 
 def cameras_in_file(path: Path) -> tuple[Path, ...]:
-    """`FILE:CAMERA` for each named camera of a file; the path itself if it names a camera or the file has no names.
+    """Return `FILE:CAMERA` for each named camera; the path itself if it names a camera or the file has no names.
 
-    Raises ConfigError if the file is unreadable, or not of the format of its suffix.
+    Raises ConfigError if the file is unreadable, or does not have the format of its suffix.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -87,7 +87,7 @@ def _open(path: Path) -> tuple[Path, str, Document]:
 
 
 def _named(document: Document) -> dict[str, Keys]:
-    """Name of each camera in a file of Kalibr or raiden -> its key path; empty for other files."""
+    """Return the name of each camera in a file of Kalibr or raiden -> its key path; empty for other files."""
     data = document.data
     if isinstance(cameras := data.get("cameras"), dict) and cameras:
         return {name: ("cameras", name) for name in cameras}
@@ -95,7 +95,7 @@ def _named(document: Document) -> dict[str, Keys]:
 
 
 class _Converter:
-    """Collects a camera's values under yamsim's keys, each with its place in the file."""
+    """Collects a camera's values under yamsim's keys, each with its line in the file."""
 
     def __init__(self, document: Document, at: Keys) -> None:
         self._document, self._at = document, at
@@ -109,7 +109,7 @@ class _Converter:
         return isinstance(self._values, dict) and key in self._values
 
     def get(self, key: str, count: int = 0) -> Any:
-        """A required value; with a count, a list of that length."""
+        """Return a required value; with a count, a list of that length."""
         if not self.has(key):
             raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
         value = self._values[key]
@@ -122,7 +122,7 @@ class _Converter:
         self._places[(ours,)] = self._document.place((*self._at, theirs))
 
     def expect(self, key: str, value: str, valid: tuple[str, ...]) -> None:
-        """Refuse a model of cameras or lenses that is not OpenCV's."""
+        """Refuse a camera or lens model that is not OpenCV's."""
         if value not in valid:
             self.refuse(key, f"calibrate with one of OpenCV's pinhole models; {suggest(str(value), valid)}", value)
 
@@ -131,14 +131,14 @@ class _Converter:
         raise ConfigError(f"{place}: {path}: {self._values.get(key) if value is None else value!r} is not valid: {why}")
 
     def document(self) -> Document:
-        """The collected values, and the focal length's uncertainty if the file has it."""
+        """Return the collected values, with the focal length's uncertainty if the file has one."""
         if self.has(_SIGMA):
             self.put(_SIGMA, _SIGMA, self._values[_SIGMA])
         return Document(self._ours, self._document.source, self._places)
 
 
 def _single_camera(document: Document) -> Document:
-    """The camera of a file without camera names; a file with yamsim's keys is returned unchanged."""
+    """Return the camera of a file without camera names; a file with yamsim's keys is returned unchanged."""
     data = document.data
     if not any(alias in data for names in _ALIASES.values() for alias in names):
         return document
@@ -176,19 +176,18 @@ def _raiden(document: Document, at: Keys) -> Document:
 
 
 def _put_size(camera: _Converter, key: str) -> None:
-    """Take width and height from a list."""
     width, height = camera.get(key, 2)
     camera.put("width", key, width)
     camera.put("height", key, height)
 
 
 def _matrix(value: Any) -> Any:
-    """The numbers of a matrix `{rows, cols, data}`; any other value is returned unchanged."""
+    """Return the numbers of a matrix `{rows, cols, data}`; any other value is returned unchanged."""
     return value["data"] if isinstance(value, dict) and "data" in value else value
 
 
 def _coefficient_list(value: Any) -> Any:
-    """Coefficients in a matrix of one row or column, as a list."""
+    """Return the coefficients in a matrix of one row or column as a list."""
     if isinstance(value, list) and all(isinstance(part, list) for part in value):
         return [number for part in value for number in part]
     return value

@@ -1,4 +1,4 @@
-"""Reads XML and JSON of OpenCV's FileStorage; `document` reads its YAML."""
+"""Reads XML and JSON of OpenCV's FileStorage; `yaml_document` reads its YAML."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ...files.documents.yaml_document import Document, KeyPath, number_or_text, 
 
 _ROOT = "opencv_storage"
 
-_MAX_DEPTH = 50  # of nested elements; a calibration has 3, and deeper files attack the reader
+_MAX_DEPTH = 50  # levels of nested elements; a calibration has 3, and a deeper file is an attack
 
-# FileStorage's comments are lines of their own. No text contains a line break, so no other line begins like a comment.
+# FileStorage writes comments on separate lines. Text has no line breaks, so no other line begins like a comment.
 _JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
 
 _WORDS = re.compile(r'"([^"]*)"|(\S+)')
 
 
 def parse_json(raw: bytes, source: str) -> Document:
-    """The content of JSON text, also with OpenCV's comments and numbers. Raises as `load_yaml`."""
-    # JSON has tabs, which YAML does not allow, only outside strings.
+    """Return the content of JSON text, also with OpenCV's comments and numbers. Raises as `load_yaml`."""
+    # YAML does not allow tabs. JSON has tabs only outside strings.
     return parse_yaml(_JSON_COMMENT.sub(b"", raw).replace(b"\t", b" "), source, "JSON")
 
 
@@ -33,9 +33,9 @@ class _Element:
 
 
 def parse_xml(raw: bytes, source: str) -> Document:
-    """The content of FileStorage's XML.
+    """Return the content of FileStorage's XML.
 
-    Untrusted files are safe: a document type, which entities need, is refused, and nothing is fetched.
+    Untrusted files are safe: a document type, which entities need, is refused, and no file or URL is opened.
 
     Raises:
         ConfigError: the text is no XML of FileStorage, declares a document type, has a duplicate key, or is nested too
@@ -84,14 +84,14 @@ def _tree(raw: bytes, source: str) -> _Element:
         parser.Parse(raw, True)
     except expat.ExpatError as error:
         raise ConfigError(f"{source}:{error.lineno}: not valid XML: {expat.ErrorString(error.code)}") from error
-    # Python does not know the encoding, or expat cannot use it.
+    # Python does not know the encoding, or expat does not support it.
     except (LookupError, ValueError) as error:
         raise ConfigError(f"{source}: not valid XML: {error}") from error
     return top.inside[0]
 
 
 def _value(element: _Element, path: KeyPath, document: Document) -> Any:
-    """The element's value: a mapping, a list, or its words as numbers and texts."""
+    """Return the element's value: a mapping, a list, or its words as numbers and texts."""
     document.places[path] = f"{document.source}:{element.line}"
     if element.inside and all(inner.name == "_" for inner in element.inside):
         return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]

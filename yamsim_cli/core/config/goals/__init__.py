@@ -1,1 +1,1 @@
-"""Goals of tasks: predicates over a world, each with its margin."""
+"""Goals of tasks: predicates over the state of a scene, each with a margin."""

@@ -1,4 +1,4 @@
-"""A task's goal: predicates joined by `all`, `any` and `not`, and for how long they have to hold."""
+"""A task's goal: predicates joined by `all`, `any` and `not`, and their hold time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .predicates import PREDICATES, Predicate
 from .role_assignment import RoleAssignment
 from .world import GoalWorld
 
-# Keys that join clauses: all of several, any of several, the opposite of one.
+# Keys that join clauses: conjunction, disjunction and negation.
 _JOINS = ("all", "any", "not")
 
 
@@ -35,11 +35,10 @@ class _Clause(Config):
 
     @property
     def _item(self) -> tuple[str, Any]:
-        """The clause's key and value."""
         return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """The measures that have to hold: for `any`, those of the best clause; for `not`, one inverted measure."""
+        """Return the measures that have to hold: of the best clause for `any`, one inverted measure for `not`."""
         key, value = self._item
         match key:
             case "all":
@@ -54,7 +53,7 @@ class _Clause(Config):
         return predicate.measures(world, roles)
 
     def holds_if(self, truth: Mapping[str, bool]) -> bool:
-        """Whether the clause holds, given for each predicate's `repr` whether the predicate holds."""
+        """Return whether the clause holds, given the truth of each predicate by the predicate's `repr`."""
         key, value = self._item
         match key:
             case "all":
@@ -66,7 +65,7 @@ class _Clause(Config):
         return truth[repr(value)]
 
     def predicates(self, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Predicate]]:
-        """Every predicate with its key path."""
+        """Yield every predicate with its key path."""
         key, value = self._item
         if key in ("all", "any"):
             for k, clause in enumerate(value):
@@ -78,7 +77,7 @@ class _Clause(Config):
 
 
 def _inverted(measure: GoalMeasure) -> GoalMeasure:
-    """The measure of the opposite. A predicate holds at a margin of 0, so its opposite does not."""
+    """Return the measure of the negation. A predicate holds at a margin of 0, so its negation must not."""
     margin = -measure.margin if measure.margin else -1e-9
     return GoalMeasure(f"not {measure.what}", margin, measure.unit, measure.detail)
 
@@ -87,7 +86,7 @@ def _optional(annotation: Any) -> Any:
     return Annotated[annotation, OMIT_NONE], None
 
 
-# Created from the table of predicates, so that a new predicate is a key without further changes.
+# Created from the table of predicates, so that each new predicate becomes a key without further changes.
 Clause: Any = create_model(
     "Clause",
     __base__=_Clause,
@@ -102,10 +101,10 @@ Clause: Any = create_model(
 
 
 class Goal(Clause):  # type: ignore[misc]
-    """A clause, and for how long it has to hold at the end of an attempt.
+    """A clause that has to hold at the end of an attempt, with its hold time.
 
     Attributes:
-        for_s: the time, s of the simulation; with 0, the last moment alone counts.
+        for_s: hold time, s of simulated time; with 0, only the last moment counts.
     """
 
     for_s: Annotated[FiniteFloat, QuantityBounds("s", 0, 60)] = 0.0
@@ -116,7 +115,7 @@ class GoalVerdict:
     """Whether a goal is reached.
 
     Attributes:
-        measures: of everything that has to hold.
+        measures: all measures that have to hold.
     """
 
     measures: tuple[GoalMeasure, ...]
@@ -128,10 +127,10 @@ class GoalVerdict:
 
     @property
     def worst(self) -> GoalMeasure:
-        """The first measure that fails, else the measure nearest to failing."""
+        """The first measure that fails, or else the measure with the least margin."""
         return worst_measure(self.measures)
 
 
 def evaluate_goal(goal: Goal, world: GoalWorld, roles: RoleAssignment) -> GoalVerdict:
-    """Whether a goal holds in the present state of a world."""
+    """Return the verdict on a goal in the current state of a scene."""
     return GoalVerdict(tuple(goal.measures(world, roles)))

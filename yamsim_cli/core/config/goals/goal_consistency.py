@@ -1,4 +1,4 @@
-"""Goals that contradict themselves."""
+"""Finds contradictions within goals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from .predicates import Predicate
 Path = tuple[str | int, ...]
 Impossible = Callable[[Predicate], str | None]
 
-_MAX_PREDICATES = 12  # goals with more are not checked, since each predicate doubles the combinations
+_MAX_PREDICATES = 12  # predicates of a checked goal; each predicate doubles the combinations
 
 
 def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: None) -> tuple[Path, str] | None:
-    """Key path and description of a goal's contradiction; None if its clauses can all hold.
+    """Return key path and description of a goal's contradiction; None if the goal can hold or has too many predicates.
 
     Args:
-        impossible: why a predicate can never hold; None where it can.
+        impossible: returns the reason why a predicate can never hold; None if the predicate can hold.
     """
     # Predicates with a mapping among their arguments have no hash, so `repr` identifies each.
     found = {repr(predicate): (path, predicate) for path, predicate in goal.predicates()}
@@ -30,7 +30,7 @@ def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: 
     if _can_hold(goal, predicates, set(why)):
         return None
     if why and _can_hold(goal, predicates, set()):
-        # Name a predicate whose absence alone would make the goal reachable, if there is one.
+        # Prefer a predicate whose removal alone would make the goal reachable.
         alone = (key for key in why if _can_hold(goal, predicates, set(why) - {key}))
         key = next(alone, next(iter(why)))
         return found[key][0], why[key]
@@ -46,7 +46,7 @@ def _can_hold(goal: Clause, predicates: dict[str, Predicate], never: set[str]) -
 
 
 def _possible_truths(predicates: dict[str, Predicate], never: set[str]) -> Iterator[dict[str, bool]]:
-    """The combinations of predicates that can hold at once."""
+    """Yield the combinations of predicates that can hold at once."""
     for holding in itertools.product((True, False), repeat=len(predicates)):
         truth = dict(zip(predicates, holding, strict=True))
         true = [key for key in predicates if truth[key]]
@@ -56,7 +56,7 @@ def _possible_truths(predicates: dict[str, Predicate], never: set[str]) -> Itera
 
 
 def _exclude(one: Predicate, other: Predicate) -> bool:
-    """Whether one predicate needs a thing in a hand, and the other needs the same thing in no hand."""
+    """Return whether one predicate needs an object in a hand, and the other needs the same object in no hand."""
     return {one.IN_HAND, other.IN_HAND} == {True, False} and _thing(one) == _thing(other)
 
 

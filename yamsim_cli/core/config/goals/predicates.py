@@ -1,4 +1,4 @@
-"""The predicates that goals are made of: each measures by what margin a relation between things holds."""
+"""The predicates of goals: each measures the margin by which a relation between objects holds."""
 
 from __future__ import annotations
 
@@ -24,31 +24,30 @@ _Receiver = Literal["left", "right", "either"]
 
 
 class Predicate(Config):
-    """Base of the predicates. The fields are the arguments of a predicate, and `ROLES` lists those that name roles."""
+    """Base of all predicates. Fields are the arguments of a predicate; `ROLES` lists the arguments that name roles."""
 
     ROLES: ClassVar[tuple[str, ...]]
-    # Whether the first role has to be in a hand (True) or in no hand (False); None where both are possible.
+    # Whether objects of the first role have to be in a hand (True) or in no hand (False); None if both are possible.
     IN_HAND: ClassVar[bool | None] = None
-    # Whether only cloth may play the roles.
+    # Whether only cloth may have the roles.
     OF_CLOTH: ClassVar[bool] = False
 
     @abstractmethod
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """One or more measures for each thing, or pair of things; all have to hold."""
+        """Return one or more measures for each object or pair of objects; all have to hold."""
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """The arguments that name roles, and the roles."""
+        """Return pairs of an argument that names a role, and the role."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
 
 
 class _OfEachThing(Predicate):
-    """A predicate that each thing of a role has to fulfil."""
+    """A predicate that each object of a role has to fulfil."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
         return [measure for thing in roles.objects_of(self.thing) for measure in self._measures(world, thing)]
 
     def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
@@ -59,12 +58,11 @@ class _OfEachThing(Predicate):
 
 
 class _OfEachPair(Predicate):
-    """A predicate between each thing of a role and its counterpart, see `RoleAssignment.pairs`."""
+    """A predicate on each object of a role and its counterpart, see `RoleAssignment.pairs`."""
 
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
         return [self._measure(world, *pair) for pair in roles.pairs(self.thing, getattr(self, self.ROLES[1]))]
 
     @abstractmethod
@@ -72,13 +70,13 @@ class _OfEachPair(Predicate):
 
 
 def _still_held(world: GoalWorld, thing: str, what: str) -> GoalMeasure | None:
-    """A failed measure where a hand holds the thing; None where no hand does."""
+    """Return a failed measure if a hand holds the object; None otherwise."""
     holders = world.holding_sides(thing)
     return binary_measure(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
 
 
 def _overlap_xy(world: GoalWorld, upper: str, lower: str) -> float:
-    """How far inside the outline of `lower`, seen from above, the middle of `upper` lies, m; negative outside."""
+    """Return how far (m) the middle of `upper` lies inside the bounding box of `lower` from above; negative outside."""
     first, last = world.aabb(upper)
     middle = (first + last) / 2
     low, high = world.aabb(lower)
@@ -94,12 +92,12 @@ def _top(world: GoalWorld, thing: str) -> float:
 
 
 class On(_OfEachPair):
-    """Each thing touches its surface, its middle lies over it, and no hand holds it.
+    """Each object touches its surface, the object's middle lies above the surface, and no hand holds the object.
 
     Attributes:
         thing, surface: roles; the surface may be `table`.
-        inside: how far inside the surface's outline the thing's middle has to lie, m.
-        radius: instead of `inside`, the largest distance between the two origins seen from above, m. A thing that also
+        inside: least distance of the object's middle from the edge of the surface's outline, m.
+        radius: instead of `inside`, the largest horizontal distance between the two origins, m. An object that also
             touches the table leans against the surface, and does not count.
     """
 
@@ -128,7 +126,7 @@ class On(_OfEachPair):
 
 
 class Inside(_OfEachPair):
-    """At least a share of each thing's volume lies in its container's interior, and no hand holds it.
+    """At least a share of each object's volume lies in its container's interior, and no hand holds the object.
 
     Attributes:
         thing, container: roles.
@@ -148,11 +146,11 @@ class Inside(_OfEachPair):
 
 
 class Stacked(Predicate):
-    """The things of a role stand on, or in, one another, the middle of each over the one below.
+    """The objects of a role stand on or in each other, the middle of each above the object below.
 
     Attributes:
-        things: a role that several things play.
-        order: "any", or "given": the role's first thing lowest, and so on.
+        things: a role of several objects.
+        order: "any", or "given": from the role's first object, the lowest, to its last.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
@@ -180,13 +178,13 @@ class Stacked(Predicate):
 
 
 class Over(_OfEachPair):
-    """The middle of each thing's bounding box lies over its surface's, and its bottom is as high as the surface's top.
+    """The middle of each object's bounding box lies above its surface's box; its bottom is near the surface's top.
 
-    Unlike `on`, `over` needs no contact and lets a hand hold the thing: the bounding box of a plate ends at its rim.
+    Unlike `on`, `over` needs no contact and lets a hand hold the object: the bounding box of a plate ends at its rim.
 
     Attributes:
         thing, surface: roles.
-        gap: the largest distance between bottom and top, m.
+        gap: largest vertical distance between bottom and top, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
@@ -201,14 +199,14 @@ class Over(_OfEachPair):
 
 
 class Piled(Predicate):
-    """From the lowest to the highest, the middle of each bounding box lies over the one below, whose bottom is lower
-    and whose top is near: a cup may stand in the cup below.
+    """The bounding boxes of objects form a pile: the middle of each lies above the next lower box.
 
-    Unlike `stacked`, `piled` needs no contact and lets a hand hold a thing.
+    Bottoms differ in height: a cup may stand in the cup below. Unlike `stacked`, `piled` needs no contact and lets a
+    hand hold an object.
 
     Attributes:
-        things: roles; all things that play them are one pile.
-        gap: how far a bottom may be above the top of the thing below, m.
+        things: roles; all objects of these roles form one pile.
+        gap: largest distance of a bottom above the top of the object below, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
@@ -231,17 +229,17 @@ class Piled(Predicate):
         apart = _bottom(world, upper) - _top(world, lower)
         margin = min(inside, self.gap - apart)
         if higher <= 0:
-            margin = min(margin, -1e-9)  # of two things that are equally low, neither is on the other
+            margin = min(margin, -1e-9)  # of two objects with equal bottoms, neither is on the other
         detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
         return GoalMeasure(f"piled({upper} on {lower})", margin, "m", detail)
 
 
 class Upright(_OfEachThing):
-    """The z axis of each thing points up.
+    """The z axis of each object points up.
 
     Attributes:
         thing: a role.
-        tilt_deg: the largest tilt from straight up.
+        tilt_deg: largest angle between the z axis and the vertical.
     """
 
     tilt_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 15.0
@@ -252,21 +250,21 @@ class Upright(_OfEachThing):
         return GoalMeasure(f"upright({thing})", self.tilt_deg - tilt, "deg", f"it leans by {tilt:.1f} deg")
 
 
-# Side -> its direction in `world`, seen from the robot's base.
+# Side -> its direction (x, y) in `world`, seen from the robot's base.
 _SIDES = {"left": (0.0, 1.0), "right": (0.0, -1.0), "front": (-1.0, 0.0), "behind": (1.0, 0.0)}
 
 
 class Near(Predicate):
-    """Each thing's origin is within `radius` of another thing's, or of a place, seen from above, and on a side of it.
+    """Each object's origin is within a horizontal `radius` of another object's origin or of a place, and on a `side`.
 
-    Sides are seen from the robot's base along x of `world`: `left` is +y, `right` is -y, `behind` is +x (farther away)
-    and `front` is -x (nearer). A side is a quarter circle: 45 degrees to either side of its axis.
+    Sides are axes of `world`, seen from the robot's base: `left` is +y, `right` -y, `behind` +x (farther away) and
+    `front` -x (nearer). A side is a quarter circle: 45 degrees to either side of its axis.
 
     Attributes:
         thing, other: roles.
-        place: instead of another thing, x and y in `world`, m.
-        radius: the largest distance, m.
-        side: on which side of the other thing, or of the place: `left`, `right`, `front` or `behind`.
+        place: instead of another object, x and y in `world`, m.
+        radius: largest distance, m.
+        side: side of the other object or of the place: `left`, `right`, `front` or `behind`; any side if left out.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
@@ -307,11 +305,11 @@ class Near(Predicate):
 
 
 class Above(_OfEachPair):
-    """Each thing's lowest point is higher than another thing's highest point.
+    """Each object's lowest point is higher than another object's highest point.
 
     Attributes:
         thing, other: roles; the other may be `table`.
-        by: the least difference, m.
+        by: least difference in height, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
@@ -324,11 +322,11 @@ class Above(_OfEachPair):
 
 
 class HeldBy(_OfEachThing):
-    """Both fingers of a hand press on each thing.
+    """A hand holds each object: by contacts of both fingers, by a weld, or, for cloth, by a constraint.
 
     Attributes:
         thing: a role.
-        arm: which hand; "both" needs both hands at once.
+        arm: the side of the hand; "both" needs both hands at once.
     """
 
     IN_HAND: ClassVar[bool | None] = True
@@ -348,11 +346,11 @@ class HeldBy(_OfEachThing):
 
 
 class HandedOver(_OfEachThing):
-    """Each thing went from one hand to the other in the air, and has not been put down since.
+    """Each object went from one hand to the other in the air, and has not been put down since.
 
     Attributes:
         thing: a role.
-        to: the hand that has to receive the thing.
+        to: side of the hand that has to receive the object.
     """
 
     IN_HAND: ClassVar[bool | None] = True
@@ -366,11 +364,11 @@ class HandedOver(_OfEachThing):
 
 
 class WasHandedOver(_OfEachThing):
-    """Each thing went from one hand to the other in the air since the attempt began, and may lie again.
+    """Each object went from one hand to the other in the air since the attempt began, and may lie down again.
 
     Attributes:
         thing: a role.
-        to: the hand that has to receive the thing.
+        to: side of the hand that has to receive the object.
     """
 
     to: _Receiver = "either"
@@ -383,15 +381,15 @@ class WasHandedOver(_OfEachThing):
 
 
 class Sorted(Predicate):
-    """The things of a role lie in a row by their kinds, or each in the container of its kind.
+    """The objects of a role lie in a row by their kinds, or each in the container of its kind.
 
     Attributes:
-        things: a role that several things play.
-        order: of a row: kinds of things, in the direction in which the axis counts up.
-        axis: of `world`, along which the row lies.
-        apart: the least distance along the axis between the origins of neighbours of different kinds, m.
-        line: the largest distance across the axis between two origins, m; without, the distance does not matter.
-        into: instead of a row, kind of thing -> role of its container.
+        things: a role of several objects.
+        order: kinds of objects in the row, in the positive direction of the axis.
+        axis: axis of `world` along which the row lies.
+        apart: least distance along the axis between origins of neighbouring kinds, m.
+        line: largest distance across the axis between two origins, m; if left out, the distance does not matter.
+        into: instead of a row, kind of object -> role of its container.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
@@ -449,13 +447,13 @@ class Sorted(Predicate):
 
 
 class Open(_OfEachThing):
-    """A joint of each thing is open by a share of its range, or closed to it.
+    """A joint of each object is open by at least, or at most, a share of its range.
 
     Attributes:
         thing: a role.
         joint: the link's name, such as `drawer`.
-        share: 0..1.
-        side: "least": open by at least `share`; "most": by at most `share`.
+        share: share of the joint's range, 0..1.
+        side: "least": open by at least `share`; "most": open by at most `share`.
     """
 
     joint: str
@@ -469,11 +467,11 @@ class Open(_OfEachThing):
 
 
 class Swapped(Predicate):
-    """Each of two things lies where the other one started, seen from above.
+    """Each of two objects lies at the other object's start, seen from above.
 
     Attributes:
         thing, other: roles.
-        radius: the largest distance from the other's start, m.
+        radius: largest horizontal distance from the other's start, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
@@ -493,16 +491,16 @@ class Swapped(Predicate):
 
 
 class Hung(_OfEachPair):
-    """A peg goes through an eye of each thing, which is off the table, and no hand holds it.
+    """A peg goes through an eye of each object, the object does not touch the table, and no hand holds it.
 
-    Held for a time, that is hanging: a falling thing does not stay there. A swinging thing leaves the peg for moments.
+    A swinging object leaves the peg for moments, and needs no contact. The goal's hold time excludes falling objects.
 
     Attributes:
-        thing, onto: roles: what hangs, and what has the peg.
-        eye, peg: names of their handles: the middle of the opening, which points through it, and the peg's tip, which
-            points towards its root.
-        radius: the largest distance between the peg's middle and the middle of the eye, m.
-        depth: the least distance of the eye behind the tip, m.
+        thing, onto: roles of the hanging object and of the object with the peg.
+        eye, peg: names of their handles. The eye's handle lies in the middle of the opening, and points through it. The
+            peg's handle lies at the tip, and points towards the root.
+        radius: largest distance between the peg's axis and the middle of the eye, m.
+        depth: least distance of the eye behind the tip, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
@@ -521,7 +519,7 @@ class Hung(_OfEachPair):
             return binary_measure(what, False, "it touches the table")
         T_eye_in_peg = inverse(world.handle_pose(other, self.peg)) @ world.handle_pose(thing, self.eye)
         (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
-        # The peg is the z axis; `behind` is where it meets the eye's plane, never where it is parallel to the plane.
+        # The peg is the z axis. It meets the eye's plane at z = `behind`, or never if parallel to the plane.
         behind = float(T_eye_in_peg[:3, 3] @ through / through[2]) if abs(through[2]) > 1e-6 else -np.inf
         off = float(np.linalg.norm((x, y, z - behind)))
         detail = f"the peg {off * 1000:.0f} mm beside the eye's middle, its tip {behind * 1000:.0f} mm through"
@@ -532,12 +530,12 @@ class Folded(_OfEachThing):
     """Each cloth is folded, lies flat, and no hand holds it.
 
     Attributes:
-        thing: a role, which cloth plays.
-        how: `half`, along either side; `diagonal`, along either one; or `thirds`, from either side, the last over the
-            first.
-        error: how far apart two points may be, seen from above, that lie on each other in an exact fold, m.
-        area: by how much the share of its area that its outline covers may differ from that of an exact fold.
-        height: the largest height of a point over the lowest, m.
+        thing: a role of cloth.
+        how: `half`, along either side; `diagonal`, along either diagonal; or `thirds`, from either side, the last third
+            over the first.
+        error: largest horizontal distance between two points that coincide in an exact fold, m.
+        area: largest difference from an exact fold in the share of the cloth's area that its outline covers.
+        height: largest height of a point above the lowest point, m.
     """
 
     IN_HAND: ClassVar[bool | None] = False
@@ -573,9 +571,9 @@ class Spread(_OfEachThing):
     """Each cloth lies flat in one layer, and no hand holds it.
 
     Attributes:
-        thing: a role, which cloth plays.
-        area: the least share of its area that its outline covers, seen from above.
-        height: the largest height of a point over the lowest, m.
+        thing: a role of cloth.
+        area: least share of the cloth's area that its outline covers, seen from above.
+        height: largest height of a point above the lowest point, m.
     """
 
     IN_HAND: ClassVar[bool | None] = False
@@ -596,7 +594,7 @@ class Spread(_OfEachThing):
 
 
 def _covered(points: Array) -> float:
-    """The share of a cloth's area that its outline covers, seen from above."""
+    """Return the share of a cloth's area that its outline covers, seen from above."""
     return outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
 
 
@@ -606,15 +604,15 @@ def _layer(points: Array, layer: NDArray[np.int_]) -> Array:
 
 
 def _fold_error(points: Array, plan: FoldPlan) -> float:
-    """The largest distance, seen from above, between points that an exact fold puts onto each other, m."""
+    """Return the largest horizontal distance between points that coincide in an exact fold, m."""
     pairs = [(_layer(points, one), _layer(points, other)) for one, other in plan.layers]
     return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
 
 
 def _layer_gap(points: Array, plan: FoldPlan) -> float:
-    """The least height of a layer over the layer below, m; negative where they intersect."""
+    """Return the least height of a layer above the layer below, m; negative if the layers intersect."""
     higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in plan.layers])
-    return float(max(higher.min(), -higher.max()))  # folded from below, the layers lie the other way round
+    return float(max(higher.min(), -higher.max()))  # a fold from below reverses the order of the layers
 
 
 PREDICATES: Mapping[str, type[Predicate]] = {

@@ -1,4 +1,4 @@
-"""Which things play which roles."""
+"""The assignment of objects to roles."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class RoleAssignment:
-    """The things of an attempt by the roles that a task gives them.
+    """The objects of an attempt by their roles in the task.
 
     Attributes:
-        objects_by_role: role -> names of the things that play it, in order. The only thing of a role is called as the role.
-        config_names: thing -> the name of its object config, such as `cup`.
-        scale_factors: thing -> scale factor of its lengths; empty where roles have one size.
+        objects_by_role: role -> names of its objects, in order. A single object usually has the name of its role.
+        config_names: object -> the name of its config, such as `cup`.
+        scale_factors: object -> scale factor of its lengths; empty if all roles have one size.
     """
 
     objects_by_role: Mapping[str, tuple[str, ...]]
@@ -21,17 +21,17 @@ class RoleAssignment:
     scale_factors: Mapping[str, float] = field(default_factory=dict)
 
     def objects_of(self, role: str) -> tuple[str, ...]:
-        """The things that play a role; any other name stands for the thing of that name."""
+        """Return the names of a role's objects; for any other name, that name alone."""
         return self.objects_by_role.get(role) or (role,)
 
     def object_of(self, role: str) -> str:
-        """The first thing that plays a role."""
+        """Return the name of a role's first object."""
         return self.objects_of(role)[0]
 
     def pairs(self, role: str, other: str) -> Iterator[tuple[str, str]]:
-        """Each thing of a role with its counterpart of another role.
+        """Yield each object of a role with its counterpart of another role.
 
-        Roles with equally many things are paired in order; else every thing is paired with the other role's first.
+        Roles with equal numbers of objects are paired in order. Otherwise, the counterpart is the other role's first.
         """
         ones, others = self.objects_of(role), self.objects_of(other)
         if len(ones) == len(others):

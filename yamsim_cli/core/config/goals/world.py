@@ -1,4 +1,4 @@
-"""The state of a scene as predicates query it."""
+"""The queries of predicates to the state of a scene."""
 
 from __future__ import annotations
 
@@ -6,45 +6,45 @@ from typing import Protocol
 
 from ...geometry.se3 import Array
 
-# The name of the work surface, on which things stand unless a task places them on another thing.
+# The name of the work surface. Objects stand on it unless a task places them on another object.
 TABLE = "table"
 
 
 class GoalWorld(Protocol):
-    """The present state of a scene, by the names of its things. Metres, radians, poses in `world`.
+    """The current state of a scene, by the names of its objects. Units are m and rad; poses are in `world`.
 
-    Every query raises `KeyError` for a name that is no thing of the scene.
+    Every query raises `KeyError` for an unknown name.
     """
 
     def pose(self, thing: str) -> Array:
-        """Pose (4, 4) of a thing's frame."""
+        """Return the pose (4, 4) of an object's frame."""
 
     def start_pose(self, thing: str) -> Array:
-        """Pose (4, 4) of a thing's frame when the attempt began."""
+        """Return the pose (4, 4) of an object's frame at the start of the attempt."""
 
     def handle_pose(self, thing: str, handle: str) -> Array:
-        """Pose (4, 4) of a handle of a thing's base, z pointing into it; `KeyError` if there is no such handle."""
+        """Return the pose (4, 4) of a handle of an object's base; z points into the handle."""
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
-        """The lowest and the highest corner (3,) of a thing's bounding box along the axes of `world`."""
+        """Return the lowest and the highest corner (3,) of an object's axis-aligned bounding box."""
 
     def touching(self, one: str, other: str) -> bool:
-        """Whether two things touch; `TABLE` may be one of them."""
+        """Return whether two objects touch; `TABLE` may be one of them."""
 
     def holding_sides(self, thing: str) -> frozenset[str]:
-        """The sides, "left" and "right", of the hands that have a thing between both of their fingers."""
+        """Return the sides, "left" and "right", of the hands that hold an object."""
 
     def holders_since_rest(self, thing: str) -> tuple[str, ...]:
-        """The sides of the hands that held a thing since it last lay down, in order."""
+        """Return the sides of the hands that held an object since it last lay down, in order."""
 
     def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
-        """All handovers of a thing since the attempt began, in order: sides of the giving and the receiving hand."""
+        """Return all handovers of an object since the attempt began, in order: sides of giver and receiver."""
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
-        """The share, 0..1, of a thing's volume in a container's interior: the space that its walls enclose."""
+        """Return the share, 0..1, of an object's volume in the space that a container's walls enclose."""
 
     def cloth_points(self, thing: str) -> Array:
-        """The points of a cloth (along y, along x, 3), by rows along its own x axis."""
+        """Return the points (rows, columns, 3) of a cloth; rows run along the cloth's x axis."""
 
     def joint_opening(self, thing: str, joint: str) -> float:
-        """How far a joint of an articulated thing is open: 0 at the lower end of its range, 1 at the upper end."""
+        """Return the opening of an articulated object's joint: 0 at the lower end of its range, 1 at the upper end."""

@@ -1,4 +1,4 @@
-"""Links, joints and handles of articulated things: drawers, doors, lids and screw caps."""
+"""Links, joints and handles of articulated objects: drawers, doors, lids and screw caps."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidat
 
 
 class Handle(Config):
-    """A grasp of one part of a thing.
+    """A grasp of one part of an object.
 
     Attributes:
-        position: of the pinch point in the part's frame, m.
+        position: pinch point in the part's frame, m.
         approach: the hand's direction of approach in the part's frame; its length does not matter.
-        axis: along which the fingers close; its component along `approach` does not matter.
-        opening: of one finger when closed around the handle, m.
+        axis: axis along which the fingers close, in the part's frame; its component along `approach` does not matter.
+        opening: opening of one finger when closed around the handle, m.
     """
 
     name: Name
@@ -56,7 +56,7 @@ class Handle(Config):
 
     @property
     def T_pinch_in_part(self) -> Array:
-        """The pinch frame (4, 4) in the part's: z into it, y along the closing axis."""
+        """Pose (4, 4) of the pinch frame in the part's frame: z along the approach, y along the closing axis."""
         z = np.array(self.approach) / np.linalg.norm(self.approach)
         y = np.array(self.axis) - z * (z @ np.array(self.axis))
         y /= np.linalg.norm(y)
@@ -64,12 +64,12 @@ class Handle(Config):
 
 
 class Detent(Config):
-    """A ridge in a joint's force, as of a ball catch, which holds a drawer shut or a lid up.
+    """A ridge of potential energy along a joint, such as a ball catch, which holds a drawer shut or a lid open.
 
     Attributes:
-        at: joint position of the maximum: m, or degrees of a hinge.
-        width: of the whole ridge, in the same unit.
-        effort: largest force or torque: N, or N m of a hinge.
+        at: joint position of the ridge's top: m, or degrees of a hinge.
+        width: width of the whole ridge, in the same unit.
+        effort: largest force or torque against motion over the ridge: N, or N m of a hinge.
     """
 
     at: _Travel
@@ -81,15 +81,16 @@ class LinkJoint(Config):
     """The joint between a part and its parent.
 
     Attributes:
-        type: "hinge" turns; "slide" moves straight; "screw" turns, and moves along its axis by `pitch` a turn.
-        axis: in the part's frame; its length does not matter.
-        position: of a point on the axis, in the part's frame, m.
-        range: from stop to stop: m, or degrees of a hinge or a screw. At 0 the part is where its frame is given.
+        type: "hinge" rotates; "slide" translates; "screw" rotates, and moves along its axis by `pitch` per turn.
+        axis: direction in the part's frame; its length does not matter.
+        position: a point on the axis, in the part's frame, m.
+        range: lower and upper joint limit: m, or degrees of a hinge or a screw. At 0, the part has the given pose.
         start: initial position, in the same unit.
-        damping: N s/m, or N m s/rad.
-        friction: dry friction: N, or N m.
-        armature: kg, or kg m2.
-        pitch: of a screw, m a turn.
+        damping: viscous damping, N s/m or N m s/rad.
+        friction: dry friction, N or N m.
+        armature: added inertia, kg or kg m2.
+        pitch: pitch of a screw, m per turn.
+        detents: ridges that the joint has to overcome.
     """
 
     type: Literal["hinge", "slide", "screw"]
@@ -130,19 +131,20 @@ class LinkJoint(Config):
         return self.type != "slide"
 
     def to_si(self, value: float) -> float:
-        """A position in the config's unit, converted to m or rad."""
+        """Return a position in the config's unit, converted to m or rad."""
         return math.radians(value) if self.turns else value
 
 
 class Link(Config):
-    """A part that moves on another part of the same thing.
+    """A part that moves on another part of the same object.
 
     Attributes:
         parent: name of the parent part; the base if left out.
-        position, quat: of the part's frame in its parent's, m, with the joint at 0.
+        position, quat: pose of the part's frame in its parent's frame, m, with the joint at 0.
         meshes: visual meshes in the part's frame.
-        collision: collision geometry; neighbouring parts of one thing do not collide.
+        collision: collision geometry; neighbouring parts of one object do not collide.
         look: additional visual primitives.
+        handles: grasps of the part.
     """
 
     name: Name
@@ -158,6 +160,6 @@ class Link(Config):
 
     @property
     def T_in_parent(self) -> Array:
-        """Pose (4, 4) of the part's frame in its parent's, with the joint at 0."""
+        """Pose (4, 4) of the part's frame in its parent's frame, with the joint at 0."""
         quat = np.array(self.quat) / np.linalg.norm(self.quat)
         return pose_from_quat(self.position, quat)

@@ -22,18 +22,18 @@ class Cloth(Config):
     """A rectangle of fabric in the xy plane of its own frame, its middle at the origin.
 
     Attributes:
-        size_mm: along x and along y.
+        size_mm: size along x and along y.
         grid: numbers of points along x and along y.
         mass_g: total mass.
-        thickness_mm: distance of two layers that lie on each other.
-        stretching_n_m: force per width that would double the length, N/m.
+        thickness_mm: distance between two layers in contact.
+        stretching_n_m: force per width that doubles the length, N/m.
         bending_n_m: moment per width that bends the fabric to a radius of 1 m, N m.
         damping_s: time constant of stretching and bending.
         friction: sliding friction against the table, hands and itself.
-        held: what a hand grasps: the `points` between its pads, or also the nearest point of all `layers` there.
+        held: "points": a hand holds the points between its pads; "layers": also the nearest point of every layer there.
         solver: MuJoCo's solver in scenes with the cloth: `cg` takes half the time for large grids (21 x 21).
         checks: number of checks along x, in the second colour.
-        colours: of the fabric and of the checks, red, green and blue.
+        colours: colours (RGB) of the fabric and of the checks.
     """
 
     size_mm: tuple[_Side, _Side]
@@ -61,12 +61,12 @@ class Cloth(Config):
 
     @property
     def radius(self) -> float:
-        """Half the thickness, m: the height of points over the surface on which they lie."""
+        """Half the thickness, m: the height of points above the surface on which they lie."""
         return self.thickness_mm / 2000
 
     @property
     def spacing(self) -> float:
-        """The larger distance between neighbours along x and along y, m."""
+        """The larger of the distances between neighbours along x and along y, m."""
         return max(side / (count - 1) for side, count in zip(self.size, self.grid, strict=True))
 
     @property
@@ -77,13 +77,13 @@ class Cloth(Config):
 
 
 def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys of an object's plain data that follow from its `cloth`, as if it were rigid; empty without a valid one."""
+    """Return the keys of an object's data that follow from its `cloth`, as for a rigid object; empty if not valid."""
     if not isinstance(data.get("cloth"), dict):
         return {}
     try:
         cloth = Cloth.model_validate(data["cloth"])
     except ValidationError:
-        return {}  # validating the whole config names the fault and its line
+        return {}  # the validation of the whole config reports the error with its line
     (x, y), mass, radius = cloth.size, cloth.mass, cloth.radius
     moments = (mass * y**2 / 12, mass * x**2 / 12, mass * (x**2 + y**2) / 12)
     return {

@@ -1,4 +1,4 @@
-"""The config of an object made from sizes: meshes, primitives, mass and inertia, and grasps."""
+"""The config of an object generated from sizes: meshes, primitives, mass properties and grasps."""
 
 from __future__ import annotations
 
@@ -16,63 +16,63 @@ from ...geometry.shape_generators.generated_shape import GeneratedShape, ShapeGr
 from ...geometry.stl import stl_bytes
 from .shapes import DENSITY, Shape
 
-MADE = "made"  # the asset set of meshes that are generated whenever a scene is composed
+MADE = "made"  # asset set of the meshes that are generated with each scene
 
 _BODY = "body"
-_POWERS = {"_mm": 1, "_g": 3}  # how a key of a shape ends -> power of the scale factor by which its value grows
+_SCALE_POWERS = {"_mm": 1, "_g": 3}  # suffix of a shape's key -> power of the scale factor in its value
 
 _SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
 
-_FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction
-_FLAT = 0.0005  # m, rolling friction of flat things
-_ROLLING = 0.05  # rolling friction of round things as a share of the radius: holds on a slope of 3 degrees
-_PUSH_OUT = 0.006  # s, below MuJoCo's 0.02: a thin thing that falls 10 cm would penetrate a table's top
+_FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction coefficients
+_FLAT_FRICTION = 0.0005  # m, rolling friction of flat objects
+_ROUND_FRICTION = 0.05  # share of the radius, rolling friction of round objects: holds on a slope of 3 degrees
+_PUSH_OUT = 0.006  # s, below MuJoCo's 0.02: a thin object that falls 10 cm would penetrate a table's top
 
 _G = 9.81  # m/s2
-_MIN_FORCE = 15.0  # N, of a pad
-_WEIGHTS = 8.0  # force of a pad in units of half the weight
-_LEVEL = 1.2  # force of a pad in units of what holds a thing level that is grasped beside its centre of mass
-_SLIDES = 3.0  # force of a pad, in units of half the weight, below which a thing slides out of the pads
-# Limits of a pad's force: the spring of the drive for both pads, N/m; how far its target lies behind closed fingers, m;
-# and the drive's limit, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
-_SPRING, _BEHIND, _MAX_FORCE = 1000.0, 0.005, 50.0
-_WALL_CLEARANCE = 0.006  # m, between a finger and a wall: the outer finger fits between a plate's rim and the table
+_MIN_FORCE = 15.0  # N, least force of a pad
+_FORCE_FACTOR = 8.0  # half weights, force of a pad
+_LEVEL_FACTOR = 1.2  # times the force of a pad that just holds an object level beside its centre of mass
+_MIN_FORCE_FACTOR = 3.0  # half weights, force of a pad below which an object slides out of the pads
+# Limits of a pad's force: stiffness of the drive for both pads, N/m; depth of the lowest command below 0 (closed), m;
+# force limit of the drive, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
+_STIFFNESS, _OVERTRAVEL, _MAX_FORCE = 1000.0, 0.005, 50.0
+_WALL_CLEARANCE = 0.006  # m, from a finger to a wall: the outer finger fits between a plate's rim and the table
 
 
 def generated_mesh_files(name: str, shape: Shape) -> dict[str, bytes]:
-    """File name -> binary STL (m) of all pieces of one role."""
+    """Return file name -> binary STL (m) of all pieces of one role."""
     return {_file(name, role): stl_bytes(*surface) for role, surface in _surfaces(shape.form()).items()}
 
 
 def keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys of an object's plain data that follow from its `shape`; empty without a valid one."""
+    """Return the keys of an object's data that follow from its `shape`; empty without a valid shape."""
     if not isinstance(data.get("shape"), dict):
         return {}
     try:
         shape = _SHAPE.validate_python(data["shape"])
     except ValidationError:
-        return {}  # validating the whole config names the fault and its line
+        return {}  # the validation of the whole config reports the error with its line
     return object_from_shape(str(data.get("name")), shape)
 
 
 def scaled_shape(shape: Shape, factor: float) -> Shape:
-    """The shape with all lengths times a factor, and its mass times the cube of the factor.
+    """Return the shape with all lengths times a factor, and its mass times the cube of the factor.
 
-    Raises ValidationError if no thing can be made in these sizes.
+    Raises ValidationError if the scaled sizes are not valid.
     """
     data = shape.model_dump(mode="json", exclude_none=True)
     return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})
 
 
 def _scaled(key: str, value: Any, factor: float) -> Any:
-    power = next((power for unit, power in _POWERS.items() if key.endswith(unit)), 0)
+    power = next((power for unit, power in _SCALE_POWERS.items() if key.endswith(unit)), 0)
     if not power:
         return value
     return [each * factor**power for each in value] if isinstance(value, list) else value * factor**power
 
 
 def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
-    """Keys of an object's plain data that follow from a shape."""
+    """Return the keys of an object's data that follow from a shape."""
     form = shape.form()
     mass, centre, inertia = _mass_properties(shape, form)
     moments, axes = np.linalg.eigh(inertia)
@@ -99,7 +99,7 @@ def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
 
 
 def _surfaces(form: GeneratedShape) -> dict[str, Any]:
-    """Role -> the joined surface of its pieces; the body first."""
+    """Return role -> the joined surface of its pieces; the body first."""
     roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
     return {role: concatenate_surfaces(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
 
@@ -121,7 +121,7 @@ def _file(name: str, role: str) -> str:
 
 
 def _mass_properties(shape: Shape, form: GeneratedShape) -> tuple[float, Array, Array]:
-    """Mass (kg), centre of mass (3,) and inertia (3, 3) about it of all pieces."""
+    """Return mass (kg), centre of mass (3,) in m, and inertia (3, 3) about it in kg m2, of all pieces."""
     parts = [(uniform_mass_properties(*piece.surface), piece.role) for piece in form.pieces]
     masses = [solid.volume * DENSITY[shape.materials[role].stuff] for solid, role in parts]
     if shape.mass_g is not None:
@@ -137,13 +137,17 @@ def _mass_properties(shape: Shape, form: GeneratedShape) -> tuple[float, Array, 
 
 def _contact(form: GeneratedShape) -> dict[str, Any]:
     if form.rolls:
-        return {"friction": [*_FRICTION, round(_ROLLING * form.rolls, 5)], "condim": 6, "push_out_s": _PUSH_OUT}
-    return {"friction": [*_FRICTION, _FLAT], "condim": 4, "push_out_s": _PUSH_OUT}
+        return {
+            "friction": [*_FRICTION, round(_ROUND_FRICTION * form.rolls, 5)],
+            "condim": 6,
+            "push_out_s": _PUSH_OUT,
+        }
+    return {"friction": [*_FRICTION, _FLAT_FRICTION], "condim": 4, "push_out_s": _PUSH_OUT}
 
 
 def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
-    """The grasp by a weld, and by friction if pads can press hard enough."""
-    # A grasp near the centre of mass lets the thing turn less in the pads.
+    """Return the grasp by a weld, and by friction if pads can press hard enough."""
+    # In a grasp near the centre of mass, the object rotates less in the pads.
     holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))
     held = [hold for hold in holds if hold.has_flat_contact and _needed_force(hold, mass, centre) <= _max_force(hold)]
     if form.turned:
@@ -152,7 +156,7 @@ def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any
     welded = _point(replace(best, tilt_deg=None))
     if not held:
         return welded
-    needed = max(_MIN_FORCE, _WEIGHTS * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
+    needed = max(_MIN_FORCE, _FORCE_FACTOR * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
     around = {"around": True} if form.turned and len(held) > 1 else {}
     beside = {"clearance": _WALL_CLEARANCE} if held[0].tilt_deg is not None else {}
     return {
@@ -168,14 +172,14 @@ def _point(hold: ShapeGrasp) -> dict[str, Any]:
 
 
 def _needed_force(hold: ShapeGrasp, mass: float, centre: Array) -> float:
-    """The force with which a pad has to press, N."""
-    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever_arm(hold, centre) / hold.depth)
+    """Return the least force of a pad that holds an object, N."""
+    return mass * _G * max(_MIN_FORCE_FACTOR / 2, _LEVEL_FACTOR * _lever_arm(hold, centre) / hold.depth)
 
 
 def _lever_arm(hold: ShapeGrasp, centre: Array) -> float:
-    """Horizontal distance of a grasp from the centre of mass (3,), m."""
+    """Return the horizontal distance of a grasp from the centre of mass (3,), m."""
     return float(np.hypot(*(np.array(hold.position) - centre)[:2]))
 
 
 def _max_force(hold: ShapeGrasp) -> float:
-    return min(_MAX_FORCE, _SPRING * (hold.width / 2 + _BEHIND))
+    return min(_MAX_FORCE, _STIFFNESS * (hold.width / 2 + _OVERTRAVEL))

@@ -1,4 +1,4 @@
-"""Objects: look, collision geometry, inertia and grasps."""
+"""Objects: appearance, collision geometry, inertia and grasps."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from .object_part import ObjectMesh as ObjectMesh
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
 from .shapes import Shape
 
-_PART = QuantityBounds("m", -1, 1)  # lengths of parts
+_PART = QuantityBounds("m", -1, 1)  # bounds of lengths and coordinates of parts
 
 
 class GraspPoint(Config):
     """A pinch point and the axis along which the fingers close.
 
     Attributes:
-        position: of the pinch point in the object's frame, m.
+        position: pinch point in the object's frame, m.
         axis_deg: direction in the object's xy plane along which the fingers close, degrees from +x.
-        opening: of one finger when closed around the object, m.
-        tilt_deg: of an inclined wall, degrees: the hand is tilted from straight down so that its fingers point along
-            `axis_deg` and both pads lie on the wall. If left out, the hand may be tilted as suits the arm.
+        opening: opening of one finger when closed around the object, m.
+        tilt_deg: tilt of the hand from straight down for an inclined wall, degrees. Fingers tilt towards `axis_deg`, so
+            that both pads lie on the wall. If left out, the arm chooses the tilt.
     """
 
     position: OffsetPoint
@@ -42,7 +42,7 @@ class GraspPoint(Config):
     tilt_deg: Annotated[Annotated[FiniteFloat, QuantityBounds("degrees", -90, 90)] | None, OMIT_NONE] = None
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
-        """The pinch frame (4, 4) in the object's: z into the object, y along the closing axis, or against it."""
+        """Return the pinch frame's pose (4, 4): z into the object, y along the closing axis, reversed if `flipped`."""
         down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         heading = math.radians(self.axis_deg)
         turn = heading + math.pi / 2 + (math.pi if flipped else 0.0)
@@ -54,13 +54,13 @@ class GraspPoint(Config):
 
 
 class FrictionGrasp(Config):
-    """How two pads hold an object by friction alone.
+    """Grasps in which two pads hold an object by friction alone.
 
     Attributes:
-        force: of each pad, N.
+        force: force of each pad, N.
         points: possible grasps, the best first.
-        around: whether the points lie around the object and are equally good, so that the arm takes any of them.
-        hands: the number of hands that hold the object level.
+        around: whether the points lie around the object and are equally good, so that the arm may use each of them.
+        hands: number of hands that are needed to hold the object level.
     """
 
     force: Annotated[FiniteFloat, QuantityBounds("N", 0.05, 500)]
@@ -70,10 +70,10 @@ class FrictionGrasp(Config):
 
 
 class Grasp(GraspPoint):
-    """How the fingers grasp an object from above; the point is that of a grasp by a weld.
+    """Grasps of an object from above. The inherited keys are the grasp by a weld.
 
     Attributes:
-        clearance: between each open finger and its closed position, m.
+        clearance: distance between each open finger and its closed position, m.
         friction: grasps by friction; if left out, only a weld holds the object.
     """
 
@@ -86,23 +86,23 @@ _SOLID = ("block", "fruit", "cutlery", "pasta")
 
 
 class ObjectConfig(Config):
-    """A thing: collision geometry, visual meshes, inertia, grasps, and the links of an articulated thing.
+    """An object: collision geometry, visual meshes, inertia, grasps, and the links of an articulated object.
 
-    Of an articulated thing, these are the properties of its base.
+    The properties of an articulated object are those of its base.
 
     Attributes:
-        shape: the sizes from which the thing is made. Keys that a file leaves out follow from them. The config of a
-            dataset has all keys, and only visual meshes are generated from the sizes again.
+        shape: the sizes from which the object is generated. Keys that a file leaves out follow from the sizes. The
+            config of a dataset has all keys; only visual meshes are generated again.
         cloth: instead of `shape`, the fabric of a cloth, from which the other keys follow.
         mesh, meshes: visual meshes, each with its own material.
-        rest_height: of the origin over the surface on which the thing lies, m.
-        support: height over the origin of the surface on which things placed in the middle come to lie, m; if left out,
-            it follows from the primitives.
-        preposition: how things are placed there: "on" a plate, "in" a bowl.
+        rest_height: height of the origin above the surface on which the object lies, m.
+        support: height above the origin of the surface that supports objects placed in the middle, m; if left out, the
+            height follows from the primitives.
+        preposition: how other objects are placed there: "on" a plate, "in" a bowl.
         look: additional visual primitives, such as a banana's brown ends.
-        rests: how a hand may place the thing: "upright", or in "any" stable pose. If left out, hollow, hinged and sheet
-            things are placed upright, and all others in any stable pose.
-        base: "free", or "fixed" where an attempt places it.
+        rests: poses in which a hand may place the object: "upright", or "any" stable pose. If left out, hollow, hinged
+            and sheet objects are placed upright, and all others in any stable pose.
+        base: "free", or "fixed" at its initial pose.
         links: the parts that move on the base and on each other, parents before children.
         handles: grasps of the base.
     """
@@ -127,7 +127,7 @@ class ObjectConfig(Config):
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """A file of an object, completed from its sizes. Raises as `load_yaml`."""
+        """Return an object's file, completed from its `shape` or `cloth`. Raises as `load_yaml`."""
         document = super().read(path)
         document.data.setdefault("name", path.stem)
         for source, made in (("shape", keys_from_shape(document.data)), ("cloth", cloth_object(document.data))):
@@ -179,7 +179,7 @@ class ObjectConfig(Config):
         return self
 
     def with_name(self, name: str) -> ObjectConfig:
-        """The thing under another name."""
+        """Return the object with another name."""
 
         def named(mesh: ObjectMesh) -> ObjectMesh:
             made = mesh.set == MADE
@@ -189,9 +189,9 @@ class ObjectConfig(Config):
         return self.model_copy(update={"name": name, **meshes})
 
     def scaled(self, factor: float) -> ObjectConfig:
-        """The thing with all lengths times a factor; its mass and its grasps follow.
+        """Return the object with all lengths times a factor, and with mass and grasps for this size.
 
-        Raises ValueError if the thing is not made from sizes alone, or cannot be made in these sizes.
+        Raises ValueError if the object is not generated from sizes alone, or the scaled sizes are not valid.
         """
         if factor == 1.0:
             return self
@@ -210,14 +210,14 @@ class ObjectConfig(Config):
             raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
 
     def _made_again(self, shape: Shape) -> ObjectConfig:
-        """The thing with everything that follows from a shape replaced."""
+        """Return the object with all values replaced that follow from a shape."""
         made = object_from_shape(self.name, shape)
         given = self.model_dump(mode="json")
         kept = {key: value for key, value in given.items() if key not in made and key not in ("grasp", "support")}
         return ObjectConfig.model_validate({**kept, "shape": shape.model_dump(mode="json", exclude_none=True), **made})
 
     def with_grasp_points(self, points: Sequence[GraspPoint]) -> ObjectConfig:
-        """The thing with other friction grasps, the best first; it must have a friction grasp before."""
+        """Return the object with other friction grasps, the best first; requires a friction grasp."""
         assert self.grasp is not None and self.grasp.friction is not None
         friction = self.grasp.friction.model_copy(update={"points": tuple(points)})
         at = {name: getattr(points[0], name) for name in GraspPoint.model_fields}
@@ -230,7 +230,7 @@ class ObjectConfig(Config):
 
     @property
     def rests_in_any_pose(self) -> bool:
-        """Whether a hand may place the thing in any stable pose, see `rests`."""
+        """Whether a hand may place the object in any stable pose, see `rests`."""
         if self.rests is not None:
             return self.rests == "any"
         if self.shape is not None:
@@ -241,12 +241,12 @@ class ObjectConfig(Config):
 
     @property
     def mesh_sets(self) -> tuple[str, ...]:
-        """The asset sets of all meshes, sorted. Collision meshes lie in the set of `mesh`."""
+        """The asset sets of all meshes, sorted. Collision meshes are in the set of `mesh`."""
         return tuple(sorted({mesh.set for mesh in self.all_meshes} - {MADE}))
 
     @property
     def needs_meshes(self) -> bool:
-        """Whether collision geometry needs mesh files, so that primitives cannot replace them."""
+        """Whether collision geometry needs mesh files, which primitives cannot replace."""
         parts = (*self.collision, *(part for link in self.links for part in link.collision))
         return any(isinstance(part, HullPart | SdfPart) for part in parts)
 
@@ -272,19 +272,19 @@ class ObjectConfig(Config):
 
     @property
     def support_height(self) -> float:
-        """Height over the origin of the surface on which something put into the middle comes to lie, m."""
+        """Height above the origin of the surface that supports objects placed in the middle, m."""
         if self.support is not None:
             return self.support
         return max((top for part in self.collision if (top := _flat_top(part)) is not None), default=0.0)
 
     @property
     def can_support(self) -> bool:
-        """Whether something can be put onto it, or into it: it has a flat top, or a floor."""
+        """Whether the object has a flat top or a floor, so that other objects can be placed on or in it."""
         return self.support is not None or any(_flat_top(part) is not None for part in self.collision)
 
 
 def _flat_top(part: CollisionPart) -> float | None:
-    """Height of a primitive's flat upper face over the object's origin, m; None if it has none."""
+    """Return the height of a primitive's flat upper face above the object's origin, m; None without such a face."""
     match part:
         case Cylinder():
             return part.centre[2] + part.half_height

@@ -1,4 +1,4 @@
-"""Contact parameters, visual meshes and inertia of a thing's parts."""
+"""Contact parameters, visual meshes and inertia of an object's parts."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Contact(Config):
     """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
 
     Attributes:
-        push_out_s: time constant with which a contact resolves penetration, s. A small falling thing penetrates some
-            millimetres for each 0.01 s; a table's top is thin.
+        push_out_s: time constant with which a contact resolves penetration, s. A small falling object penetrates a few
+            mm for each 0.01 s, and a table's top is thin.
     """
 
     friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
@@ -32,13 +32,13 @@ class ObjectMesh(Config):
     """A visual mesh, such as a scan.
 
     Attributes:
-        set: an asset set of the lock, or an own set, see `core.scene.assets.asset_store`.
-        file: STL, or OBJ for a mesh with a texture.
+        set: an asset set of the lock file, or a user's own set, see `core.scene.assets.asset_store`.
+        file: STL file, or OBJ file for a mesh with a texture.
         origin: the point of the mesh that becomes the part's origin, m.
-        rgba: the colour; a texture is multiplied by it.
+        rgba: colour, which also multiplies a texture.
         texture: a PNG file of the same set for the OBJ's texture coordinates.
-        castshadow: whether the mesh casts a shadow. Grazing light speckles a shallow scan with its own shadow: then let
-            primitives of `look` just below its surface cast the shadow instead.
+        castshadow: whether the mesh casts a shadow. Under grazing light, a shallow scan has speckles of its own shadow.
+            In that case, let primitives of `look` just below the surface cast the shadow.
     """
 
     set: str
@@ -52,7 +52,7 @@ class ObjectMesh(Config):
 
 
 class Inertia(Config):
-    """Mass (g), centre of mass (m) in the part's frame, principal moments (kg m2) and the quaternion of their axes."""
+    """Mass (g), centre of mass (m) in the part's frame, principal moments (kg m2) and quaternion of their axes."""
 
     mass_g: Annotated[FiniteFloat, QuantityBounds("g", 0.5, 50_000)]
     centre: OffsetPoint = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Collision and look primitives, in the frame of their object."""
+"""Primitives for collisions and visuals, in the frame of their object."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Capsule(Config):
 
 
 class Cylinder(Config):
-    """An upright cylinder: centre, radius and half its height."""
+    """An upright cylinder: centre, radius and half-height (m)."""
 
     type: Literal["cylinder"]
     centre: Vector
@@ -31,7 +31,7 @@ class Cylinder(Config):
 
 
 class Sphere(Config):
-    """A sphere: centre and radius."""
+    """A sphere: centre and radius (m)."""
 
     type: Literal["sphere"]
     centre: Vector
@@ -40,7 +40,7 @@ class Sphere(Config):
 
 
 class Box(Config):
-    """A box: centre, half its size along its own axes, and their rotation about z."""
+    """A box: centre and half-size (m) along its own axes, and their rotation about z."""
 
     type: Literal["box"]
     centre: Vector
@@ -62,12 +62,12 @@ class Box(Config):
 
 
 class Ring(Config):
-    """A sloping rim of boxes around the object's z axis, such as a plate's.
+    """A sloping rim of boxes around the object's z axis, such as the rim of a plate.
 
     Attributes:
         inner, outer: radius and height (m) of the rim's upper surface at its inner and outer edge.
-        thickness: of the boxes below that surface, m.
-        segments: the number of boxes.
+        thickness: thickness of the boxes below that surface, m.
+        segments: number of boxes.
     """
 
     type: Literal["ring"]
@@ -86,26 +86,25 @@ class _MeshPart(Config):
 
     @property
     def bounding_box(self) -> Box:
-        """The box from `low` to `high`."""
         centre = tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
         half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(self.low, self.high, strict=True))
         return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]
 
 
 class HullPart(_MeshPart):
-    """A convex body: the hull of a mesh file, which lies in the set of the thing's mesh and in its part's frame.
+    """A convex body: the hull of a mesh file in the asset set of the object's mesh and in the part's frame.
 
     Attributes:
-        low, high: corners of the bounding box, m, so that its size is known without the file.
+        low, high: corners of the bounding box, m, which give its size without the file.
     """
 
     type: Literal["hull"]
 
 
 class SdfPart(_MeshPart):
-    """A body of any form, hollows and holes included, by its signed distance field; otherwise as `HullPart`.
+    """A body of any form, also with hollows and holes, as a signed distance field; otherwise as `HullPart`.
 
-    Exact and slow: MuJoCo searches contacts by descending along the distance.
+    Contacts are exact and slow: MuJoCo finds contacts by gradient descent along the distance.
     """
 
     type: Literal["sdf"]

@@ -1,4 +1,4 @@
-"""Shapes: the sizes (mm) and materials from which things are made."""
+"""Shapes: the sizes (mm) and materials from which objects are generated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...geometry.shape_generators import boxes, cutlery, pasta, vessels
 from ...geometry.shape_generators.generated_shape import GeneratedShape
 
 _Size = Annotated[FiniteFloat, QuantityBounds("mm", 1, 1000)]
-_Tine = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # tines end above the rack's floor and rail
+_Tine = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # tines, which end above the rack's floor and rail
 _Thin = Annotated[FiniteFloat, QuantityBounds("mm", 0.3, 50)]
 _Length = Annotated[FiniteFloat, QuantityBounds("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
@@ -29,7 +29,7 @@ Stuff = Literal[
     "durum", "fruit", "leaf", "paint",
 ]  # fmt: skip
 
-#: Density of each material, kg/m3, rounded from tables of materials. Folded cotton is mostly air; paint has no mass.
+#: Density of each material, kg/m3, rounded from material tables. Folded cotton is mostly air; paint has no mass.
 DENSITY: Mapping[Stuff, float] = {
     "steel": 7900,
     "aluminium": 2700,
@@ -49,7 +49,7 @@ DENSITY: Mapping[Stuff, float] = {
 
 
 class Material(Config):
-    """Material and look of a piece."""
+    """Material and appearance of a piece."""
 
     stuff: Stuff
     rgba: Rgba
@@ -61,15 +61,15 @@ class _Shape(Config):
     """Base of all shapes.
 
     Attributes:
-        materials: role of a piece ("body", and "handle", "stalk" or "print" where the shape has such) -> its material.
-        mass_g: of the whole, such as of a full carton; if left out, it follows from the materials' densities.
+        materials: role of a piece ("body", and "handle", "stalk" or "print" if the shape has one) -> its material.
+        mass_g: total mass, such as of a full carton; if left out, the mass follows from the materials' densities.
     """
 
     materials: Mapping[str, Material]
     mass_g: _Grams | None = None
 
     def form(self) -> GeneratedShape:
-        """The geometry, in m."""
+        """Return the geometry, in m."""
         return self._form()
 
     @abstractmethod
@@ -119,7 +119,7 @@ class VesselShape(_Shape):
 
 
 class CapShape(_Shape):
-    """A round cap or screw lid, hollow side down."""
+    """A round cap or screw lid with the hollow side down."""
 
     family: Literal["cap"]
     diameter_mm: _Size
@@ -132,7 +132,7 @@ class CapShape(_Shape):
 
 
 class FruitShape(_Shape):
-    """A round fruit with `lobes`, which swell by a share `depth` of its radius, and a stalk."""
+    """A round fruit with a stalk, and with `lobes` whose height is a share `depth` of the radius."""
 
     family: Literal["fruit"]
     diameter_mm: _Size
@@ -146,7 +146,7 @@ class FruitShape(_Shape):
 
 
 class ContainerShape(_Shape):
-    """An open box, or a tray of `cells` compartments side by side, see `core.geometry.shape_generators.boxes.Container`."""
+    """An open box, or a tray of `cells` compartments in a row, see `core.geometry.shape_generators.boxes.Container`."""
 
     family: Literal["container"]
     size_mm: _Box
@@ -161,7 +161,7 @@ class ContainerShape(_Shape):
 
 
 class LidShape(_Shape):
-    """A container's lid with an inner rim, `inset_mm` in from its edge, and a bar as a handle."""
+    """A container's lid with an inner rim, `inset_mm` inside its edge, and a bar as a handle."""
 
     family: Literal["lid"]
     size_mm: _Box
@@ -176,7 +176,7 @@ class LidShape(_Shape):
 
 
 class BlockShape(_Shape):
-    """A closed box with round edges; `band` is the range of its height, as shares, that has another colour."""
+    """A closed box with round edges; `band` is the range of height, as shares, with another colour."""
 
     family: Literal["block"]
     size_mm: _Box
@@ -245,7 +245,7 @@ class CutleryShape(_Shape):
 
 
 class PastaShape(_Shape):
-    """A piece of dry pasta: a tube, or with `wall_mm` 0 a rod."""
+    """A piece of dry pasta: a tube, or a rod if `wall_mm` is 0."""
 
     family: Literal["pasta"]
     diameter_mm: _Size
@@ -263,7 +263,7 @@ def _m(mm: float) -> float:
 
 
 def _in_metres(kind: type[T], shape: _Shape) -> T:
-    """A dataclass of geometry whose fields are those of a shape: `wall` is `wall_mm` in m."""
+    """Return a geometry dataclass with the fields of a shape: `wall` is `wall_mm` in m."""
     dataclass: Any = kind
     values: dict[str, Any] = {}
     for field in fields(dataclass):

@@ -1,4 +1,4 @@
-"""The base of all config models, and the types that config models share."""
+"""The base class and the common types of config models."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from .yaml_document import Document, load_yaml
 
 
 class Config(BaseModel):
-    """Base of all configs: immutable, with finite numbers; an unknown key is an error."""
+    """Base of all configs: immutable, with finite numbers and without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """A file's content under the keys of this config. Raises as `load_yaml`."""
+        """Return a file's content under the keys of this config. Raises as `load_yaml`."""
         return load_yaml(path)
 
     @classmethod
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
-        """The path that `read` takes for each config in a file; most files hold one config."""
+        """Return the path for `read` of each config in a file; most files contain one config."""
         return (path,)
 
 
-# Format 0.2 leaves these keys out at their defaults: a dataset's config keeps its bytes when a key is added.
+# Format 0.2 leaves out these keys at their defaults, so that a new key does not change the bytes of datasets' configs.
 OMIT_NONE: FieldInfo = Field(exclude_if=lambda value: value is None)
 OMIT_EMPTY: FieldInfo = Field(exclude_if=lambda value: not value)
 
 
 def omit_if_default(default: Any) -> FieldInfo:
-    """Like `OMIT_NONE`, for a default other than None."""
+    """Return a mark like `OMIT_NONE`, for a default other than None."""
     field: FieldInfo = Field(exclude_if=lambda value: value == default)
     return field
 
 
 @dataclass(frozen=True)
 class ConfigReference:
-    """Marks a field that holds a config of another kind or its name, such as `rig: single`."""
+    """Marks a field with a config of another kind, or the name of such a config, as in `rig: single`."""
 
     kind: str
 
 
 class ConflictError(ValueError):
-    """Several values contradict each other. The message names the value that a flag gave, or else the first.
+    """A contradiction between several values. The message names the value of a flag, or else the first value.
 
     Attributes:
-        paths: key paths of the values, relative to the model that raises; the likeliest culprit first.
+        paths: key paths of the values, relative to the model that raises; the most likely mistake first.
     """
 
     def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:
@@ -60,7 +60,7 @@ class ConflictError(ValueError):
 
 
 def require_ordered(value: tuple[float, float]) -> tuple[float, float]:
-    """The range, unchanged. Raises ValueError if its ends are not in order."""
+    """Return the range, unchanged. Raises ValueError if its ends are not in order."""
     if value[0] > value[1]:
         raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
     return value
@@ -85,6 +85,6 @@ Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractio
 Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
-# Names of cameras, things and tasks become parts of paths, so the pattern admits no dot and no slash.
+# Names of cameras, objects and tasks become parts of paths, so the pattern excludes dots and slashes.
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]

@@ -1,4 +1,4 @@
-"""JSON text of results."""
+"""Converts results to JSON text."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 
 
 def json_text(data: Mapping[str, Any]) -> str:
-    """Indented JSON with a newline at the end.
+    """Return indented JSON with a newline at the end.
 
     NumPy's scalars and arrays become numbers, booleans and lists; paths become text; infinities and NaN become null.
 
-    Raises TypeError if a value has no JSON form.
+    Raises TypeError for values without a JSON representation.
     """
     return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

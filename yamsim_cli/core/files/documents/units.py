@@ -1,6 +1,6 @@
-"""Quantities with a unit and plausible bounds: a value far outside was probably given in another unit.
+"""Quantities with a unit and plausible bounds: a value far outside probably has another unit.
 
-The configs of recorded datasets may have values beyond these bounds, see `AS_RECORDED`.
+The configs of recorded datasets may have values beyond the bounds, see `AS_RECORDED`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pydantic_core import CoreSchema, core_schema
 
 from .config_base import require_ordered
 
-# The validation context of a recorded dataset's config, whose values stay valid when bounds change.
+# The validation context of a recorded dataset's config, whose values remain valid after a change of bounds.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
 
-# Unit -> unit given by mistake -> its size in the right unit.
+# Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
 _MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"mm": 1e-3, "cm": 1e-2},
     "mm": {"m": 1e3},
@@ -34,7 +34,7 @@ _MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class QuantityBounds:
-    """Marks a number as a quantity in `unit` between two bounds; with `or_zero`, it may also be 0."""
+    """Marks a number as a quantity in `unit` between two bounds; with `or_zero`, the value 0 is also valid."""
 
     unit: str
     low: float
@@ -42,10 +42,10 @@ class QuantityBounds:
     or_zero: bool = False
 
     def check(self, value: float, info: ValidationInfo | None = None) -> float:
-        """The value, unchanged.
+        """Return the value, unchanged.
 
         Raises:
-            ValueError: the value is out of bounds; the text names the unit that was probably given.
+            ValueError: the value is out of bounds; the message suggests the unit of the value.
         """
         if self._holds(value) or is_recorded_config(info):
             return value
@@ -68,12 +68,12 @@ class QuantityBounds:
 
 
 def is_recorded_config(info: ValidationInfo | None) -> bool:
-    """Whether the config of a recorded dataset is being validated."""
+    """Return whether pydantic validates the config of a recorded dataset."""
     return info is not None and info.context == AS_RECORDED
 
 
 def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
-    """Refuse a range whose ends are an eighth, a quarter, half or all of a turn in radians."""
+    """Refuse a range whose ends are an eighth, a quarter, a half or a full turn in radians."""
     turns = [2 * math.pi / k for k in (1, 2, 4, 8)]
     ends = [abs(end) for end in value if end]
     if not ends or is_recorded_config(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
@@ -84,19 +84,19 @@ def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # a coordinate in a station
-Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # of something in a station
-Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # a coordinate in the frame of a thing
-Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # a gap, or a height above something
+Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # coordinate in a station
+Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # size in a station
+Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # coordinate in the frame of an object
+Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # gap or relative height
 Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
 Heading = Annotated[FiniteFloat, QuantityBounds("degrees", -360, 360)]
 FieldOfView = Annotated[
     FiniteFloat, QuantityBounds("degrees", 4, 179)
-]  # vertical; every value in radians is below the bound
+]  # vertical field of view; every value in radians is below the lower bound
 JointAngle = Annotated[FiniteFloat, QuantityBounds("rad", -2 * math.pi, 2 * math.pi)]
 Reach = Annotated[
     FiniteFloat, QuantityBounds("m", -2.5, 2.5)
-]  # a coordinate in the reach of an arm, relative to its place
+]  # coordinate within the reach of an arm, relative to the arm's place
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]

@@ -1,4 +1,4 @@
-"""Error messages of invalid configs: one line with the place, the value and what would be valid."""
+"""Error messages for invalid configs: one line with the place, the value and the valid values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...errors import count_noun, suggest
 from .config_base import Config, ConflictError, require_ordered
 from .yaml_document import Document, KeyPath, is_setting
 
-BRANCH = "<"  # first character of a union's branch names where no key of the document tells the branches apart
+BRANCH = "<"  # first character of branch names in unions whose branch is no key of the document
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -22,22 +22,22 @@ _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 def explain_validation_error(
     model: type[Config], document: Document, error: ValidationError, flags: Mapping[KeyPath, str]
 ) -> tuple[str, str]:
-    """The place of the first fault, and one line about it with the number of further faults.
+    """Return the place of the first error, and one line about this error with the number of further errors.
 
     Args:
-        flags: key path -> the flag that gave the value.
+        flags: key path -> the flag with the value.
     """
     found = error.errors(include_url=False)
-    # Pydantic also reports a list with a faulty item as too short.
+    # Pydantic also reports a list with an invalid item as too short.
     inside = {detail["loc"][:depth] for detail in found for depth in range(len(detail["loc"]))}
-    # A mistyped key is reported as unknown and as missing; the unknown key comes first.
+    # Pydantic reports a mistyped key as unknown and as missing. The unknown key comes first.
     details = sorted(
         (detail for detail in found if detail["loc"] not in inside), key=lambda detail: detail["type"] == "missing"
     )
     first = details[0]
     path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
     if first["type"] == "missing" and isinstance(path[-1], int):
-        # The fault of a list that is too short is the list's.
+        # The error of a too short list belongs to the list.
         path = path[:-1]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     fault = first.get("ctx", {}).get("error")
@@ -50,19 +50,19 @@ def explain_validation_error(
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
-    """Like `explain`, for a conflict that no model checks."""
+    """Return the same as `explain_validation_error`, for a conflict that no model checks."""
     path, place = _offending_value(document, list(error.paths), flags)
     return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
 
 
 def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
-    """The kind of config whose keys a file has, if not the wanted one; None if the keys fit the wanted kind.
+    """Return the other kind of config whose keys a file has; None if the keys fit the wanted kind, or no kind.
 
     Args:
         kinds: kind -> its model.
     """
     keys = set(data) - {"name"}
-    # Kinds share some keys: at least half of the keys, and a required one, have to be those of the wanted kind.
+    # Kinds share some keys. The keys fit if at least half of them, and one required key, belong to the wanted kind.
     fields = kinds[wanted].model_fields
     required = {name for name, info in fields.items() if info.is_required()} - {"name"}
     if 2 * len(keys & set(fields)) >= len(keys) and (keys & required or not required):
@@ -73,7 +73,7 @@ def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapp
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """The models named in a field's annotation, also inside tuples, lists and unions."""
+    """Return the models in a field's annotation, also inside tuples, lists and unions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
@@ -82,12 +82,12 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
 
 
 def mapping_value_type(annotation: Any) -> Any:
-    """The annotation of a mapping's values; None for any other annotation."""
+    """Return the annotation of a mapping's values; None for any other annotation."""
     return get_args(annotation)[1] if get_origin(annotation) in (dict, Mapping) else None
 
 
 def format_key_path(path: KeyPath) -> str:
-    """A key path as text, such as `arms[0].board`."""
+    """Return a key path as text, such as `arms[0].board`."""
     text = ""
     for key in path:
         text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
@@ -95,9 +95,9 @@ def format_key_path(path: KeyPath) -> str:
 
 
 def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
-    """Path and place of the first value that a flag gave, or else of the first value."""
+    """Return path and place of the first value from a flag, or else of the first value."""
     for path in paths:
-        # A flag for a single item also stands for the item of a list.
+        # A flag for a whole list also counts for its items.
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
             if whole in flags:
                 return whole, flags[whole]
@@ -126,14 +126,14 @@ def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
 
 
 def _decimal_comma_hint(values: list[Any], detail: ErrorDetails) -> str:
-    """A hint for a list whose numbers decimal commas split in two; empty for any other list."""
+    """Return a hint for a list whose numbers decimal commas split in two; empty for any other list."""
     wanted = detail.get("ctx", {}).get("max_length")
     whole = all(isinstance(value, int) for value in values[1::2])
     return "; a number has a decimal point, not a comma" if wanted and len(values) == 2 * wanted and whole else ""
 
 
 def _shape(model: type[Config], path: KeyPath) -> str:
-    """The form of the list at a path, such as "[low, high]"; "a list" if the length is not fixed."""
+    """Return the form of the list at a path, such as "[low, high]"; "a list" if the length is not fixed."""
     for annotation, metadata in _annotations_at(model, path):
         parts = get_args(annotation) if get_origin(annotation) is tuple else ()
         if not parts or Ellipsis in parts:
@@ -145,7 +145,6 @@ def _shape(model: type[Config], path: KeyPath) -> str:
 
 
 def _annotations_at(model: type[Config], path: KeyPath) -> Iterable[tuple[Any, tuple[Any, ...]]]:
-    """Each annotation at a path, and its metadata."""
     if not path or isinstance(path[-1], int):
         return
     for candidate in _models_at(model, path[:-1]):
@@ -165,14 +164,13 @@ def _is_union(annotation: Any) -> bool:
 
 
 def _plain(annotation: Any) -> Any:
-    """An annotation without its metadata."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
 
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
-    """Whether a part of pydantic's location is the name of a union's branch, and no key of the document."""
+    """Return whether a part of pydantic's location is the name of a union's branch, and no key of the document."""
     if isinstance(key, str) and key.startswith(BRANCH):
         return True
     here = data
@@ -191,7 +189,7 @@ def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
 
 
 def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
-    """The keys that are valid at a path, also inside nested models, tuples and unions."""
+    """Return the valid keys at a path, also inside nested models, tuples and unions."""
     return sorted({name for candidate in _models_at(model, path) for name in candidate.model_fields})
 
 
@@ -204,7 +202,6 @@ def _models_at(model: type[BaseModel], path: KeyPath) -> list[type[BaseModel]]:
 
 
 def _nested_annotations(annotation: Any, key: str) -> Iterator[Any]:
-    """The annotations of a key's values."""
     if (values := mapping_value_type(annotation)) is not None:
         yield values
     for model in models_in(annotation):

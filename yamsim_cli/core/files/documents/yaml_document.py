@@ -1,6 +1,6 @@
 """Strict YAML by the core schema of YAML 1.2, without duplicate keys, with the line of each value.
 
-PyYAML's own loader keeps the last of two equal keys, and reads `1e-3` as text, and `on` and `yes` as true.
+PyYAML's own loader keeps the last of two equal keys, reads `1e-3` as text, and reads `on` and `yes` as true.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ...errors import ConfigError
 
 KeyPath = tuple[str | int, ...]
 
-_MAX_BYTES = 1_000_000  # of a config; a larger file is a mistake or an attack
+_MAX_BYTES = 1_000_000  # bytes of a config; a larger file is a mistake or an attack
 
 _INT = re.compile(r"^[-+]?[0-9]+$")
 _FLOAT = re.compile(
@@ -26,7 +26,7 @@ _FLOAT = re.compile(
 
 
 def is_setting(place: str) -> bool:
-    """Whether the place of a value is a flag, `--arm`, or a keyword, `arm=`, and not a file."""
+    """Return whether the place of a value is a flag (`--arm`) or a keyword (`arm=`), not a file."""
     return place.startswith("--") or place.endswith("=")
 
 
@@ -57,7 +57,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456
 
 
 def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
-    # PyYAML's own constructor reads 010 as octal.
+    # PyYAML's own constructor reads 010 as an octal number.
     return int(node.value)
 
 
@@ -70,14 +70,14 @@ def _float(text: str) -> float:
 
 
 def number_or_text(text: str) -> int | float | str:
-    """A plain word of YAML as a number, else the word."""
+    """Return a plain word of YAML as a number if possible, else the word."""
     if _INT.fullmatch(text):
         return int(text)
     return _float(text) if _FLOAT.fullmatch(text) else text
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    # OpenCV's FileStorage tags its matrices, mappings of rows, cols, dt and data, or of sizes, dt and data.
+    # OpenCV's FileStorage tags its matrices: mappings of rows, cols, dt and data, or of sizes, dt and data.
     return loader.construct_mapping(node, deep=True)
 
 
@@ -88,7 +88,7 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
 
 class _Dumper(yaml.SafeDumper):
-    """A safe dumper that quotes text that YAML 1.1 or 1.2 would read as another type."""
+    """A safe dumper that quotes text which YAML 1.1 or 1.2 would read as another type."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own name)
         first: [*theirs, *_Loader.yaml_implicit_resolvers.get(first, [])]
@@ -119,20 +119,20 @@ class Document:
     places: dict[KeyPath, str] = field(default_factory=dict)
 
     def place(self, path: KeyPath) -> str:
-        """The place of the value at `path`, or of the nearest mapping or list around it."""
+        """Return the place of the value at `path`, or of the nearest mapping or list around it."""
         while path and path not in self.places:
             path = path[:-1]
         return self.places.get(path, self.source)
 
     def set(self, path: KeyPath, value: Any, place: str) -> None:
-        """Override one value, creating the mappings above it."""
+        """Override one value, and create missing mappings above it."""
         target: Any = self.data
         try:
             for key in path[:-1]:
                 target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
             target[path[-1]] = value
         except TypeError:
-            return  # a mapping is missing, which validation reports
+            return  # a mapping is missing; validation reports this
         self.places = {known: where for known, where in self.places.items() if known[: len(path)] != path}
         self.places[path] = place
 
@@ -143,17 +143,17 @@ class Document:
 
 
 def load_yaml(path: Path) -> Document:
-    """The content of a YAML file whose top level is a mapping.
+    """Return the content of a YAML file whose top level is a mapping.
 
     Raises:
-        ConfigError: the file is unreadable, larger than 1 MB or no YAML, or has a duplicate key, another top level than
-            a mapping, or several documents.
+        ConfigError: the file is unreadable, larger than 1 MB or no YAML. Or the file has a duplicate key, no mapping
+            at the top level, or several documents.
     """
     return parse_yaml(read_config(path), str(path))
 
 
 def read_config(path: Path) -> bytes:
-    """A config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
+    """Return a config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -164,7 +164,7 @@ def read_config(path: Path) -> bytes:
 
 
 def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Document:
-    """The content of YAML or JSON text. Raises as `load_yaml`.
+    """Return the content of YAML or JSON text. Raises as `load_yaml`.
 
     Args:
         source, language: names of the file and of its format in messages.
@@ -184,14 +184,14 @@ def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Docume
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{source}{line}: not valid {language}: {error.problem}") from error
-    # The last three come from explicit tags on values that do not fit them, and from integers of thousands of digits.
+    # Explicit tags on unsuitable values, and integers of thousands of digits, raise the last three.
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, AttributeError) as error:
         raise ConfigError(f"{source}: not valid {language}: {' '.join(str(error).split())}") from error
     return document
 
 
 def _refuse_further_documents(loader: _Loader, source: str, language: str) -> None:
-    """Refuse a second document; a final line `---`, as of `ros2 topic echo`, begins none."""
+    """Refuse a second document. A final line `---`, as from `ros2 topic echo`, does not begin one."""
     while loader.check_node():
         node = loader.get_node()
         if node is not None and not (isinstance(node, yaml.ScalarNode) and node.value == ""):
@@ -200,14 +200,14 @@ def _refuse_further_documents(loader: _Loader, source: str, language: str) -> No
 
 
 def _without_opencv_header(text: str | bytes) -> str | bytes:
-    """The text with OpenCV's first line `%YAML:1.0`, which is no valid YAML, as a comment."""
+    """Return the text with OpenCV's first line `%YAML:1.0`, which is no valid YAML, as a comment."""
     if isinstance(text, bytes):
         return b"#" + text if text.startswith(b"%YAML:") else text
     return "#" + text if text.startswith("%YAML:") else text
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
-    """Record the line of each value, and refuse keys that are duplicate or no text."""
+    """Record the line of each value, and refuse duplicate keys and keys other than text."""
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
@@ -228,7 +228,7 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
-    """YAML text of plain data in the given order, which `parse_yaml` reads back."""
+    """Return YAML text of plain data in the given order; `parse_yaml` restores the data."""
     text: str = yaml.dump(
         _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
     )
@@ -236,7 +236,7 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The data with tuples as lists, since YAML's safe dumper refuses tuples."""
+    """Return the data with tuples as lists, since YAML's safe dumper refuses tuples."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,1 +1,1 @@
-"""Untrusted files: reading confined to one folder, and MJCF includes."""
+"""Reading of untrusted files within one folder, and expansion of MJCF includes."""

@@ -8,20 +8,20 @@ from pathlib import Path
 
 from .refusals import RefusedError
 
-MOST_BYTES = 256_000_000  # of all files together
-MOST_FILES = 256
+MOST_BYTES = 256_000_000  # bytes, largest total size of all files
+MOST_FILES = 256  # largest number of files
 
-_MODELS = ("model", "package", "fuel")  # URI schemes of a model by its name
+_MODEL_SCHEMES = ("model", "package", "fuel")  # URI schemes that identify a model by its name
 
 
 class ConfinedFolder:
-    """Reads files below one folder, within limits of their number and size.
+    """Reads files below one folder, with limits on their number and size.
 
     Attributes:
         refused: the last refusal, for libraries that ignore the exception.
 
     Args:
-        root: the folder; files outside are not read, through links either.
+        root: the folder; files outside are not read, not even through links.
     """
 
     def __init__(self, root: Path) -> None:
@@ -31,7 +31,7 @@ class ConfinedFolder:
         self.refused: RefusedError | None = None
 
     def read(self, name: str, base: Path | None = None) -> bytes:
-        """Content of a file by its relative name or `model://` URI; see `find`.
+        """Return the content of a file by its relative name or `model://` URI; see `find`.
 
         Raises:
             RefusedError: the file is outside, missing or not regular, or a limit is exceeded.
@@ -53,10 +53,10 @@ class ConfinedFolder:
             raise self.refused from error
 
     def find(self, name: str, base: Path | None = None) -> Path:
-        """The path of a regular file by its name.
+        """Return the path of a regular file by its name.
 
         Args:
-            base: the folder of relative names; by default the root.
+            base: the folder of relative names; the root by default.
 
         Raises:
             RefusedError: the file is outside, missing or not regular.
@@ -85,10 +85,10 @@ class ConfinedFolder:
             return [(base / part).resolve() for part in dict.fromkeys((name, decoded)) if part]
         if scheme == "file":
             return [Path("/" + rest.lstrip("/")).resolve()]
-        if scheme not in _MODELS:
+        if scheme not in _MODEL_SCHEMES:
             raise RefusedError("outside", f"it names {name!r}, and nothing is fetched")
         model, _, inner = rest.partition("/")
-        # Most files lie in a folder with the model's name; some lie beside that folder.
+        # Most files are in a folder with the model's name; some are beside that folder.
         roots = [base, self._root]
         own = [(root / inner).resolve() for root in roots if inner]
         return [*((root / rest).resolve() for root in roots if rest), *own] if model else own

@@ -1,4 +1,4 @@
-"""Includes of untrusted MJCF files."""
+"""Expands the includes of untrusted MJCF files."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from .refusals import RefusedError
 
 Element = ElementTree.Element
 
-_DEEPEST = 8  # levels of includes; more is a mistake or an attack
+_MAX_DEPTH = 8  # levels of includes; more are a mistake or an attack
 
 
 def with_includes(data: bytes, folder: ConfinedFolder, base: Path, parse: Callable[[bytes], Element]) -> Element:
-    """The root of an MJCF document with each `<include>` replaced by the content of its file, as in MuJoCo.
+    """Return the root of an MJCF document with each `<include>` replaced by the content of its file, as in MuJoCo.
 
     Args:
-        data: the main file's content.
-        base: the main file's folder. Names are relative to `base`, or else to the folder of the including file.
+        data: content of the main file.
+        base: folder of the main file. Names are relative to `base`, or else to the folder of the including file.
         parse: returns the root of a document, or raises `RefusedError`.
 
     Raises:
@@ -45,8 +45,8 @@ def _expanded(
             if child.tag != "include":
                 continue
             path = _find(child.get("file", ""), folder, bases)
-            if path in ancestors or len(ancestors) >= _DEEPEST:
-                raise RefusedError("cycle", f"{path.name} includes itself, or more than {_DEEPEST} levels deep")
+            if path in ancestors or len(ancestors) >= _MAX_DEPTH:
+                raise RefusedError("cycle", f"{path.name} includes itself, or more than {_MAX_DEPTH} levels deep")
             included = folder.read(path.name, path.parent)
             inner = _expanded(included, folder, (bases[0], path.parent), (*ancestors, path), parse)
             parent[place : place + 1] = list(inner)
@@ -54,7 +54,7 @@ def _expanded(
 
 
 def _find(name: str, folder: ConfinedFolder, bases: tuple[Path, ...]) -> Path:
-    """The named file in the first folder that has it."""
+    """Return the named file in the first folder that has it."""
     for base in bases[:-1]:
         with contextlib.suppress(RefusedError):
             return folder.find(name, base)

@@ -1,4 +1,4 @@
-"""Refusals of untrusted files: a stable code, and a sentence."""
+"""Refusals of untrusted files, each with a stable code and a message."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CODES: Mapping[str, str] = {
 
 
 class RefusedError(Exception):
-    """An untrusted file is refused.
+    """Refusal of an untrusted file.
 
     Attributes:
         code: one of `CODES`.

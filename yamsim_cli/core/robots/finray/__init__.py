@@ -1,1 +1,1 @@
-"""Fin-ray fingers: two soft walls that meet at the tip, with ribs between them, from a few lengths and a modulus."""
+"""Fin-ray fingers, generated from a few lengths and a modulus: two soft walls that meet at the tip, with ribs."""

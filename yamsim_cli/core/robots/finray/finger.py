@@ -1,9 +1,9 @@
-"""A fin-ray finger: its dimensions, and its stiffness by beam theory. docs/finray.md has the derivation.
+"""Dimensions of a fin-ray finger, and its stiffness by beam theory. docs/finray.md has the derivation.
 
-The finger is cut at the base and at each rib into rigid segments, which rotate against each other by angles theta (n,).
-Both walls bend by the same angle. The back wall lies at a distance h from the front wall, so an angle also shifts the
-back wall by h theta; the sum of the shifts up to a rib is the slip there. Ribs, clamped to both walls, resist the slip
-as short beams, and the walls, which meet at the tip, resist it by their stretch.
+The finger is divided at the base and at each rib into rigid segments, which rotate against each other by angles theta
+(n,). Both walls bend by the same angle. The back wall lies at a distance h from the front wall, so an angle also shifts
+the back wall by h theta. The sum of the shifts up to a rib is the slip at that rib. Ribs are clamped to both walls, and
+resist the slip as short beams. The walls meet at the tip, and resist the slip by their stretch.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ _Length = Annotated[FiniteFloat, QuantityBounds("mm", 20, 300)]
 _Across = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
 _Thickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.2, 10)]
 
-_SLENDER = 0.5  # largest thickness of a beam, as a share of the distance between two stations
-_TIP_STIFFNESS = 1e3  # stiffness of the solid tip in units of the walls' stretch: rigid in comparison
+_MAX_THICKNESS = 0.5  # share of the distance between two stations, largest thickness of walls and ribs
+_TIP_STIFFNESS = 1e3  # times the walls' stretching stiffness, stiffness of the solid tip: rigid in comparison
 
 
 class FinRay(Config):
-    """Dimensions and material of a finger: a front wall that touches things, a back wall, and ribs between them.
+    """Dimensions and material of a finger: a front wall that touches objects, a back wall, and ribs between them.
 
-    The front wall is perpendicular to the base; the back wall leans towards it. Ribs are parallel to the base and
-    equally spaced. See docs/finray.md.
+    The front wall is perpendicular to the base; the back wall leans towards the front wall. Ribs are parallel to the
+    base and equally spaced. See docs/finray.md.
 
     Attributes:
         feet: the bodies of the gripper's MJCF that carry the left and the right finger.
-        length_mm: from the base to the tip.
-        base_mm, tip_mm: across both walls, at the base and at the tip.
-        width_mm: out of the plane in which the finger bends.
+        length_mm: length from the base to the tip.
+        base_mm, tip_mm: outer distance across both walls, at the base and at the tip.
+        width_mm: width perpendicular to the plane in which the finger bends.
         wall_mm, rib_mm: thickness of each wall and of each rib.
-        ribs: the number of ribs between base and tip.
+        ribs: number of ribs between base and tip.
         modulus_mpa: Young's modulus of the material.
         density_kg_m3: density of the material.
-        relaxation_ms: time constant with which a released finger without mass would straighten.
+        relaxation_ms: time constant with which a released massless finger straightens.
     """
 
     feet: tuple[str, str]
@@ -67,10 +67,10 @@ class FinRay(Config):
             )
         bay = self.length_mm / (self.ribs + 1)
         for name in ("wall_mm", "rib_mm"):
-            if getattr(self, name) > _SLENDER * bay:
+            if getattr(self, name) > _MAX_THICKNESS * bay:
                 raise ConflictError(
                     f"{name} {getattr(self, name):g} is too thick for {self.ribs} ribs on {self.length_mm:g} "
-                    f"mm: at most {_SLENDER * bay:.2g}",
+                    f"mm: at most {_MAX_THICKNESS * bay:.2g}",
                     (name,),
                 )
         return self
@@ -82,7 +82,7 @@ class FinRay(Config):
 
     @property
     def width(self) -> float:
-        """Width out of the plane in which the finger bends, m."""
+        """Width perpendicular to the plane in which the finger bends, m."""
         return self.width_mm / 1000
 
     @property
@@ -107,7 +107,7 @@ class FinRay(Config):
 
     @property
     def segments(self) -> int:
-        """The number of rigid segments: one from each station to the next, and one to the tip."""
+        """Number of rigid segments: one from each station to the next, and one to the tip."""
         return self.ribs + 1
 
     @property
@@ -117,18 +117,21 @@ class FinRay(Config):
 
     @property
     def stations(self) -> Array:
-        """Heights (segments,) of the base and of the ribs over the base, m."""
+        """Heights (segments,) of the base and of the ribs above the base, m."""
         return np.asarray(np.arange(self.segments, dtype=np.float64) * self.bay)
 
     def spacing(self, height: Array | float) -> Array:
-        """Distance between the middles of the walls at heights over the base, m."""
+        """Return the distance between the walls' middle surfaces at heights (m) above the base, m."""
         base, tip = (across / 1000 - self.wall for across in (self.base_mm, self.tip_mm))
         heights: Array = np.asarray(height, np.float64)
         return base + (tip - base) * heights / self.length
 
 
 def hinge_stiffness(finger: FinRay) -> Array:
-    """Stiffness (n,) in N m/rad of the hinge at each station: of both walls over a bay, at the base over half a bay."""
+    """Return the stiffness (n,) in N m/rad of the hinge at each station.
+
+    A hinge represents the bending of both walls over a bay; the hinge at the base, over half a bay.
+    """
     inertia = finger.width * finger.wall**3 / 12
     stiffness = np.full(finger.segments, finger.modulus * 2 * inertia / finger.bay)
     stiffness[0] *= 2
@@ -136,23 +139,23 @@ def hinge_stiffness(finger: FinRay) -> Array:
 
 
 def slip_arms(finger: FinRay) -> Array:
-    """Slip (n, n) in m of the back wall at each rib, and last at the tip, for a radian at each station (columns)."""
+    """Return the back wall's slip (n, n), m: rows are the ribs and the tip; columns are stations that turn by 1 rad."""
     spacing = finger.spacing(finger.stations)
-    # Half of the bend at a rib's own station is below the rib.
+    # At a rib's own station, half of the bend lies below the rib.
     through = np.tril(np.broadcast_to(spacing, (finger.segments, finger.segments)))
     ribs = through[1:] - np.diag(spacing)[1:] / 2
     return np.vstack([ribs, spacing])
 
 
 def slip_stiffness(finger: FinRay) -> Array:
-    """Stiffness (n, n) in N/m against slip at the ribs, and last at the tip."""
+    """Return the stiffness (n, n) in N/m against slip at the ribs, and last at the tip."""
     n = finger.segments
     inertia = finger.width * finger.rib**3 / 12
     ribs = 12 * finger.modulus * inertia / finger.spacing(finger.stations[1:]) ** 3
     leaning = np.hypot(finger.bay, (finger.spacing(0.0) - finger.spacing(finger.length)) / n)
     stretch = finger.modulus * finger.width * finger.wall / (finger.bay + leaning)
     held = np.diag(np.append(ribs, _TIP_STIFFNESS * stretch))
-    # The slip at a rib is reduced by the stretch of the bays below, which takes the values of least energy.
+    # The stretch of the bays below a rib reduces the rib's slip. The stretch has the values of least energy.
     before = np.tril(np.ones((n, n)))
     give = stretch * np.eye(n) + before.T @ held @ before
     stiffness: Array = held - held @ before @ np.linalg.solve(give, before.T @ held)
@@ -160,7 +163,10 @@ def slip_stiffness(finger: FinRay) -> Array:
 
 
 def couplings(finger: FinRay) -> Array:
-    """Lengths (n, n) in m: each row is a spring of 1 N/m on a weighted sum of the angles; all together resist slip."""
+    """Return lengths (n, n) in m: each row is a spring of 1 N/m on a weighted sum of the angles.
+
+    Together, the springs have the stiffness against slip.
+    """
     rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_arms(finger)
-    # Residues of zero differ between libraries of linear algebra.
+    # Rounding errors of exact zeros differ between linear algebra libraries.
     return np.where(np.abs(rows) < 1e-9 * np.abs(rows).max(), 0.0, rows)

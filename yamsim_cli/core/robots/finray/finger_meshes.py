@@ -1,4 +1,4 @@
-"""Meshes of a fin-ray finger, generated from its dimensions to the same bytes on every machine."""
+"""Meshes of a fin-ray finger, generated from its dimensions with the same bytes on every machine."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from .finger import FinRay
 Point = tuple[float, float]
 T = TypeVar("T")
 
-_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other when a finger bends
-_TIP_FACES = 12  # around the end of the tip
-_GRID = 1e-7  # m, coordinates are multiples of this, so that rounding does not depend on the machine
+_OVERLAP = 0.0025  # m, overlap of neighbouring pieces of the back wall, which slide along each other in a bend
+_TIP_FACES = 12  # number of faces around the end of the tip
+_GRID = 1e-7  # m, grid of all coordinates, so that rounding does not depend on the machine
 
 
 def segment_file(k: int) -> str:
-    """The file of the mesh of a finger's segment, counted from 0 at the base."""
+    """Return the file name of the mesh of segment `k`, counted from 0 at the base."""
     return f"segment_{k + 1}.stl"
 
 
 def finger_mesh_files(finger: FinRay) -> dict[str, bytes]:
-    """File name -> binary STL (m) of each segment, in the frame at its hinge.
+    """Return file name -> binary STL (m) of each segment, in the frame of its hinge.
 
-    That frame has x to the tip, y towards what is held, and its origin in the middle of the front wall.
+    That frame has its origin in the middle of the front wall, x to the tip, and y towards the held object.
     """
     return {segment_file(k): _segment(finger, k).stl(finger.width) for k in range(finger.segments)}
 
 
 @dataclass
 class _Section:
-    """Convex cells in a plane that share corners, so that their extrusion is closed."""
+    """Convex cells in a plane with shared corners, so that their extrusion is closed."""
 
     points: list[Point] = field(default_factory=list)
     cells: list[list[int]] = field(default_factory=list)
@@ -52,7 +52,7 @@ class _Section:
         return self.points.index(point)
 
     def stl(self, width: float) -> bytes:
-        """Binary STL of the section extruded by half a width (m) to both sides."""
+        """Return binary STL of the section extruded by half of `width` (m) to both sides."""
         n = len(self.points)
         vertices = [(*point, side * width / 2) for side in (-1, 1) for point in self.points]
         edges = [(a, b) for cell in self.cells for a, b in _around(cell)]
@@ -71,7 +71,7 @@ def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
 
 
 def _segment(finger: FinRay, k: int) -> _Section:
-    """A segment from its hinge to the next: a piece of each wall, and the rib at the hinge or the end of the tip."""
+    """Return the segment at hinge `k`: a piece of each wall, and the rib at the hinge or the end of the tip."""
     half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
     section = _Section()
 
@@ -103,7 +103,7 @@ def _segment(finger: FinRay, k: int) -> _Section:
 
 
 def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
-    """The solid end: a fan from the walls' inner faces to a rounded outline."""
+    """Add the solid end: a fan of cells between the walls' inner faces and a rounded outline."""
     outline: list[Point] = [(start, -depth - half)]
     middle, across = -depth / 2, depth / 2 + half
     for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:

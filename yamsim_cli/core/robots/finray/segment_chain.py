@@ -1,4 +1,4 @@
-"""Fin-ray fingers in an MJCF: chains of rigid segments on hinges with springs, and springs that couple the hinges."""
+"""Fin-ray fingers in an MJCF: chains of rigid segments on sprung hinges, and springs that couple the hinges."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from xml.etree.ElementTree import Element, SubElement
 from .finger import FinRay, couplings, hinge_stiffness
 from .finger_meshes import segment_file
 
-# s, time in which each spring with its armature swings by a radian: long enough for steps of 2 ms, where a bay of 1 g
-# swings within 0.1 ms; short enough that the armatures add only a dozen grams to a gripped thing.
-_SWING = 3e-3
+# s, oscillation period / (2 pi) of each spring with its armature. Long enough for timesteps of 2 ms; a bay of 1 g alone
+# would swing within 0.1 ms. Short enough that the armatures add only a dozen grams to a grasped object.
+_OSCILLATION_TIME = 3e-3
 
 
 def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     """Add both fingers to a gripper's MJCF.
 
-    The MJCF has the default classes `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs, which
-    do not collide, and `soft` for meshes. A foot is a body without a joint, at the base of the front wall, on
-    its outer face: x to the tip, y towards the other finger.
+    The MJCF has default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs without
+    collisions, and `soft` for meshes. A foot is a body without a joint. Its origin lies on the outer face of the front
+    wall at the base. Its x axis points to the tip, its y axis to the other finger.
 
     Args:
-        name: of the gripper, and of its asset set.
+        name: name of the gripper and of its asset set.
 
-    Raises KeyError if there is no body for a foot.
+    Raises KeyError if the MJCF has no body for a foot.
     """
     bodies = {body.get("name"): body for body in root.iter("body")}
     assets, tendons, contacts = (get_section(root, tag) for tag in ("asset", "tendon", "contact"))
@@ -36,7 +36,7 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
         segments += _chain(bodies[foot], foot, name, finger)
         for spring, lengths in enumerate(couplings(finger), start=1):
             tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger))
-    # The springs' theory covers contact within a finger, and the fingers of a gripper do not cross.
+    # The springs model contact within a finger, and the fingers of a gripper do not cross.
     hand = [body.get("name", "") for body in _feet_and_ancestors(root, finger.feet)]
     for one, other in [*combinations(segments, 2), *((body, segment) for body in hand for segment in segments)]:
         SubElement(contacts, "exclude", body1=one, body2=other)
@@ -72,7 +72,7 @@ def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator
 
 
 def _boxes(finger: FinRay, k: int) -> Iterator[tuple[str, tuple[float, float, float], tuple[float, float], float]]:
-    """Boxes of a segment: class, size (m), middle (x, y) and rotation (rad) in the plane of the hinge's frame."""
+    """Yield the boxes of a segment: class, size (m), middle (x, y) and rotation (rad) in the hinge frame's plane."""
     wall, bay, width = finger.wall, finger.bay, finger.width
     low, high = (float(finger.spacing(bay * (k + end))) for end in (0, 1))
     yield "pad", (bay, wall, width), (bay / 2, 0.0), 0.0
@@ -84,12 +84,12 @@ def _boxes(finger: FinRay, k: int) -> Iterator[tuple[str, tuple[float, float, fl
 
 
 def _joint_spring_attributes(stiffness: float, finger: FinRay) -> dict[str, str]:
-    numbers = {"stiffness": 1.0, "damping": finger.relaxation, "armature": _SWING**2}
+    numbers = {"stiffness": 1.0, "damping": finger.relaxation, "armature": _OSCILLATION_TIME**2}
     return {key: _text([stiffness * value]) for key, value in numbers.items()}
 
 
 def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) -> Element:
-    """A spring of 1 N/m on a weighted sum of angles."""
+    """Return a spring of 1 N/m on a weighted sum of angles."""
     spring = Element("fixed", {"name": name, "springlength": "0"} | _joint_spring_attributes(1.0, finger))
     for k, length in enumerate(lengths):
         if length:
@@ -98,7 +98,6 @@ def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) ->
 
 
 def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]:
-    """The feet and the bodies that contain them."""
     parents = {child: parent for parent in root.iter() for child in parent}
     wanted = [body for body in root.iter("body") if body.get("name") in tuple(feet)]
     seen: list[Element] = []
@@ -111,7 +110,7 @@ def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]
 
 
 def get_section(root: Element, tag: str) -> Element:
-    """The section of that name, added if it is missing."""
+    """Return the section of that name; add the section if missing."""
     found = root.find(tag)
     return SubElement(root, tag) if found is None else found
 
@@ -125,5 +124,5 @@ def _hinge(prefix: str, k: int) -> str:
 
 
 def _text(values: Iterable[float]) -> str:
-    # Further digits differ between machines.
+    # More digits would differ between machines.
     return " ".join(f"{value:.9g}" for value in values)
