@@ -83,7 +83,7 @@ def build_rig_scene(
 
 
 def describe_meshes(session: Session) -> dict[str, str]:
-    """Mesh set -> what a session shows of the set, see `core.config.describe_meshes`.
+    """Mesh set -> what a session shows of the set, see `core.config.mesh_provenance`.
 
     The files of a set are those of all things that the task may draw, so that all casts of a task have the same text.
     """
