@@ -176,7 +176,6 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
 
 
 def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
-    """Return the horizontal position (2,) of an object at MuJoCo's positions (nq,), m."""
     if name in scene.cloths:
         middle: Array = scene.cloths[name].points(qpos)[:, :2].mean(axis=0)
         return middle
@@ -259,7 +258,6 @@ def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
 
 
 def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the requirements of a blueprint that are not realized, as sentences for a log."""
     lines = []
     for name, value in blueprint.conditions.items():
         if name in _POLICY_CONDITIONS:

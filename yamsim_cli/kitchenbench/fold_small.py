@@ -32,7 +32,7 @@ _MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # distance of creases from a side or corn
 _LINE_GAP = 0.008  # m, gap between lines of points along a crease
 
 _MIN_REDUCTION = 0.06  # share by which a fold must reduce the area
-_MAX_FOLDS = 5
+_MAX_FOLDS = 5  # folds in a run of the skill
 _MAX_SLIDES = 2  # slides of crumpled cloth before the first fold
 _MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
@@ -52,7 +52,9 @@ _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from 
 _FIRST_PULLS, _LATER_PULLS = 4, 2  # largest numbers of flattening pulls, at first and after a slide
 
 _LAYER_HEIGHT = 0.005  # m, height of a layer
-_CORNER_TOLERANCE = 0.006  # m, points at a corner differ by less in distance to it; the uppermost is grasped
+_CORNER_TOLERANCE = (
+    0.006  # m, largest extra distance from a corner of points that count as being there; the uppermost is grasped
+)
 
 
 class FoldSmall(Skill):
@@ -130,7 +132,6 @@ class FoldSmall(Skill):
         return sorted(folds, key=order)
 
     def _is_sufficient(self, fold: CreaseFold | None) -> bool:
-        """Return whether a fold makes the cloth small enough."""
         return fold is not None and fold.area <= _AREA_MARGIN * self.area
 
     def _is_foldable(self, context: PlanningContext, thing: str, points: Array) -> bool:

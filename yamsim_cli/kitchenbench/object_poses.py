@@ -48,8 +48,7 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
     """Return the poses (4, 4) of a blueprint's objects, as required where that is feasible.
 
-    Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first, since others may lie on
-    them.
+    Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
 
     Args:
         simulator: of a scene with the same objects.

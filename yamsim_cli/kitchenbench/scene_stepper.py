@@ -95,7 +95,7 @@ class SceneStepper:
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
     def _ctrl(self, before: Array, after: Array) -> Array:
-        """Return commands (arms, joints and gripper) of the drives in a tick, from the references (14,) at its ends."""
+        """Return the drives' commands (arms, 7) in a tick, from the references (14,) at its start and end."""
         rows = []
         for k, (arm, fingers) in enumerate(zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True)):
             gripper = _ARM_DIM * k + ARM_JOINTS

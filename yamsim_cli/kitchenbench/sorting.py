@@ -312,7 +312,6 @@ class Slide(Skill):
 
 
 def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shift: Array) -> Iterator[MotionSegment]:
-    """Yield the motions to approach, press, slide, and retreat."""
     closed = {hand: FingerTarget(0.0)}
     yield context.make_segment({hand: context.plan_free_path(hand, press.above)}, closed, wait_for_arrival=False)
     yield context.make_segment({hand: context.plan_line(hand, press.T_press)})

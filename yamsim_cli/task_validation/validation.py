@@ -163,7 +163,6 @@ def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator
 
 
 def _addresses(scene: CompiledScene, name: str) -> Ids:
-    """Return the addresses of an object's positions in qpos."""
     if name in scene.cloths:
         return scene.cloths[name].qpos
     return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
@@ -193,7 +192,6 @@ def _never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
 
 
 def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSequence:
-    """Return actions that keep every arm at its start."""
     ctrl = np.zeros(scene.model.nu)
     for arm in scene.arms:
         ctrl[arm.drives] = start[arm.recorded_qpos]

@@ -81,7 +81,6 @@ def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepS
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
-    """Return object -> positions of its joints, for objects with joints."""
     return {item.name: simulator.replica.object_joints(item) for item in simulator.config.task.objects if item.links}
 
 
@@ -182,7 +181,6 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
 
 
 def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
-    """Return the renderer with an attempt's variation."""
     simulator.set_variation(attempt)
     simulator.randomized.upload(simulator.renderer)
     return simulator.renderer

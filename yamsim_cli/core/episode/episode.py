@@ -305,7 +305,6 @@ class Episode:
         self.end = EpisodeEnd(reason, self.ticks, cause, detail)
 
     def _goal_failure(self) -> tuple[FailureCause, str]:
-        """Return the cause and details of a goal that is not reached now."""
         assert self.verdict is not None and self._goal is not None
         if not self._goal_holds:
             worst = self.verdict.worst

@@ -76,7 +76,6 @@ def arm_sides(config: RecordConfig) -> tuple[str, ...]:
 
 
 def _hand_poses(place: Array) -> Iterator[Array]:
-    """Yield poses (4, 4) of a hand at a place (3,), from above first."""
     down = rotation_from_vector([math.pi, 0.0, 0.0])
     for tilt in LEANS:
         for direction in LEAN_DIRECTIONS if tilt else LEAN_DIRECTIONS[:1]:

@@ -193,7 +193,6 @@ class TrialFilmer(Closable):
         self._simulators = Simulators(session)
 
     def _film(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
-        """Return the trial's frames as JPEGs; empty if nothing moved."""
         shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 

@@ -251,7 +251,6 @@ class CollisionChecker:
         between: str | None,
         beside: float | None,
     ) -> Array:
-        """Return which contacts (n,) of the moving arm or its held object are forbidden."""
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
         counts = np.ones(len(geoms), bool)

@@ -79,7 +79,7 @@ def weld_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     """Yield the weld grasps at a config's grasp points, least tilt first.
 
     A weld holds in any direction, so the hand tilts as suits the arm. A grasp point with `tilt_deg` fixes the hand's
-    direction, because the pads lie on a tilted wall there.
+    direction, because the pads lie on a sloped wall there.
     """
     grasp = item.grasp
     if grasp is None:
@@ -153,7 +153,6 @@ def _distinct_pairs(spans: Sequence[AntipodalPair]) -> list[AntipodalPair]:
 
 
 def _grasp_points(item: ObjectConfig) -> Iterator[tuple[Array, float, float, float]]:
-    """Yield the pinch frame (4, 4), opening, clearance and force of each grasp point of a config."""
     if item.grasp is not None and item.grasp.friction is not None:
         for point in item.grasp.friction.points:
             T = point.T_pinch_in_object(flipped=False)

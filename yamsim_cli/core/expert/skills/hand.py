@@ -47,9 +47,8 @@ class Hand:
         magnet: whether the weld is commanded on; without effect on a hand that has none.
         held: the object in the hand; None without one.
         failed_grasps: grasps with which the object could not be brought to its goal.
-        joint_margin: least distance of joints from their limits in `solve_ik`, rad; see
-            `PlanningContext.planning_limits`.
-        allow_tilt: whether `solve_ik` may tilt the hand at waypoints; see `PlanningContext.planning_limits`.
+        joint_margin: least distance from joint limits in `solve_ik`, rad, see `PlanningContext.planning_limits`.
+        allow_tilt: whether `solve_ik` may tilt the hand at waypoints, see `PlanningContext.planning_limits`.
     """
 
     def __init__(

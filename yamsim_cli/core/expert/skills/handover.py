@@ -42,7 +42,7 @@ _SEARCH_ORDER = (
     (_MIN_APART, _ROOMY_DISTANCE, 0.0, 0.0),
     *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
 )
-_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, such angles, in the order tried
+_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, angles between the lines, in the order tried
 _TURNED_SEARCH_ORDER = (
     *_SEARCH_ORDER,
     *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),

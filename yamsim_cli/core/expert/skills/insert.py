@@ -61,7 +61,6 @@ class Insert(PlaceSkill):
         return upright + _tilted_goals(context, thing, container, upright)
 
     def _upright_goals(self, context: PlanningContext, container: str, thing: str, step: float) -> list[Array]:
-        """Return upright goals (4, 4) on a grid in the container, lowest and most central first."""
         T, (low, high) = context.world.pose(container), context.world.local_box(container)
         heights = low[2] + np.array(_HEIGHT_SHARES) * (high - low)[2]
         found = []

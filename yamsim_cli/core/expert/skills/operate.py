@@ -65,7 +65,7 @@ class Operate(Skill):
                 for turn in (0.0, math.pi):
                     T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
                     opening = min(handle.opening + CLEARANCE, hand.max_opening)
-                    before = self._approach_joints(context, hand, thing, T_part @ T_in_part, opening)
+                    before = self._before(context, hand, thing, T_part @ T_in_part, opening)
                     pose_at = self._pinch_path(context, thing, link, T_part, T_in_part)
                     if before is None or not _can_follow_path(hand, before, pose_at):
                         continue
@@ -86,9 +86,7 @@ class Operate(Skill):
                     return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
-    def _approach_joints(
-        self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float
-    ) -> Array | None:
+    def _before(self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
         """Return joints (dof,) before the straight approach to a handle; None if it is out of reach or blocked."""
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None or context.find_contact(hand, at, opening, between=thing):

@@ -24,7 +24,7 @@ from .skill import ArmSelector, Skill, holding_hand, preference_levels
 _APPROACH_DISTANCES = (0.09, 0.05)  # m, lengths of the straight approach; the shorter one is for tight places
 
 # Arguments of `PlanningContext.planning_limits`, in the order tried.
-_PLANNING_LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
+_LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,10 @@ class Pick(Skill):
             return
         places = next_skills[0].approximate_targets(context, roles, thing) if next_skills else ()
         reasons: dict[str, int] = {}
-        for following, (margin, allow_tilt) in itertools.product(
-            preference_levels(next_skills, context, roles), _PLANNING_LIMITS
-        ):
+        for following, (margin, tilts) in itertools.product(preference_levels(next_skills, context, roles), _LIMITS):
             reasons.clear()
             for hand in self._hands(context, thing, places):
-                with context.planning_limits(margin, allow_tilt):
+                with context.planning_limits(margin, tilts):
                     found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free_hands(context, hand)
@@ -178,12 +176,12 @@ class Pick(Skill):
         before, why = _approach_joints(context, hand, thing, T_at, at, opening, grip.finger_distance)
         if before is None:
             return why
-        return self._lift_contact(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
+        return self._lift_problem(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
 
-    def _lift_contact(
+    def _lift_problem(
         self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate, T_at: Array, at: Array
     ) -> str | None:
-        """Return the contact of an object that is lifted from a grasp at joints `at` (dof,); None without one."""
+        """Return what prevents a hand from lifting an object grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
         up = hand.solve_ik(T_up, (at,))

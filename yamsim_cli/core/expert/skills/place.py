@@ -160,7 +160,6 @@ class PlaceSkill(Skill):
         yield rest_segment(context)
 
     def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
-        """Raise `SkillFailedError` if the object does not lie at its goal."""
         T = context.world.pose(thing)
         offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
         if offset > _MAX_GOAL_ERROR or T[2, 3] < T_goal[2, 3] - _MAX_GOAL_ERROR:

@@ -227,7 +227,6 @@ def _skill_name(skill: Skill) -> str:
 
 
 def _last_picked(program: Sequence[Skill]) -> str | None:
-    """Return the role of the last `pick` in some steps; None without one."""
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 

@@ -101,7 +101,6 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    """Check that the arms exist that a step names or needs."""
     if isinstance(skill, Handover | Lift) and arms < 2:
         raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):

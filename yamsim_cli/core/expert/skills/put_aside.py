@@ -64,7 +64,6 @@ class PutAside(PlaceSkill):
 
 
 def _places_in_rings(place: Array) -> list[Array]:
-    """Return points (2,) in rings around a point, the nearest first, m."""
     angles = [2 * math.pi * k / _PLACES_PER_RING for k in range(_PLACES_PER_RING)]
     return [
         place + ring * np.array((math.cos(angle), math.sin(angle)))

@@ -166,7 +166,6 @@ def _max_depth(points: Array, grasp: PointGrasp) -> float:
 
 
 def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    """Close hands on the cloth between their fingers."""
     closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
     yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest_segment(context)

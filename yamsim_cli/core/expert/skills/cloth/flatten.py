@@ -126,7 +126,6 @@ def flatten_cloth(
 
 
 def _is_flat(context: PlanningContext, thing: str, layers: float, displacement: float) -> bool:
-    """Return whether a cloth lies flat; see `flatten_cloth`."""
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     level = height_range(points) + cloth.thickness <= layers * cloth.thickness
     return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * square_side(cloth.rest)

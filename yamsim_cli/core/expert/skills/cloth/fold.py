@@ -76,5 +76,4 @@ def _grasps(context: PlanningContext, thing: str, move: Move) -> list[PointGrasp
 
 
 def _is_folded(points: Array, move: Move) -> bool:
-    """Return whether every corner of a move lies on its target already."""
     return all(np.linalg.norm((points[one] - points[other])[:2]) < _MAX_CORNER_ERROR for one, other in move)

@@ -162,7 +162,6 @@ def _cloth_stands_beside(points: Array, T_at: Array) -> bool:
 
 
 def _height_over_lowest(points: Array, place: Array) -> float:
-    """Return the height of a point (3,) on a cloth over the lowest point of the cloth there, m."""
     flat = points.reshape(-1, 3)
     there = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _OVERLAP_DISTANCE
     return float(place[2] - flat[there, 2].min())
