@@ -34,7 +34,7 @@ _MAX_TRIES = 4  # tries of each object
 _OUTSIDE_PENALTY = 1.5  # tries by which objects outside the tray wait for those inside
 _PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
 _LIFT_HEIGHT = 0.06  # m, height at which cutlery that hangs in the fingers clears the tray's wall
-_HANDOVER_HEIGHT = 0.25  # m over the table, height of handovers
+_HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a handover
 
 _GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
 _HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better

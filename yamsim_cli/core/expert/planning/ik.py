@@ -37,8 +37,8 @@ _CONVERGED_COST = 1e-14  # 10 nm and a thousandth of a degree; rounding makes st
 _MAX_STEP = 0.35  # rad, change of a joint between poses of a path; a larger change may be a change of branch
 _MAX_ROTATION_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
 
-# rad, least distance from a singular posture for exact solutions on a path. Nearer, for example at the edge of the
-# reach, exact joints move fast and then turn back. The search slows joints down; its steps differ below 0.2 rad.
+# rad, least distance from a singular posture for exact solutions on a path. Nearer, as at the edge of the reach, exact
+# joints move fast and then turn back. The search slows them down: below 0.2 rad, its steps differ from exact ones.
 _MIN_FROM_SINGULAR = 0.3
 
 _TILT_SHARE = 0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach

@@ -30,7 +30,7 @@ from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_a
 FLAT_LAYERS = 3.5  # layers, largest height of flat cloth
 FLAT_DISPLACEMENT = 0.06  # share of the side, largest distance of a point from its place in flat cloth
 
-_MAX_PULLS = 6  # pulls of a flattening
+_MAX_PULLS = 6  # pulls in one flattening
 _PULL_SPEED = 0.15  # m/s
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
