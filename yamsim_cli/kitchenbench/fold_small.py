@@ -143,7 +143,6 @@ class FoldSmall(Skill):
 def _first_reachable_fold(
     context: PlanningContext, thing: str, points: Array, folds: Sequence[CreaseFold]
 ) -> tuple[CreaseFold, list[PointGrasp]] | tuple[None, None]:
-    """Return the first reachable fold of a cloth with points (along y, along x, 3), and the grasps for it."""
     tried = ((fold, reachable_grasps(context, thing, fold.placements, points)) for fold in folds)
     return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
 

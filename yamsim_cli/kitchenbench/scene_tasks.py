@@ -99,7 +99,6 @@ def _epochs(first: int) -> Iterator[int]:
 
 
 def _seed(scene: Scene, epoch: int) -> int:
-    """Return the seed of an epoch that Inspect Robots derives from its seed 0."""
     return int(derive_seed(0, scene.init_seed, epoch))
 
 

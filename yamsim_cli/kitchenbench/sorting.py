@@ -223,7 +223,6 @@ def _grasps_for(
 
 
 def _can_pick(hand: Hand, T_pinch: Array) -> bool:
-    """Return whether a hand reaches a pose (4, 4) of its pinch frame in `world`, and `_LIFT_HEIGHT` over it."""
     if not is_orientation_plausible(T_pinch, hand.arm.T_base_in_world):
         return False
     at = hand.solve_ik(T_pinch, (hand.ready_joints,))

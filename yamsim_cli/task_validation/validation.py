@@ -138,7 +138,6 @@ def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck
 def _near_miss_states(
     scene: CompiledScene, task: ProgramTask, roles: RoleAssignment, attempt: Attempt, ended: Array
 ) -> Iterator[tuple[str, Array]]:
-    """Yield descriptions of near misses, with MuJoCo's positions (nq,) in each."""
     assert attempt.start is not None, "a success has a start"
     for name in _moved_objects(scene, attempt.start, ended):
         back, at = ended.copy(), _addresses(scene, name)

@@ -84,7 +84,6 @@ def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
 
 
 def _local_box_function(simulator: Simulator) -> BoundsOf:
-    """Return the function that gives an object's local bounding box, see `sample_placements`."""
     scene, replica = simulator.scene, simulator.replica
     world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 

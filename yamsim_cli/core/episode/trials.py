@@ -79,7 +79,6 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
 
 
 def _worst_margins(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
-    """Return the worst of each margin over all trials; None if nothing ever moved."""
     if not margins:
         return None
     slips = [margin.slip_m for margin in margins if margin.slip_m is not None]

@@ -162,7 +162,6 @@ class AnalyticIk:
         return angles.ravel()[kept], kept % len(c)
 
     def _within_limits(self, joint: int, angles: Array, margin: float) -> NDArray[np.bool_]:
-        """Return which angles about a joint's axis keep a margin to the limits, after any number of whole turns."""
         low, high = self._ranges[joint]
         low, high = low + margin - _REACH_SLACK, high - margin + _REACH_SLACK
         angles = angles * self._signs[joint]
@@ -282,7 +281,6 @@ def _solve_angle(a: float, b: float, c: float) -> tuple[float, ...]:
 
 
 def _rotate_all(v: Array, axis: Array, angles: Array) -> Array:
-    """Rotate vectors (n, 3), or one (3,), about a unit axis (3,) by angles (n,)."""
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     turned: Array = c * v + s * (v @ _skew(axis).T) + (1.0 - c) * (v @ axis)[..., None] * axis
     return turned

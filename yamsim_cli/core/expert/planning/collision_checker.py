@@ -269,7 +269,6 @@ class CollisionChecker:
 
 
 def _bounding_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Return the lowest and highest corners (ngeom, 3) of the geoms' bounding boxes along the axes of `world`, m."""
     R = data.geom_xmat.reshape(-1, 3, 3)
     middle = data.geom_xpos + np.einsum("gij,gj->gi", R, model.geom_aabb[:, :3])
     reach = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[:, 3:])

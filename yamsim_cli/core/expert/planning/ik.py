@@ -189,7 +189,6 @@ class IkSolver:
         return self._analytic.maybe_reachable(T_flange_in_base, tolerance.margin)
 
     def _solve_exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
-        """Return the exact solution nearest to joints `start` (dof,), with a margin (rad) from all joint limits."""
         if self._analytic is None:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool

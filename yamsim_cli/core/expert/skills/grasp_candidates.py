@@ -138,7 +138,6 @@ def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def _distinct_pairs(spans: Sequence[AntipodalPair]) -> list[AntipodalPair]:
-    """Return the best antipodal pairs that differ from each other in position or direction."""
     kept: list[AntipodalPair] = []
     for pair in spans:
         if len(kept) == _MAX_PAIRS:

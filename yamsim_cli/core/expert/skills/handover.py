@@ -201,8 +201,6 @@ class Handover(Skill):
 
 
 class _TurnedHandover(Handover):
-    """A handover in which the line from hand to hand may deviate from the line between the bases."""
-
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_SEARCH_ORDER
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
@@ -294,7 +292,6 @@ def _solve_handover(
 def _is_contact_free(
     context: PlanningContext, giver: Hand, receiver: Hand, held: HeldObject, handover: _HandoverPose
 ) -> bool:
-    """Return whether the hands have no contact at a handover, except with the object between their fingers."""
     if context.find_contact(
         giver, handover.giver_joints, giver.opening, AttachedObject(held.thing, held.T_thing_in_pinch)
     ):

@@ -87,7 +87,6 @@ class Operate(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _before(self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
-        """Return joints (dof,) before the straight approach to a handle; None if it is out of reach or blocked."""
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None or context.find_contact(hand, at, opening, between=thing):
             return None

@@ -32,7 +32,6 @@ class ReachableGrasp:
     """A grasp that a hand can reach now.
 
     Attributes:
-        grip: the grasp candidate.
         before: joints (dof,) before the straight approach, rad.
         at: joints (dof,) at the grasp, rad.
         opening: of each finger during the approach, m.

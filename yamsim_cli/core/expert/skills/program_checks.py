@@ -220,7 +220,6 @@ def _named_place(skill: Skill) -> tuple[str, Array | None]:
 
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
-    """Return the base (2,) in `world` and the length of each acting arm, m."""
     return [
         (config.rig.T_base_in_world(k)[:2, 3], _arm_length(kinematic_model(config.rig.arms[k])))
         for k in config.acting_indices
@@ -274,6 +273,5 @@ def program_contradiction(task: ProgramTask) -> str | None:
 
 
 def _support_at_start(task: ProgramTask, name: str) -> str | None:
-    """Return the support on which a role, or an object of a role, starts; None if unknown."""
     roles = task.typical_roles
     return next((start.on for role, start in task.starts.items() if name in (role, *roles.objects_of(role))), None)

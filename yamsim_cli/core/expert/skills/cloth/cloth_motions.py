@@ -120,7 +120,6 @@ def _check_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> No
 
 
 def _free_together(context: PlanningContext, paths: Mapping[Hand, Array]) -> bool:
-    """Return whether hands that move on their paths (n + 1, dof) at once do not touch each other."""
     ticks = max(len(path) for path in paths.values())
     for tick in range(ticks):
         there = [(hand, path[min(tick, len(path) - 1)]) for hand, path in paths.items()]
@@ -172,7 +171,6 @@ def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[M
 
 
 def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
-    """Return whether the fingers did close; other fingers only press cloth down."""
     return context.opening(hand) < _MAX_CLOSED_OPENING
 
 
@@ -192,7 +190,6 @@ def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
 def _arches(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float, speed: float
 ) -> dict[Hand, Array]:
-    """Return every hand's motion (n + 1, dof) that carries its point from the present position to the target."""
     points = context.world.cloth_points(thing)
     low, high = context.world.local_box(thing)
     ends = {}

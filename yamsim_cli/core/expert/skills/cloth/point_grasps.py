@@ -154,7 +154,6 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
 
 
 def _cloth_stands_beside(points: Array, T_at: Array) -> bool:
-    """Return whether cloth stands up beside the fingers of a hand that comes down to a pose (4, 4)."""
     seen = (points.reshape(-1, 3) - T_at[:3, 3]) @ T_at[:3, :3]
     across = np.abs(seen[:, :2])
     beside = (across < _HALF_HAND_SIZE).all(axis=1) & ~(across < _HALF_GAP_SIZE).all(axis=1)
@@ -168,7 +167,6 @@ def _height_over_lowest(points: Array, place: Array) -> float:
 
 
 def _direction_to_middle(place: Array, others: Array) -> Array:
-    """Return the horizontal direction (2,) from a point (3,) to the middle of points (n, 3)."""
     inwards: Array = others.mean(axis=0)[:2] - place[:2]
     inwards /= np.linalg.norm(inwards)
     return inwards
