@@ -31,7 +31,7 @@ def minimum_jerk(fraction: float) -> float:
 
 
 def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
-    """Return a motion through waypoints, from rest to rest, within speed limits: joints (n + 1, dof) at tick boundaries.
+    """Return a motion through waypoints, from rest to rest within speed limits: joints (n + 1, dof) at tick boundaries.
 
     Args:
         points: joints (dof,), the present ones first, rad.

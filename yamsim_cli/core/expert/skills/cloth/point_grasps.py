@@ -87,7 +87,7 @@ def target_on_point(point: tuple[int, int]) -> Target:
 def reachable_grasps(
     context: PlanningContext, thing: str, placements: Sequence[PointPlacement], points: Array | None = None
 ) -> list[PointGrasp] | None:
-    """Return grasps of points of a cloth by free hands, one hand for each point; None if any is out of reach.
+    """Return grasps of a cloth's points by free hands, one for each point; None if a point or target is out of reach.
 
     Args:
         points: the cloth's points (along y, along x, 3) in `world`, m; the present ones by default.
