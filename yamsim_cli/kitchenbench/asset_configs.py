@@ -1,4 +1,4 @@
-"""Configs of the benchmark's assets: kitchen things and cloth, in the sizes that a scene requires."""
+"""Configs of the benchmark's assets: kitchen objects and cloth, in the sizes that a scene requires."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple
 
 # Asset -> object config. Compartments are parts of the tray, and cloth is in `SHEETS`.
-_THINGS = {
+_OBJECT_CONFIGS = {
     name: f"kitchen_{name}"
     for name in (
         "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item",
@@ -32,69 +32,69 @@ _THINGS = {
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
 
-_COURGETTE = 55.0  # mm, width and height of a long produce item; fingers could not hold a tomato of that length
-_GREEN = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
+_COURGETTE_WIDTH = 55.0  # mm, width and height of a long produce item; fingers could not hold a tomato of that length
+_COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
-_UNDER_RIM = 0.012  # m, from a cup's rim down to where it is held above the cup that it goes into
-_NO_SLOTS = 40.0  # mm of a rack's length that have no slots
-_SCALED = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes but the walls
+_RIM_GRASP_DEPTH = 0.012  # m, distance below a cup's rim of the grasp for nesting the cup into another one
+_NO_SLOT_LENGTH = 40.0  # mm, length of a rack without slots
+_SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes except the walls
 
-#: The kind of goal whose things are cloth.
+#: The kind of goal whose objects are cloth.
 FOLD = "fold"
 #: Asset -> sheet config of the asset's nominal size.
 SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene with crumpled cloth.
 CRUMPLED = "crumple_level"
-_CRUMPLED = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
+_CRUMPLES = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
 
-_EDGE = 0.05  # m, of the table around cloth
-_FINER = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents
+_CLOTH_MARGIN = 0.05  # m, of the table around cloth
+_REFINEMENT = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
-_IN_THIRDS = 12
+_THIRDS_POINTS = 12
 
 
 def object_config_of(
     item: SceneObject, conditions: Mapping[str, Any], locations: Locations, nests: bool = True
 ) -> ObjectConfig:
-    """The config of a blueprint's object, by the object's name.
+    """Return the config of a blueprint's object, under the object's name.
 
     Args:
         conditions: of the scene; the rack realizes `slot_width_cm`.
-        nests: whether a cup may be put into another one: then it is held just under its rim first.
+        nests: whether a cup may be put into another one, so that grasps just under its rim come first.
 
     Raises:
         LookupError: the asset is not realized.
     """
-    if item.asset not in _THINGS:
+    if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
-            f"object {item.name!r}: asset {item.asset!r} is not realized; those are: {', '.join(_THINGS)}"
+            f"object {item.name!r}: asset {item.asset!r} is not realized; those are: {', '.join(_OBJECT_CONFIGS)}"
         )
-    ours = load_config(ObjectConfig, "objects", _THINGS[item.asset], locations)
-    assert ours.shape is not None, "the kitchen's things are made from sizes"
-    shape = _sized(item, ours.shape.model_dump(mode="json", exclude_none=True), conditions)
+    base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations)
+    assert base.shape is not None, "the kitchen's things are made from sizes"
+    shape = _scaled_shape(item, base.shape.model_dump(mode="json", exclude_none=True), conditions)
     data = {"name": item.name, "shape": shape}
-    checked = ObjectConfig.model_validate({**ours.model_dump(mode="json", exclude_none=True), **data})
+    checked = ObjectConfig.model_validate({**base.model_dump(mode="json", exclude_none=True), **data})
     assert checked.shape is not None
     made = object_from_shape(item.name, checked.shape)
     if item.asset == "cup" and nests:
-        made["grasp"] = _at_the_top(made["grasp"], shape)
+        made["grasp"] = _grasp_under_rim(made["grasp"], shape)
     return ObjectConfig.model_validate({**data, **made})
 
 
-def _at_the_top(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
-    """The grasp of a cup that goes into another cup by two thirds: just under its rim first."""
-    height, opening = shape["height_mm"] / 1000 - _UNDER_RIM, shape["diameter_mm"] / 2000
+def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the grasp of a cup that goes into another cup by two thirds: points just under its rim come first."""
+    height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
     friction = grasp["friction"]
     top = [{**point, "position": [0.0, 0.0, height], "opening": opening} for point in friction["points"]]
     return {**grasp, **top[0], "friction": {**friction, "points": [*top, *friction["points"]]}}
 
 
-def _sized(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
-    """A shape's plain data with the size that a scene requires; of tools, the length."""
+def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a shape's plain data in the size that a scene requires; for tools, the size is the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
-        return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOTS) // slot)}
+        return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOT_LENGTH) // slot)}
     if item.size_cm is None:
         return shape
     size, nominal = 10.0 * item.size_cm, ASSETS[item.asset]
@@ -102,48 +102,48 @@ def _sized(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, An
         width, _, height = shape["size_mm"]
         return {**shape, "size_mm": [width, size, height]}
     if item.asset == "produce_item" and item.size_cm > 1.5 * nominal.footprint_w_cm:
-        sides = [_COURGETTE, size, _COURGETTE]
+        sides = [_COURGETTE_WIDTH, size, _COURGETTE_WIDTH]
         return {
-            "family": "block", "size_mm": sides, "corner_mm": 20, "edge_mm": 10, "materials": {"body": _GREEN}
+            "family": "block", "size_mm": sides, "corner_mm": 20, "edge_mm": 10, "materials": {"body": _COURGETTE_BODY}
         }  # fmt: skip
     factor = item.size_cm / nominal.footprint_w_cm
-    grown = {key: value * factor for key, value in shape.items() if key in _SCALED}
+    grown = {key: value * factor for key, value in shape.items() if key in _SCALED_KEYS}
     if "size_mm" in shape:
         grown["size_mm"] = [value * factor for value in shape["size_mm"]]
     return {**shape, **grown}
 
 
 def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
-    """Whether a cloth is folded twice, and long enough for thirds."""
+    """Return whether a cloth is folded twice, and long enough for thirds."""
     return int(float(blueprint.success_params.get("fold_count", 1))) > 1 and item.asset == "dish_towel"
 
 
 def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
-    """The config of a blueprint's cloth, by the object's name. `size_cm` is its width; the length is proportional.
+    """Return the config of a blueprint's cloth, under its name. `size_cm` is the width; the length is proportional.
 
     Raises:
-        LookupError: the asset is no realized cloth.
+        LookupError: the asset is not a realized cloth.
     """
     if item.asset not in SHEETS:
         raise LookupError(
             f"object {item.name!r}: asset {item.asset!r} is no cloth that is realized; those are: {', '.join(SHEETS)}"
         )
-    ours = load_config(ObjectConfig, "objects", SHEETS[item.asset], locations).cloth
-    assert ours is not None, "sheets are cloth"
+    base = load_config(ObjectConfig, "objects", SHEETS[item.asset], locations).cloth
+    assert base is not None, "sheets are cloth"
     nominal = ASSETS[item.asset].footprint_w_cm
     factor = (item.size_cm or nominal) / nominal
-    grown: dict[str, Any] = {"size_mm": [side * factor for side in ours.size_mm], "mass_g": ours.mass_g * factor**2}
+    grown: dict[str, Any] = {"size_mm": [side * factor for side in base.size_mm], "mass_g": base.mass_g * factor**2}
     if CRUMPLED in blueprint.conditions:
-        grown |= {"grid": [_FINER * (count - 1) + 1 for count in ours.grid], "solver": "cg"}
+        grown |= {"grid": [_REFINEMENT * (count - 1) + 1 for count in base.grid], "solver": "cg"}
     if is_folded_in_thirds(blueprint, item):
-        grown["grid"] = [ours.grid[0], _IN_THIRDS]
-    cloth = Cloth.model_validate({**ours.model_dump(mode="json"), **grown})
+        grown["grid"] = [base.grid[0], _THIRDS_POINTS]
+    cloth = Cloth.model_validate({**base.model_dump(mode="json"), **grown})
     data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
     return ObjectConfig.model_validate({**data, **cloth_object(data)})
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """MuJoCo's positions (nq,) with the cloths crumpled as the scene requires; a function of the blueprint's values.
+    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires; a function of the blueprint's values.
 
     Args:
         start: MuJoCo's positions (nq,) with flat cloths.
@@ -154,19 +154,19 @@ def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array
     key = repr(sorted((name, str(value)) for name, value in blueprint.values.items()))
     rng = np.random.default_rng(zlib.crc32(key.encode()))
     for name in scene.cloths:
-        start = crumple(scene, start, name, rng, _CRUMPLED[str(level)], timestep)
+        start = crumple(scene, start, name, rng, _CRUMPLES[str(level)], timestep)
     return start
 
 
 def table_for_sheet(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
-    """A table, enlarged so that a cloth lies flat on it at any angle.
+    """Return a table, enlarged so that a cloth lies flat on it at any angle.
 
     Args:
-        middle: of the cloth, in `world`, m.
+        middle: of the cloth (2,), in `world`, m.
     """
     asset = ASSETS[item.asset]
     factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
-    reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _EDGE
+    reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN
     low, high = [], []
     for k in (0, 1):
         low.append(min(table.position[k] - table.half_size[k], middle[k] - reach))

@@ -1,4 +1,4 @@
-"""The station's session, and scenes of the benchmark realized on its table, with all things at rest."""
+"""The station's session, and scenes of the benchmark realized on its table, with all objects at rest."""
 
 from __future__ import annotations
 
@@ -41,34 +41,34 @@ from .asset_configs import (
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 
 STATION = "yam_station_linear_4310_d405"
-TICK_HZ = 30  # Hz, of control ticks
+TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of goals that are realized.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
-_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another thing
+_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another object
 
-_ANY_TASK = "tower"  # a scene of the benchmark replaces the session's task
-_STEPS, _CLOTH_STEPS = 16, 8  # physics steps a tick, and in scenes with cloth
+_PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of the benchmark replaces
+_PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # physics steps in a control tick, without and with cloth
 
-_EDGE = 0.10  # m, from a scene's things to the edge of a table that is widened for them
-_OVER = 0.5  # m over the table, from where things are let down
-_AWAY = 2.0  # m, between things above the table until they are let down
-_GAP = 0.001  # m, that things fall at the end
+_TABLE_MARGIN = 0.10  # m, from a scene's objects to the edge of a table that is widened for them
+_DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height of each object starts
+_SPARE_HEIGHT = 2.0  # m, between objects that wait above the table until they are placed
+_SPAWN_GAP = 0.001  # m, between a placed object and its support
 _TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
-_OFF = 5.0  # mm; a thing that rests farther from its required place is reported as unrealized
+_MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported as unrealized
 
 # Conditions of a blueprint that depend on how a policy acts, and conditions that are realized.
-_UP_TO_THE_POLICY = frozenset(
+_POLICY_CONDITIONS = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
-_REALIZED = frozenset({"slot_width_cm", CRUMPLED})
+_REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLED})
 
 _LOG = logging.getLogger("yamsim")
 _OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
 
 
-def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _ANY_TASK) -> Session:
-    """A session of the station.
+def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _PLACEHOLDER_TASK) -> Session:
+    """Open a session of the station.
 
     Args:
         task: a task of yamsim; scenes of the benchmark replace it.
@@ -80,7 +80,7 @@ def open_station_session(size: str, *, images: bool, quality: str = "fast", task
     given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
     where = _OPENER.locations()
     if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
-        # Actions of Inspect Robots have no magnet.
+        # Actions of Inspect Robots cannot command a weld.
         given["grasp"] = "contact"
     if images:
         return _OPENER.open("default", parallel=False, **given)
@@ -93,8 +93,8 @@ class BenchmarkScene:
 
     Attributes:
         start: MuJoCo's positions (nq,) with everything at rest.
-        regions: name of a blueprint's object that is a part of a thing -> that part.
-        offsets_mm: thing -> horizontal distance from its required place to where it rests, mm.
+        regions: name of a blueprint's object that is a part of another object -> that part.
+        offsets_mm: object -> horizontal distance from its required place to its resting place, mm.
         unrealized: requirements of the blueprint that are not realized, as sentences.
     """
 
@@ -107,7 +107,7 @@ class BenchmarkScene:
 
     @property
     def items(self) -> dict[str, ObjectConfig]:
-        """Name of a blueprint's thing -> its config."""
+        """Name of a blueprint's object -> its config."""
         return {item.name: item for item in self.simulator.config.task.objects}
 
     @property
@@ -121,7 +121,7 @@ class BenchmarkScene:
         return arm_sides(self.simulator.config)
 
     def episode(self) -> Episode:
-        """A new episode, without a goal: the benchmark's checker judges."""
+        """Return a new episode without a goal: the benchmark's checker judges."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
         return Episode(
             scene,
@@ -136,7 +136,7 @@ class BenchmarkScene:
 
 
 def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
-    """The scene of a blueprint.
+    """Build the scene of a blueprint.
 
     Args:
         base: a session of the station, whose task is replaced.
@@ -159,24 +159,23 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         for item in things
     ]
     config = base.config
-    task = _task(blueprint, config, {item.name: item for item in objects})
+    task = _make_task(blueprint, config, {item.name: item for item in objects})
     scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
-    cast = _cast(blueprint)
-    simulator = Simulator(base.with_values(task=task, scene=scene), cast)
+    roles = _role_assignment(blueprint)
+    simulator = Simulator(base.with_values(task=task, scene=scene), roles)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle_objects(
         simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep
     ).qpos
     start = crumpled_start(blueprint, simulator.scene, start, task.timing.timestep)
     offsets = {
-        name: round(1000 * float(np.linalg.norm(_place(simulator.scene, start, name) - T[:2, 3])), 2)
+        name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
     return BenchmarkScene(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
 
 
-def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
-    """Horizontal position (2,) of a thing at MuJoCo's positions (nq,), m."""
+def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
     if name in scene.cloths:
         middle: Array = scene.cloths[name].points(qpos)[:, :2].mean(axis=0)
         return middle
@@ -184,11 +183,11 @@ def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
     return qpos[address : address + 2]
 
 
-def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
-    """The scene as a task. Its goal and its expert are placeholders: the benchmark's checker judges."""
+def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
+    """Return the scene as a task. Its goal and its expert are placeholders: the benchmark's checker judges."""
     first = next(iter(objects))
     folds = objects[first].cloth is not None
-    steps = _CLOTH_STEPS if any(item.cloth is not None for item in objects.values()) else _STEPS
+    steps = _CLOTH_PHYSICS_STEPS if any(item.cloth is not None for item in objects.values()) else _PHYSICS_STEPS
     place = {"x": (0.0, 0.0), "y": (0.0, 0.0)}
     return ProgramTask.model_validate(
         {
@@ -207,7 +206,7 @@ def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str,
 
 
 def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
-    """The table, widened where a scene's things need that."""
+    """Return the table, widened if a scene's objects need that."""
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
@@ -220,10 +219,10 @@ def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
         / 100
     )
     half_width = table.half_size[1] + config.rig.span / 2
-    return table.widened(max(0.0, 2 * (reach + _EDGE - half_width)))
+    return table.widened(max(0.0, 2 * (reach + _TABLE_MARGIN - half_width)))
 
 
-def _cast(blueprint: SceneBlueprint) -> RoleAssignment:
+def _role_assignment(blueprint: SceneBlueprint) -> RoleAssignment:
     kinds = {item.name: item.asset for item in blueprint.objects}
     return RoleAssignment({**{name: (name,) for name in kinds}, **blueprint.roles}, kinds)
 
@@ -241,34 +240,33 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
 
 
 def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
-    """MuJoCo's positions (nq,) with all things let down, one after the other, onto what is below them."""
+    """Return MuJoCo's positions (nq,) after all objects have been placed in turn on the objects below them."""
     scene, top = simulator.scene, simulator.config.table.top
-    # Things that are not let down yet are far from all others.
-    away = {name: pose((0.0, 0.0, top + _AWAY * (k + 1))) for k, name in enumerate(wanted)}
+    # Objects that are not placed yet are far from all others.
+    away = {name: pose((0.0, 0.0, top + _SPARE_HEIGHT * (k + 1))) for k, name in enumerate(wanted)}
     qpos = scene.start_qpos(Layout(away), start_postures(simulator.config))
     for name, T_wanted in wanted.items():
         T = T_wanted.copy()
         if name in scene.cloths:
-            T[2, 3] = top + scene.cloths[name].radius + _GAP
+            T[2, 3] = top + scene.cloths[name].radius + _SPAWN_GAP
             scene.put(qpos, name, T)
             continue
-        T[2, 3] = top + _OVER
-        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + _GAP
+        T[2, 3] = top + _DROP_HEIGHT
+        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _DROP_HEIGHT) + _SPAWN_GAP
         scene.put(qpos, name, T)
     return qpos
 
 
 def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
-    """The requirements of a blueprint that are not realized, as sentences for a log."""
     lines = []
     for name, value in blueprint.conditions.items():
-        if name in _UP_TO_THE_POLICY:
+        if name in _POLICY_CONDITIONS:
             lines.append(f"{name}={value}: up to the policy; nothing holds it to that")
-        elif name not in _REALIZED:
+        elif name not in _REALIZED_CONDITIONS:
             lines.append(f"{name}={value}: not realized")
     for item in blueprint.objects:
         if item.amount_g is not None:
             lines.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
-        if (off := offsets.get(item.name, 0.0)) > _OFF:
+        if (off := offsets.get(item.name, 0.0)) > _MAX_OFFSET_MM:
             lines.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
     return tuple(lines)

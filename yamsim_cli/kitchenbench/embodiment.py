@@ -36,7 +36,7 @@ from .yamsim_scene import BENCHMARK, GOAL_KIND, build_task_scene
 JOINTS, SEED = "joint_pos", "realization_seed"
 CAMERAS = ("top", "left", "right")
 
-CONTROL_HZ = 3.0  # Hz, of actions in simulated time, by default
+CONTROL_HZ = 3.0  # Hz, default rate of actions in simulated time
 
 LABELS = tuple(
     f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(ARM_JOINTS)), "gripper")
@@ -50,28 +50,28 @@ evenly from the last targets to the new ones, as far as motors' speeds let them.
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
-    """Joint targets of both arms.
+    """Return the action space: joint targets and gripper shares of both arms.
 
     Args:
         period: duration of an action, s, which limits the steps of the joints.
     """
-    low, high, most = list[float](), list[float](), list[float]()
+    low, high, limits = list[float](), list[float](), list[float]()
     for number in config.rig.recording_order:
         robot = config.rig.arms[number].robot
         low += [*robot.joint_range[:, 0], 0.0]
         high += [*robot.joint_range[:, 1], 1.0]
-        most += [*(joint.motor_rad_s * period for joint in robot.joints), min(1.0, period / CLOSING)]
+        limits += [*(joint.motor_rad_s * period for joint in robot.joints), min(1.0, period / CLOSING)]
     semantics = ActionSemantics(
-        control_mode="joint_pos", gripper="continuous", dim_labels=LABELS, max_step=tuple(map(float, most))
+        control_mode="joint_pos", gripper="continuous", dim_labels=LABELS, max_step=tuple(map(float, limits))
     )
     return Box((ACTION_DIM,), np.array(low, float), np.array(high, float), semantics)
 
 
 def ticks_per_action(control_hz: float) -> int:
-    """Control ticks of an action.
+    """Return the number of control ticks in an action.
 
     Raises:
-        UsageError: their number is not whole.
+        UsageError: the number is not whole, or not from 1 to 30.
     """
     ticks = round(TICK_HZ / control_hz) if control_hz > 0 else 0
     if not 1 <= ticks <= TICK_HZ or abs(TICK_HZ / control_hz - ticks) > 1e-9:
@@ -81,16 +81,16 @@ def ticks_per_action(control_hz: float) -> int:
 
 
 class YamsimEmbodiment:
-    """The station `yam_station_linear_4310_d405` with the things of a KitchenBench scene or of a yamsim task.
+    """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or of a yamsim task.
 
     The benchmark's own checker alone judges its scenes, after each action. A yamsim task is judged by its goal.
 
     Attributes:
         info: the description for compatibility checks.
-        world: of the KitchenBench scene that was reset last, for checkers' queries.
+        world: the KitchenBench scene that was reset last, for checkers' queries.
 
     Args:
-        control_hz: actions a second of simulated time; each lasts a whole number of control ticks of 1/30 s.
+        control_hz: actions per second of simulated time; each lasts a whole number of control ticks of 1/30 s.
         images: whether observations have pictures of the three cameras; pictures take most of the time.
         size: of pictures, WIDTHxHEIGHT, px.
         quality: of pictures, see `configs/quality`.
@@ -126,7 +126,7 @@ class YamsimEmbodiment:
         self._simulator: Simulator | None = None
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
-        """Put a scene's things onto the table, at rest, and the arms to their start.
+        """Put a scene's objects onto the table, at rest, and the arms into their start postures.
 
         Raises:
             LookupError: the scene is not KitchenBench's or yamsim's, or is not realized.
@@ -156,7 +156,7 @@ class YamsimEmbodiment:
         return self._observe(self._simulator)
 
     def step(self, action: Action) -> StepResult:
-        """Let an action (14,) act, and judge the new state."""
+        """Execute an action (14,), and judge the new state."""
         assert self._simulator is not None, "reset comes first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.look()

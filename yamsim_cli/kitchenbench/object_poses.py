@@ -1,4 +1,4 @@
-"""Places of a benchmark scene's things in `world`, and other places for things that cannot be there."""
+"""Poses of a benchmark scene's objects in `world`, displaced where the required pose is not feasible."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
 from .asset_configs import COMPARTMENT, FOLD
 
-#: Position of the blueprints' origin in `world`: ahead and to the left of the middle between the arms' bases, m. Scenes
-#: extend from there to the right, so this centres most things before the arms.
+#: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
+#: Scenes extend from there to the right, so this centres most objects before the arms.
 AHEAD, BESIDE = 0.35, 0.25
 #: The same for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
-_STEP = 0.002  # m, in which a thing is displaced
-_BESIDE = 0.005  # m, between a rack and a displaced thing
-_WALL = 0.005  # m, thickness of a tray's walls
-_FINGERS = (0.010, 0.003)  # m, room for fingers between a wall and a displaced thing; the second if the first fails
-_ALONE = 0.02  # m of further displacement that are accepted to avoid another thing
+_STEP = 0.002  # m, steps in which an object is displaced
+_RACK_GAP = 0.005  # m, between a rack and a displaced object
+_WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
+_FINGER_ROOMS = (0.010, 0.003)  # m, room for fingers between a wall and a displaced object, in the order tried
+_OVERLAP_COST = 0.02  # m, further displacement that is accepted to avoid an overlap with another object
 
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
-    """Position of a blueprint's origin in `world`, m."""
+    """Return the position of a blueprint's origin in `world`, m."""
     return (CLOTH_AHEAD, CLOTH_BESIDE) if blueprint.target_kind == FOLD else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
-    """The required pose (4, 4) of a blueprint's object in `world`, with z = 0 at the height of the table.
+    """Return the required pose (4, 4) of a blueprint's object in `world`, with z = 0 at the height of the table.
 
-    A blueprint's frame has x to the right, y ahead and z up; its origin is that of `origin`.
+    A blueprint's frame has x to the right, y ahead and z up. Its origin is at `origin_in_world`.
     """
     T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
     if item.parent is None:
@@ -46,12 +46,12 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
 
 def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """The poses (4, 4) of a blueprint's things: the required ones, but for things in a rack's wire or on a tray's wall.
+    """Return the poses (4, 4) of a blueprint's objects, as required where that is feasible.
 
-    These are placed beside the wire or the wall. Large things come first, since others may lie on them.
+    Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
 
     Args:
-        simulator: of a scene with the same things.
+        simulator: of a scene with the same objects.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = make_sim_world(simulator.scene, simulator.replica.data, ())
@@ -65,7 +65,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
             away = math.copysign(_STEP, T[1, 3] - places[rack][1, 3])
             while (
                 footprint_distance(footprint_corners(room[name], T), footprint_corners(room[rack], places[rack]))
-                < _BESIDE
+                < _RACK_GAP
             ):
                 T[1, 3] += away
     for tray in blueprint.roles.get("tray", ()):
@@ -84,7 +84,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 def _push_away(
     name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
 ) -> None:
-    """Displace the things beside a tray that would lie under a thing, unless the blueprint requires the overlap."""
+    """Displace the objects beside a tray that would lie under an object, unless the blueprint requires the overlap."""
     for other, T in places.items():
         if (
             other in (name, tray)
@@ -108,28 +108,28 @@ def _push_away(
 
 
 def _cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
-    """The cost of a pose (4, 4): its distance from the required one, m, and `_ALONE` for each overlap."""
+    """Return the cost of a pose (4, 4), m: its distance from the required one, and `_OVERLAP_COST` for each overlap."""
     overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
-    return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _ALONE * overlaps
+    return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _OVERLAP_COST * overlaps
 
 
 def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
-    """Poses (4, 4) of a thing in a tray's compartments or beside the tray, the nearest first.
+    """Return poses (4, 4) of an object in a tray's compartments or beside the tray, the nearest first.
 
     Args:
-        T: required pose (4, 4). If it overlaps no wall, there are no other poses.
+        T: required pose (4, 4). If the object overlaps no wall there, the result is empty.
         block, tray: corners (2, 3) of both bounding boxes, in their own frames, m.
         middles: of the tray's compartments, x in its frame, m.
     """
     T_in_tray = inverse(T_tray) @ T
     half = np.abs(T_in_tray[:2, :2]) @ ((block[1] - block[0])[:2] / 2)
     outer = (tray[1] - tray[0])[:2] / 2
-    cell = np.array([outer[0] / len(middles), outer[1]]) - _WALL
+    cell = np.array([outer[0] / len(middles), outer[1]]) - _WALL_THICKNESS
     place, cells = T_in_tray[:2, 3], [np.array((middle, 0.0)) for middle in middles]
     if (np.abs(place) >= outer + half).any() or any((np.abs(place - middle) <= cell - half).all() for middle in cells):
         return []
     free = []
-    for fingers in _FINGERS:
+    for fingers in _FINGER_ROOMS:
         room = np.maximum(cell - half - fingers, 0.0)
         free += [np.clip(place, middle - room, middle + room) for middle in cells]
         free += [np.array((side * (outer[0] + half[0] + fingers), place[1])) for side in (-1.0, 1.0)]

@@ -10,14 +10,14 @@ from inspect_robots import Epochs, Scene, Target, Task
 from .benchmark_scene import open_station_session
 from .yamsim_scene import BENCHMARK, GOAL_KIND
 
-_TRIALS = 5  # without `--epochs`; KitchenBench has as many of a scene
+_DEFAULT_TRIALS = 5  # trials without `--epochs`, as in KitchenBench's scenes
 
 
 def make_task(name: str) -> Task:
-    """A yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
+    """Return a yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
 
     Raises:
-        ConfigError: there is no such task.
+        ConfigError: no task has that name.
     """
     session = open_station_session("64x48", images=False, task=name)
     task = session.config.task
@@ -34,7 +34,7 @@ def make_task(name: str) -> Task:
         ],
         scorer=["success_at_end", "episode_length"],
         max_seconds=task.time_limit_s,
-        epochs=Epochs(count=_TRIALS, reducer="mean"),
+        epochs=Epochs(count=_DEFAULT_TRIALS, reducer="mean"),
         metadata={"title": name.replace("_", " ")},
     )
 

@@ -34,8 +34,8 @@ from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
 from .yamsim_scene import BENCHMARK, TaskScene, build_task_scene
 
-_SAME = 1e-6  # rad and shares, by which the observed state may differ from the expert's simulation: rounding
-_OFF_PATH = 0.01  # rad, by which a joint may leave its path between two actions: 5 mm at an arm's length
+_STATE_TOLERANCE = 1e-6  # rad and shares, largest difference of observed and simulated state: rounding
+_MAX_PATH_ERROR = 0.01  # rad, largest distance of a joint from its path between two actions: 5 mm at an arm's length
 _MAX_WAITS = 2  # actions after a motion, until everything is at rest
 
 _LOG = logging.getLogger("yamsim")
@@ -44,7 +44,7 @@ _LOG = logging.getLogger("yamsim")
 class YamsimExpert:
     """Plans skills for the benchmark's tasks and yamsim's in a simulation of the realization, by the observed seed.
 
-    The seed is privileged: no other policy may use it. A skill that fails is tried again from the state that it left.
+    The seed is privileged: no other policy may use it. A skill that fails is tried again from the resulting state.
     After three failures the arms stay where they are.
     """
 
@@ -65,10 +65,10 @@ class YamsimExpert:
         self._scene = scene
 
     def act(self, observation: Observation) -> ActionChunk:
-        """The actions of the next motion; after the last motion, an action that holds the joints.
+        """Return the actions of the next motion; after the last motion, an action that holds the joints.
 
         Raises:
-            RuntimeError: the observed joints differ from the expert's simulation, so that actions were changed.
+            RuntimeError: the observed joints differ from the expert's simulation, so the actions were changed.
         """
         assert self._scene is not None, "reset comes first"
         if self._planning is None:
@@ -76,7 +76,7 @@ class YamsimExpert:
             self._planning = PlanningScene(self._realize(self._scene, seed), seed, self._ticks)
         planning = self._planning
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.state()).max())
-        if off > _SAME:
+        if off > _STATE_TOLERANCE:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
         return ActionChunk([Action(action) for action in planning.next_actions()], control_hz=self.info.control_hz)
 
@@ -102,15 +102,15 @@ class YamsimExpert:
 
 
 class PlanningScene:
-    """A second simulation of a realization, moved by the same actions, whose state skills plan from.
+    """A second simulation of a realization, moved by the same actions; skills plan from its state.
 
     Attributes:
-        motion: of the realization.
-        context: what skills plan with.
+        motion: the realization in motion.
+        context: the planning context of the skills.
 
     Args:
         seed: of the realization, for random searches.
-        ticks: control ticks of an action.
+        ticks: control ticks in an action.
     """
 
     def __init__(self, realized: BenchmarkScene | TaskScene, seed: int, ticks: int) -> None:
@@ -131,11 +131,11 @@ class PlanningScene:
         self.step_action(program, simulator.roles)
 
     def step_action(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
-        """Begin a program, whose motions give the next actions."""
+        """Begin a program; `next_actions` returns its motions as actions."""
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
-        """The actions of the next motion, which have already acted in this simulation."""
+        """Return the actions of the next motion, after executing them in this simulation."""
         segment = self._next_segment()
         while segment is not None and is_still(segment) and self.motion.is_at_rest():
             segment = self._next_segment()
@@ -145,8 +145,8 @@ class PlanningScene:
         for action in actions:
             self.motion.act(action)
         # Arms lag behind the references, and the next skill plans from a state at rest.
-        most = len(actions) + (_MAX_WAITS if segment is None or segment.wait_for_arrival else 0)
-        while not self.motion.is_at_rest() and len(actions) < most:
+        limit = len(actions) + (_MAX_WAITS if segment is None or segment.wait_for_arrival else 0)
+        while not self.motion.is_at_rest() and len(actions) < limit:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
         return actions
@@ -159,34 +159,35 @@ class PlanningScene:
             return None
 
     def close(self) -> None:
-        """Free the simulation and what the skills have kept."""
+        """Free the simulation and the cache of the planning context."""
         self.context.clear_cache()
         self._simulator.close()
 
 
 def is_still(segment: MotionSegment) -> bool:
-    """Whether a segment only waits for things to come to rest."""
+    """Return whether a segment only waits for objects to come to rest."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )
 
 
 def _straight_until(joints: Array, first: int, last: int) -> int:
-    """The last tick, up to `last`, to which a straight line from tick `first` follows a path (n + 1, dof)."""
+    """Return the last tick, up to `last`, to which a straight line from tick `first` follows a path (n + 1, dof)."""
     while last > first + 1:
         chord = joints[last] - joints[first]
         between = joints[first + 1 : last] - joints[first]
         share = np.clip(between @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
-        if np.abs(between - share[:, None] * chord).max() <= _OFF_PATH:
+        if np.abs(between - share[:, None] * chord).max() <= _MAX_PATH_ERROR:
             break
         last -= 1
     return last
 
 
 def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int) -> Iterator[Array]:
-    """The actions (14,) that make the arms follow a segment.
+    """Yield the actions (14,) that make the arms follow a segment.
 
-    Between two actions references move straight. Where a path bends, actions are closer together, and the arm slower.
+    References move on straight lines between actions. Where a path bends, actions are closer together, and the arm is
+    slower.
     """
     fingers_of_both = scene_fingers([hand.arm for hand in context.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
@@ -195,8 +196,8 @@ def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
         for hand, fingers, path in zip(context.hands, fingers_of_both, segment.paths, strict=True):
-            # A drive is a spring towards its command, which therefore includes the deflection by the weight that the
-            # arm bears. Accelerations are not compensated: their deflection would remain after the motion.
+            # A drive is a spring towards its command. The command includes the deflection by the weight of arm and
+            # load, but not by accelerations: their deflection would remain after the motion.
             arm = hand.arm
             joints = (
                 path.joints[tick]

@@ -1,4 +1,4 @@
-"""A realized scene in motion, by actions of a YAM station: joint targets and shares of the grippers."""
+"""A realized scene in motion, driven by actions of a YAM station: joint targets and gripper shares."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from ..core.scene.compiled import ArmAddresses, FingerAddresses
 
 # In actions and states, an arm's joints come before its gripper, and the left arm before the right one.
 ARM_JOINTS = 6
-_ARM = ARM_JOINTS + 1
-ACTION_DIM = 2 * _ARM
+_ARM_DIM = ARM_JOINTS + 1
+ACTION_DIM = 2 * _ARM_DIM
 
 CLOSING = 0.35  # s, in which fingers move through their whole range
-_SLOW = 0.15  # rad/s and m/s; slower joints and things are at rest
-_FINGERS_SLOW = 0.01  # m/s; slower fingers are at rest
-_PRESSES = 0.05  # share of a gripper below which it presses, at 0 with its drive's full force
+_REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
+_FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
+_PRESS_SHARE = 0.05  # gripper share below which the gripper presses; at 0 it presses with its drive's full force
 
 
 class RealizedScene(Protocol):
-    """A scene that is compiled and at rest, see `scene.BenchmarkScene` and `own.TaskScene`."""
+    """A compiled scene at rest, see `benchmark_scene.BenchmarkScene` and `yamsim_scene.TaskScene`."""
 
     @property
     def simulator(self) -> Simulator:
         """The simulator of the compiled scene."""
 
     def episode(self) -> Episode:
-        """A new episode, at its start."""
+        """Return a new episode at its start."""
 
 
 class SceneStepper:
     """A scene in motion. The same actions from the same realization give the same bits.
 
-    An action lasts some control ticks of 1/30 s. In these, each joint's reference moves evenly from the last target to
-    the new one, or as far as its motor's speed allows; fingers likewise.
+    An action lasts several control ticks of 1/30 s. Each joint's reference moves linearly from the last target to the
+    new one, or as far as its motor's speed allows. Finger references move likewise.
 
     Attributes:
-        data: MuJoCo's present state, with current poses and contacts.
+        data: MuJoCo's present state, with poses and contacts up to date.
 
     Args:
-        ticks: control ticks an action.
+        ticks: control ticks in an action.
     """
 
     def __init__(self, realization: RealizedScene, ticks: int) -> None:
@@ -53,16 +53,16 @@ class SceneStepper:
         self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick
         self.episode = realization.episode()
         self.data = self.episode.data
-        # Cloth sways long after all else is at rest.
+        # Cloth sways long after all other objects are at rest.
         cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
-        self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
+        self._rigid_dofs = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
         self._reference = self.state()
-        self._reach = np.concatenate(
+        self._max_changes = np.concatenate(
             [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
         )
 
     def state(self) -> Array:
-        """Joints in rad and openings of the grippers, 0 closed .. 1 open, (14,); the left arm's first."""
+        """Return joints in rad and gripper openings, 0 closed .. 1 open, (14,); the left arm's first."""
         parts = []
         for arm, fingers in zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True):
             opening = float(self.data.qpos[fingers.qpos[0]] * fingers.sign[0])
@@ -75,55 +75,55 @@ class SceneStepper:
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
-        """Whether arms, fingers and stiff things are almost still."""
+        """Return whether arms, fingers and rigid objects are almost still."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in scene_fingers(self._scene.arms))
-        return float(np.abs(self.data.qvel[self._stiff]).max()) <= _SLOW and fingers <= _FINGERS_SLOW
+        return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 
     def act(self, action: Array) -> None:
-        """Let an action (14,) act."""
+        """Execute an action (14,)."""
         scene, start = self._scene, self._reference
-        most = self._reach * self._ticks
-        goal = start + np.clip(np.asarray(action, dtype=float) - start, -most, most)
+        limit = self._max_changes * self._ticks
+        goal = start + np.clip(np.asarray(action, dtype=float) - start, -limit, limit)
         for tick in range(self._ticks):
             before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
             self.episode.step(self._ctrl(before, after), (False,) * len(scene.arms))
         self._reference = goal
 
     def broken(self) -> str | None:
-        """How physics broke down; None if it did not."""
+        """Return how physics broke down; None if it did not."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
     def _ctrl(self, before: Array, after: Array) -> Array:
-        """Commands to the drives (arms, joints and gripper) on a tick, from the references (14,) at both its ends."""
+        """Return the drives' commands (arms, 7) in a tick, from the references (14,) at its start and end."""
         rows = []
         for k, (arm, fingers) in enumerate(zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True)):
-            gripper = _ARM * k + ARM_JOINTS
-            here = slice(_ARM * k, gripper)
+            gripper = _ARM_DIM * k + ARM_JOINTS
+            here = slice(_ARM_DIM * k, gripper)
             middle, speed = (before[here] + after[here]) / 2, (after[here] - before[here]) / self._tick
-            # The term of the speed compensates the drive's damping.
+            # The velocity term compensates the drive's damping.
             rows.append([*(middle + arm.kv / arm.kp * speed), commanded_opening(fingers, float(after[gripper]))])
         return np.array(rows)
 
 
 def commanded_opening(fingers: FingerAddresses, share: float) -> float:
-    """The command to a gripper's drive for a share, 0 closed .. 1 open: the opening of one finger, m."""
+    """Return the command to a gripper's drive for a share, 0 closed .. 1 open: the opening of one finger, m."""
     low = fingers.ctrl_range[0]
-    if share >= _PRESSES:
+    if share >= _PRESS_SHARE:
         return share * fingers.stroke
-    return float(low + share / _PRESSES * (_PRESSES * fingers.stroke - low))
+    return float(low + share / _PRESS_SHARE * (_PRESS_SHARE * fingers.stroke - low))
 
 
 def commanded_share(fingers: FingerAddresses, opening: float) -> float:
-    """The share whose command to a gripper's drive is an opening (m); the inverse of `commanded_opening`."""
+    """Return the share whose command to a gripper's drive is an opening (m); the inverse of `commanded_opening`."""
     low = fingers.ctrl_range[0]
-    if opening >= _PRESSES * fingers.stroke:
+    if opening >= _PRESS_SHARE * fingers.stroke:
         return float(min(1.0, opening / fingers.stroke))
-    return float(max(0.0, _PRESSES * (opening - low) / (_PRESSES * fingers.stroke - low)))
+    return float(max(0.0, _PRESS_SHARE * (opening - low) / (_PRESS_SHARE * fingers.stroke - low)))
 
 
 def scene_fingers(arms: Sequence[ArmAddresses]) -> list[FingerAddresses]:
-    """The fingers of each arm of the station."""
+    """Return the fingers of each arm of the station."""
     found = [arm.fingers for arm in arms if arm.fingers is not None]
     assert len(found) == len(arms), "the station's arms have fingers"
     return found

@@ -23,22 +23,22 @@ from .benchmark_scene import STATION, build_benchmark_scene, open_station_sessio
 from .object_poses import feasible_poses
 from .skill_programs import build_scene_program
 
-_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # realizations of a scene in a task, out of this many epochs
-_FOR_S = 0.5  # s, hold time of the goal; the benchmark's checkers require a single state
-_KINDS = ("place_on", "stack", "place_in", "handoff")  # kinds of goals; sorting needs compartments, which are no things
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # realizations of a scene in a task, and epochs that are searched for them
+_HOLD_SECONDS = 0.5  # s, hold time of the goal; the benchmark's checkers require a single state
+_KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
 
 
 def scene_task_data(name: str) -> dict[str, Any]:
-    """The task of a scene, as the data of a task's YAML.
+    """Return the task of a scene, as the data of a task's YAML.
 
-    Things, sizes, the phrasing and the expert are those of one realization of the scene. The arrangements are the
-    realizations with the same things among the first epochs.
+    Objects, sizes, the instruction and the expert are those of one realization of the scene. The arrangements are the
+    realizations with the same objects among the first epochs.
 
     Args:
         name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
 
     Raises:
-        UsageError: there is no such scene, or it cannot be recorded.
+        UsageError: no scene has that name, or the scene cannot be recorded.
     """
     scene, epoch = _scene(name)
     first = _blueprint(scene, epoch)
@@ -73,7 +73,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
         "starts": {name: _region(name, arrangements) for name in items},
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},
-        "goal": {"all": [_goal(first)], "for_s": _FOR_S},
+        "goal": {"all": [_goal(first)], "for_s": _HOLD_SECONDS},
         "expert": [_step(skill) for skill in build_scene_program(first, items, realized.bases)],
         "timing": {"physics_steps_per_tick": timing.physics_steps_per_tick, "timestep": timing.timestep},
     }
@@ -99,7 +99,6 @@ def _epochs(first: int) -> Iterator[int]:
 
 
 def _seed(scene: Scene, epoch: int) -> int:
-    """The seed of an epoch that Inspect Robots derives from its seed 0."""
     return int(derive_seed(0, scene.init_seed, epoch))
 
 
@@ -113,7 +112,7 @@ def _things(blueprint: SceneBlueprint) -> tuple[object, ...]:
 
 
 def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
-    """A thing's name, and its origin in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
+    """Return an object's name, and its place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
     name, T = place
     turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
     return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
@@ -128,7 +127,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """The goal that is equivalent to the benchmark's own checker."""
+    """Return the goal that is equivalent to the benchmark's own checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

@@ -19,40 +19,40 @@ from .fold_small import FoldSmall, required_area
 from .object_poses import T_in_world
 from .sorting import Sort
 
-_BOW = 0.008  # m, between a dish and the bow at an end of the rack
-_DROP = 0.02  # m, that a stacked thing falls, since the fingers around its rim reach below it
-_LET_FALL = 0.015  # m over a plate, where cutlery is released: the height of the rim, the plate's top in the benchmark
-_FOR = "compartment_"  # before the kind of cutlery in a compartment's name
+_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
+_STACK_DROP = 0.02  # m, height of the release of a stacked object: the fingers around its rim reach below it
+_PLATE_DROP = 0.015  # m over a plate, height of the release of cutlery: the rim, the plate's top in the benchmark
+_COMPARTMENT_PREFIX = "compartment_"  # prefix of the kind of cutlery in a compartment's name
 
 
 def build_scene_program(
     blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
 ) -> list[Skill]:
-    """The skills for a scene's goal, in order.
+    """Return the skills for a scene's goal, in order.
 
     Args:
         items: name of a blueprint's object -> its config.
         bases: positions (2,) of the arms' bases in `world`, m.
 
     Raises:
-        LookupError: there is no expert for goals of its kind.
+        LookupError: no expert exists for goals of this kind.
     """
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":
             kinds = {item.name: item.asset for item in blueprint.objects}
-            drop = _LET_FALL if kinds[roles["surface"][0]] == "plate" else 0.0
+            drop = _PLATE_DROP if kinds[roles["surface"][0]] == "plate" else 0.0
             return _pick_and_place(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0], drop=drop))
         case "place_in":
             return _pick_and_place(
-                roles["item"][0], _place_in_slot(blueprint, items, roles["item"][0], roles["rack"][0])
+                roles["item"][0], _slot_placement(blueprint, items, roles["item"][0], roles["rack"][0])
             )
         case "handoff":
             return _handover_program(blueprint, roles["item"][0])
         case "stack":
             return _stack_program(blueprint, roles["stack"], bases)
         case "sort":
-            into = {name.removeprefix(_FOR): name for name in roles["compartment"]}
+            into = {name.removeprefix(_COMPARTMENT_PREFIX): name for name in roles["compartment"]}
             return [Sort(things="sortable", into=into)]
         case "fold":
             return _fold_program(blueprint, items, roles["cloth"][0])
@@ -71,15 +71,15 @@ def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:
     return [Pick(thing=thing), placing]
 
 
-def _place_in_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
-    """Place a dish upright in the required slot, or in the nearest one where it fits between the bows.
+def _slot_placement(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
+    """Return the skill that places a dish upright in the required slot, or in the nearest slot between the bows.
 
     Slots are counted from the left.
     """
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
-    room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
+    room = shape.size_mm[0] / 2000 - _BOW_CLEARANCE - _width(dish) / 200
     required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
     fitting = slots[np.abs(slots) <= room]
     x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
@@ -87,7 +87,7 @@ def _place_in_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig],
 
 
 def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
-    """Pick by the other arm than the receiving one, if the scene names one, and hand over."""
+    """Return a pick and a handover. If the scene names a receiver, the other arm picks."""
     height = float(blueprint.conditions.get("handoff_height_cm", 22.0)) / 100
     match str(blueprint.success_params.get("receiving_arm", "either")):
         case "left":
@@ -98,12 +98,12 @@ def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
 
 
 def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
-    """Stack onto the largest thing, or of equal ones onto the one with the shortest reach; larger things first."""
+    """Return skills that stack onto the largest object; of equal ones, onto the one with the shortest reach."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
     def farthest(below: str) -> float:
-        """The longest reach of an arm, m, if the nearer arm brings each thing."""
+        """Return the longest reach of an arm, m, if the nearer arm brings each object."""
         paths = ((places[name], places[below]) for name in names if name != below)
         return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 
@@ -111,7 +111,7 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     others.sort(key=lambda name: (-_width(items[name]), _distance_between(places, name, below)))
     skills: list[Skill] = []
     for name in others:
-        skills += _pick_and_place(name, Place(thing=name, on=below, drop=_DROP))
+        skills += _pick_and_place(name, Place(thing=name, on=below, drop=_STACK_DROP))
         below = name
     return skills
 

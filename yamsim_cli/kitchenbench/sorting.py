@@ -29,48 +29,48 @@ from ..core.sim.sim_world import SimWorld
 
 _LOG = logging.getLogger("yamsim")
 
-_INSIDE = 0.85  # share of a thing's volume in its compartment; the benchmark requires a little less
-_TRIES = 4  # count, tries of each thing
-_OUTSIDE = 1.5  # tries by which things outside the tray wait for those inside
-_PARKED = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
-_LIFT = 0.06  # m, at which cutlery that hangs in the fingers clears the tray's wall
-_MEETING = 0.25  # m over the table, where hands meet
+_MIN_SHARE_INSIDE = 0.85  # share of an object's volume in its compartment; the benchmark requires a little less
+_MAX_TRIES = 4  # tries of each object
+_OUTSIDE_PENALTY = 1.5  # tries by which objects outside the tray wait for those inside
+_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
+_LIFT_HEIGHT = 0.06  # m, height at which cutlery that hangs in the fingers clears the tray's wall
+_HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a handover
 
-_GRID = 0.02  # m, between the places that are tried in a compartment
-_LOWER = 0.001  # m; a place that is lower by this is better
-_FREE = 0.003  # m; a place with this room to all other things is preferred
-_MAX_PLACES = 12  # count, of free places in each attitude, and of occupied ones, that are tried
-_LET_FALL = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
-_TABLE_GRID = 0.04  # m, between the places on the table that are tried
-_MAX_ASIDE = 0.30  # m, of such a place from where the thing is
-_ASIDE_GAP = 0.015  # m, between a thing on such a place and other things
-_ASIDE_TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of a thing on such a place that are tried
-_MAX_GRIPS = 8  # count for each hand, grips for which such a place is searched: each costs an IK search per place
+_GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
+_HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
+_FREE_DISTANCE = 0.003  # m, distance to all other objects at which a place is free, and so preferred
+_MAX_PLACES = 12  # places that are tried: free ones for each orientation, and occupied ones
+_DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
+_TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
+_MAX_ASIDE_DISTANCE = 0.30  # m, of such a place from the object
+_ASIDE_GAP = 0.015  # m, between an object on such a place and other objects
+_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of an object on such a place
+_MAX_GRASPS = 8  # grasps of each hand for which such a place is searched: each costs an IK search per place
 
-_UPRIGHT = math.cos(math.radians(3.0))  # z of the z axis; a thing above stays upright
-_HANGING = 0.6  # z of the z axis; a thing below stays on its side or on its head
+_UPRIGHT_COSINE = math.cos(math.radians(3.0))  # cosine of the tilt; an object with a larger one stays upright
+_TILTED_COSINE = 0.6  # cosine of the tilt; an object with a smaller one stays on its side or on its head
 
-_ROOM = 0.040  # m, that is searched on both sides of a thing, and the longest slide
-_MIN_SLIDE = 0.005  # m
-_MOVED = 0.002  # m, by which a thing must move to count as slid
-_FLAT = 0.006  # m, of a thing's top above its lowest point, where closed fingers press; a higher part would roll
-_SPACING = 0.012  # m, between places to press
-_ABOVE = 0.07  # m, from where the hand comes down
-_TOUCHING = 0.012  # m above the pressing pose, where contacts with other things are checked
-_SLIDING = 0.10  # m/s, of a pressing hand
-_SHORT = 0.006  # m, by which friction shortens a slide
+_REACH = 0.040  # m, limit of the search for free distance on both sides of an object
+_MIN_SLIDE = 0.005  # m, shorter slides are not tried
+_MIN_MOTION = 0.002  # m, least motion of an object that slid
+_FLAT_HEIGHT = 0.006  # m, largest height of a pressed top over the object's lowest point; a higher part would roll
+_PRESS_SPACING = 0.012  # m, between places to press
+_APPROACH_HEIGHT = 0.07  # m, height over the pressing pose from which the hand comes down
+_CHECK_HEIGHT = 0.012  # m, height over the pressing pose at which contacts with other objects are checked
+_SLIDE_SPEED = 0.10  # m/s, speed of a pressing hand
+_OVERTRAVEL = 0.006  # m, extra path of the hand, because friction shortens a slide
 
-_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35))  # of the hand to the side
-_LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # of the hand along the thing
+_SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35))  # rad, of the hand to the side
+_LONG_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # rad, of the hand along the object
 
 
 class PlaceInCompartment(PlaceSkill):
-    """Place a long thing along a compartment, beside the things there if there is room, else on them.
+    """Place a long object along a compartment, beside other objects if there is room, else on them.
 
     Attributes:
-        thing: a role; it is in a hand.
+        thing: a role; its object is in a hand.
         into: a compartment.
-        beside: a role, of the things that may be in the compartment.
+        beside: the role of objects that may be in the compartment.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
@@ -91,31 +91,31 @@ class PlaceInCompartment(PlaceSkill):
             if name != thing
         ]
         free, occupied = list[Array](), list[tuple[float, Array]]()
-        for attitude in _attitudes(world, thing):
+        for orientation in _orientations(world, thing):
             unoccupied = list[Array]()
-            for off, T_goal in sorted(self._places(context, thing, into, attitude), key=lambda each: each[0]):
+            for off, T_goal in sorted(self._places(context, thing, into, orientation), key=lambda each: each[0]):
                 there = footprint_corners(local_box, T_goal)
-                if any(footprint_distance(there, other) < _FREE for other in others):
+                if any(footprint_distance(there, other) < _FREE_DISTANCE for other in others):
                     occupied.append((off, T_goal))
                 else:
                     unoccupied.append(T_goal)
             free += unoccupied[:: math.ceil(len(unoccupied) / _MAX_PLACES)] if unoccupied else []
-        _lay(context, thing, into, free)
+        _set_rest_heights(context, thing, into, free)
         for _, T_goal in occupied:
             T_goal[2, 3] = context.rest_height_of(thing, T_goal, into)
-        occupied.sort(key=lambda each: (round(each[1][2, 3] / _LOWER), each[0]))
+        occupied.sort(key=lambda each: (round(each[1][2, 3] / _HEIGHT_STEP), each[0]))
         goals = [*free, *(T_goal for _, T_goal in occupied[:_MAX_PLACES])]
-        return [*goals, *(pose_raised_by(T_goal, _LET_FALL) for T_goal in goals)]
+        return [*goals, *(pose_raised_by(T_goal, _DROP_HEIGHT) for T_goal in goals)]
 
     @staticmethod
-    def _places(context: PlanningContext, thing: str, into: str, attitude: Array) -> Iterator[tuple[float, Array]]:
-        """Yield poses (4, 4) of a thing along a compartment, without height, and their distance from its middle, m."""
+    def _places(context: PlanningContext, thing: str, into: str, orientation: Array) -> Iterator[tuple[float, Array]]:
+        """Yield poses (4, 4) of an object along a compartment, without height, and their distance to its middle, m."""
         T, (low, high), local_box = (
             context.world.pose(into),
             context.world.local_box(into),
             context.world.local_box(thing),
         )
-        for R in _rotations_along(local_box, attitude, T):
+        for R in _rotations_along(local_box, orientation, T):
             corners = footprint_corners(local_box, pose(rotation=T[:3, :3].T @ R))
             first, last = low[:2] - corners.min(axis=0), high[:2] - corners.max(axis=0)
             if (first > last).any():
@@ -125,7 +125,7 @@ class PlaceInCompartment(PlaceSkill):
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """See `PlaceSkill`; where that fails, from joints that reach the place itself."""
+        """See `PlaceSkill`. If that finds none, start the search from joints that reach the place itself."""
         joints = super()._hover_joints(hand, T_pinch)
         if (
             joints is None
@@ -135,44 +135,44 @@ class PlaceInCompartment(PlaceSkill):
         return joints
 
 
-def _rotations_along(local_box: Array, attitude: Array, T: Array) -> list[Array]:
-    """Return rotations (3, 3) of a long thing along a compartment at a pose (4, 4), in both directions.
+def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Array]:
+    """Return rotations (3, 3) of a long object along a compartment at a pose (4, 4), in both directions.
 
     Args:
-        block: the thing's lowest and highest corner (2, 3) in its frame, m.
-        attitude: the thing's rotation (3, 3), with any heading.
+        local_box: the object's lowest and highest corner (2, 3) in its frame, m.
+        orientation: the object's rotation (3, 3), with any heading.
     """
     longest = int(np.argmax(local_box[1] - local_box[0]))
-    heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(attitude[1, longest], attitude[0, longest])
-    return [rotation_z(heading + turn) @ attitude for turn in (0.0, math.pi)]
+    heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(orientation[1, longest], orientation[0, longest])
+    return [rotation_z(heading + turn) @ orientation for turn in (0.0, math.pi)]
 
 
-def _attitudes(world: SimWorld, thing: str) -> list[Array]:
-    """Return rotations (3, 3), up to the heading, in which a thing may be put down: upright, and as it lies now.
+def _orientations(world: SimWorld, thing: str) -> list[Array]:
+    """Return rotations (3, 3), up to the heading, in which an object may be put down: upright and as it is now.
 
-    A thing on its side or on its head stays so.
+    An object on its side or on its head keeps its orientation.
     """
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
-    return [upright] if now[2, 2] > _UPRIGHT else [upright, now] if now[2, 2] > _HANGING else [now]
+    return [upright] if now[2, 2] > _UPRIGHT_COSINE else [upright, now] if now[2, 2] > _TILTED_COSINE else [now]
 
 
-def _lay(context: PlanningContext, thing: str, onto: str, goals: Sequence[Array]) -> None:
-    """Set the heights of a thing's poses (4, 4) at free places of a flat floor, which depend on the attitude alone."""
+def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Sequence[Array]) -> None:
+    """Set the heights of an object's poses (4, 4) on a flat free floor; they depend on the orientation alone."""
     heights = dict[tuple[float, ...], float]()
     for T in goals:
-        attitude = tuple(T[2, :3].round(6))
-        if attitude not in heights:
-            heights[attitude] = context.rest_height_of(thing, T, onto)
-        T[2, 3] = heights[attitude]
+        orientation = tuple(T[2, :3].round(6))
+        if orientation not in heights:
+            heights[orientation] = context.rest_height_of(thing, T, onto)
+        T[2, 3] = heights[orientation]
 
 
 class PutBesideTray(PlaceSkill):
-    """Put a long thing down on a free place of the table: one from where it can be taken on, else the nearest.
+    """Put a long object down on a free place of the table: one from which `then` can follow, else the nearest.
 
     Attributes:
-        thing: a role; it is in a hand.
-        then: the skill for which the thing is grasped again; None for any.
+        thing: a role; its object is in a hand.
+        then: the skill for which the object is grasped again; None for any.
     """
 
     then: PlaceSkill | None = None
@@ -183,60 +183,59 @@ class PutBesideTray(PlaceSkill):
         others = [footprint_corners(world.local_box(name), world.pose(name)) for name in world.things if name != thing]
         block, now = world.local_box(thing), world.pose(thing)[:2, 3]
         goals = list[Array]()
-        for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID) for k in (0, 1))):
-            if math.hypot(x - now[0], y - now[1]) > _MAX_ASIDE:
+        for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID_STEP) for k in (0, 1))):
+            if math.hypot(x - now[0], y - now[1]) > _MAX_ASIDE_DISTANCE:
                 continue
-            for R, turn in itertools.product(_attitudes(world, thing), _ASIDE_TURNS):
+            for R, turn in itertools.product(_orientations(world, thing), _ASIDE_HEADINGS):
                 T = pose((x, y, 0.0), rotation_z(turn) @ R)
                 there = footprint_corners(block, T)
                 on_table = (there >= low[:2]).all() and (there <= high[:2]).all()
                 if on_table and all(footprint_distance(there, other) >= _ASIDE_GAP for other in others):
                     goals.append(T)
-        _lay(context, thing, TABLE, goals)
+        _set_rest_heights(context, thing, TABLE, goals)
         goals.sort(key=lambda T: float(np.linalg.norm(T[:2, 3] - now)))
-        grips = [] if self.then is None else _grips_for(context, roles, thing, self.then)
+        grasps = [] if self.then is None else _grasps_for(context, roles, thing, self.then)
         return sorted(
             goals,
-            key=lambda T: next((rank for rank, hand, T_pinch in grips if _takes(hand, T @ T_pinch)), math.inf),
+            key=lambda T: next((rank for rank, hand, T_pinch in grasps if _can_pick(hand, T @ T_pinch)), math.inf),
         )
 
 
-def _grips_for(
+def _grasps_for(
     context: PlanningContext, roles: RoleAssignment, thing: str, put: PlaceSkill
 ) -> list[tuple[int, Hand, Array]]:
-    """Return with which grips a thing could be put to its goal, the most reliable first.
+    """Return the grasps with which `put` can bring an object to its goal, the most reliable first.
 
     Returns:
-        The rank of each grip, its hand, and its pinch frame (4, 4) in the thing's frame.
+        The rank of each grasp, its hand, and its pinch frame (4, 4) in the object's frame.
     """
     found = list[tuple[int, Hand, Array]]()
     for hand in context.acting_hands:
-        suiting = (
+        suitable = (
             (rank, hand, grip.T_pinch_in_thing)
             for rank, grip in enumerate(context.grasp_candidates(thing, hand.max_opening))
             if not hand.has_failed_with(thing, grip.T_pinch_in_thing)
             and put.infeasibility(context, roles, hand, thing, inverse(grip.T_pinch_in_thing), hand.ready_joints)
             is None
         )
-        found += itertools.islice(suiting, _MAX_GRIPS)
+        found += itertools.islice(suitable, _MAX_GRASPS)
     return sorted(found, key=lambda each: each[0])
 
 
-def _takes(hand: Hand, T_pinch: Array) -> bool:
-    """Return whether a hand reaches a pose (4, 4) of its pinch frame in `world`, and over it."""
+def _can_pick(hand: Hand, T_pinch: Array) -> bool:
     if not is_orientation_plausible(T_pinch, hand.arm.T_base_in_world):
         return False
     at = hand.solve_ik(T_pinch, (hand.ready_joints,))
-    return at is not None and hand.solve_ik(pose_raised_by(T_pinch, _LIFT), (at,)) is not None
+    return at is not None and hand.solve_ik(pose_raised_by(T_pinch, _LIFT_HEIGHT), (at,)) is not None
 
 
 def _places_between(first: float, last: float) -> Array:
-    return np.linspace(first, last, max(1, math.ceil((last - first) / _GRID)) + 1)
+    return np.linspace(first, last, max(1, math.ceil((last - first) / _GRID_STEP)) + 1)
 
 
 @dataclass(frozen=True)
 class _PressPose:
-    """Where a hand presses: joints (dof,) above the place, and poses (4, 4) of the pinch frame above and pressing."""
+    """A pose to press: joints (dof,) above, and poses (4, 4) of the pinch frame above and pressing."""
 
     above: Array
     T_above: Array
@@ -244,10 +243,11 @@ class _PressPose:
 
 
 class Slide(Skill):
-    """Press closed fingers onto a flat thing, and slide it sideways to the middle of its room.
+    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space.
 
     Attributes:
         thing: a role.
+        arm: which arm.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -262,7 +262,7 @@ class Slide(Skill):
         thing = roles.object_of(self.thing)
         across = _slide_direction(context, thing)
         one, other = (
-            context.collision_checker.free_distance(context.qpos, thing, side * across, _ROOM) for side in (1.0, -1.0)
+            context.collision_checker.free_distance(context.qpos, thing, side * across, _REACH) for side in (1.0, -1.0)
         )
         distance = (one - other) / 2
         if abs(distance) < _MIN_SLIDE:
@@ -273,29 +273,29 @@ class Slide(Skill):
         before = context.world.pose(thing)[:2, 3].copy()
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
-            for press in self._presses(context, hand, thing, shift):
+            for press in self._press_poses(context, hand, thing, shift):
                 yield from park_free_hands(context, hand)
                 yield from _slide_motions(context, hand, press, shift)
                 moved = float((context.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
-                if moved < _MOVED:
+                if moved < _MIN_MOTION:
                     raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not slide")
                 return
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
-    def _presses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
-        """The presses with which a hand can slide a thing without touching another one."""
+    def _press_poses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
+        """Yield the poses with which a hand can slide an object without touching another one."""
         away = shift / np.linalg.norm(shift)
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
-        far = np.array((*(shift + _SHORT * away), 0.0))
+        far = np.array((*(shift + _OVERTRAVEL * away), 0.0))
         places = _flat_places(context, thing, away)
-        for tilt, lean, place, turn in itertools.product(_TILTS, _LEANS, places, (0.0, math.pi)):
+        for tilt, lean, place, turn in itertools.product(_SIDE_TILTS, _LONG_TILTS, places, (0.0, math.pi)):
             turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_from_vector([0.0, lean, 0.0])
             R = upright @ turned @ rotation_from_vector([0.0, 0.0, turn])
             T_press = pose(place, R)
             T_touching, T_above, T_end = (T_press.copy() for _ in range(3))
-            T_touching[2, 3] += _TOUCHING
-            T_above[2, 3] += _ABOVE
+            T_touching[2, 3] += _CHECK_HEIGHT
+            T_above[2, 3] += _APPROACH_HEIGHT
             T_end[:3, 3] += far
             above = hand.solve_ik(T_above, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)
             if above is None or context.find_contact(hand, above, 0.0):
@@ -311,13 +311,12 @@ class Slide(Skill):
 
 
 def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shift: Array) -> Iterator[MotionSegment]:
-    """Approach, press, slide, and retreat."""
     closed = {hand: FingerTarget(0.0)}
     yield context.make_segment({hand: context.plan_free_path(hand, press.above)}, closed, wait_for_arrival=False)
     yield context.make_segment({hand: context.plan_line(hand, press.T_press)})
     T_end = press.T_press.copy()
-    T_end[:2, 3] += shift * (1.0 + _SHORT / float(np.linalg.norm(shift)))
-    yield context.make_segment({hand: context.plan_line(hand, T_end, _SLIDING)})
+    T_end[:2, 3] += shift * (1.0 + _OVERTRAVEL / float(np.linalg.norm(shift)))
+    yield context.make_segment({hand: context.plan_line(hand, T_end, _SLIDE_SPEED)})
     T_up = T_end.copy()
     T_up[2, 3] = press.T_above[2, 3]
     yield context.make_segment({hand: context.plan_line(hand, T_up)}, wait_for_arrival=False)
@@ -325,7 +324,7 @@ def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shif
 
 
 def _slide_direction(context: PlanningContext, thing: str) -> Array:
-    """The horizontal direction (2,) in `world` at right angles to a thing's longest side."""
+    """Return the horizontal direction (2,) in `world` at right angles to an object's longest side."""
     low, high = context.world.local_box(thing)
     longest = context.world.pose(thing)[:2, int(np.argmax(high - low))]
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
@@ -333,23 +332,23 @@ def _slide_direction(context: PlanningContext, thing: str) -> Array:
 
 
 def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Array]:
-    """Places (3,) on top of a thing's flat parts, in `world`, m: the farthest in the direction of the slide first."""
+    """Return points (3,) on top of an object's flat parts, in `world`, m, the farthest along the slide first."""
     bounds = context.world.geom_aabbs(thing)
     lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
-    low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT]
+    low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT_HEIGHT]
     found: list[Array] = []
     for place in sorted(map(np.array, low), key=lambda place: -float((place[:2] - middle) @ away)):
-        if all(np.linalg.norm(place - other) > _SPACING for other in found):
+        if all(np.linalg.norm(place - other) > _PRESS_SPACING for other in found):
             found.append(place)
     return found
 
 
 class Sort(Skill):
-    """Put each thing into the compartment of its kind. Things that are there already stay.
+    """Put each object into the compartment of its kind. Objects that are there already stay.
 
     Attributes:
         things: a role.
-        into: kind of thing -> its compartment.
+        into: kind of object -> its compartment.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
@@ -365,10 +364,10 @@ class Sort(Skill):
 
         while left := self.remaining_objects(context.world, roles, tries):
             name = left[0]
-            if tries.get(name, 0) == _TRIES:
+            if tries.get(name, 0) == _MAX_TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, failures[name])
                 return
-            parked = all(np.abs(hand.joints - hand.ready_joints).max() < _PARKED for hand in context.hands)
+            parked = all(np.abs(hand.joints - hand.ready_joints).max() < _PARKED_TOLERANCE for hand in context.hands)
             try:
                 yield from self._bring(context, roles, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
@@ -382,13 +381,13 @@ class Sort(Skill):
         return any(world.volume_fraction_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
     def remaining_objects(self, world: SimWorld, roles: RoleAssignment, tries: Mapping[str, int]) -> list[str]:
-        """Return the things that are not in their compartment, in the order in which they are brought: those on which
-        nothing lies first, then those with fewer tries, and those in the tray before those outside.
+        """Return the objects that are not in their compartment, in order: those on which nothing lies first. Then those
+        with fewer tries, and those in the tray before those outside.
         """
         names = [
             name
             for name in roles.objects_of(self.things)
-            if world.volume_fraction_inside(name, self.into[roles.config_names[name]]) < _INSIDE
+            if world.volume_fraction_inside(name, self.into[roles.config_names[name]]) < _MIN_SHARE_INSIDE
         ]
         seen = {name: footprint_corners(world.local_box(name), world.pose(name)) for name in names}
 
@@ -398,7 +397,7 @@ class Sort(Skill):
                 for other in names
                 if other != name
             )
-            waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE)
+            waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE_PENALTY)
             return covered, waits, -float(world.pose(name)[1, 3])
 
         return sorted(names, key=order)
@@ -406,10 +405,10 @@ class Sort(Skill):
     def _bring(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
-        """Bring a thing to its compartment, in another way on each try: first by the arm that reaches both; then slid
-        free before; then displaced before; then by a handover.
+        """Bring an object to its compartment. Each try uses another way: directly, by the arm that reaches both; slid
+        free before; put beside the tray before; by a handover.
         """
-        pick = Grab(thing=name, lift=_LIFT)
+        pick = Grab(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
         if number == 2:
             with suppress(SkillFailedError):
@@ -418,7 +417,7 @@ class Sort(Skill):
             put_aside = PutBesideTray(thing=name, then=put)
             yield from pick.run(context, roles, (put_aside,))
             yield from put_aside.run(context, roles, ())
-        give = Handover(thing=name, height=_MEETING)
+        give = Handover(thing=name, height=_HANDOVER_HEIGHT)
         between = (give,) if number > 3 else ()
         yield from pick.run(context, roles, (*between, put))
         if between:
@@ -427,9 +426,9 @@ class Sort(Skill):
 
 
 class Grab(Pick):
-    """Grasp a narrow thing: the arm need not be at rest before the fingers close.
+    """Grasp a narrow object: the arm need not be at rest before the fingers close.
 
-    A grip that slips is not tried again with that thing.
+    A grasp that slips is not tried again with that object.
     """
 
     WAIT_FOR_REST: ClassVar[bool] = False
@@ -444,7 +443,7 @@ class Grab(Pick):
 
 
 def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
-    """Release a held thing: where there is room, else where it hangs, a little lower."""
+    """Release a held object: where there is room, else at its present place, a little lower."""
     hand = holding_hand(context, name)
     if hand is None:
         return
@@ -452,7 +451,7 @@ def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Ite
         yield from PutBesideTray(thing=name).run(context, roles, ())
     except SkillFailedError:
         T = hand.pinch_pose(hand.joints)
-        T[2, 3] -= _LIFT
+        T[2, 3] -= _LIFT_HEIGHT
         with suppress(SkillFailedError):
             yield context.make_segment({hand: context.plan_line(hand, T)})
         yield from release_and_retreat(context, hand, context.release_clearance(name))

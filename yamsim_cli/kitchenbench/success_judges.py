@@ -16,11 +16,11 @@ from .benchmark_scene import BenchmarkScene
 from .scene_stepper import SceneStepper
 from .yamsim_scene import TaskScene
 
-_GRIPPER = "gripper_"  # before a side, name of that arm's two fingers in the checkers' queries
+_GRIPPER_PREFIX = "gripper_"  # prefix of a side: the name of that arm's two fingers in the checkers' queries
 
 
 class Judge(Protocol):
-    """Judges a scene in motion.
+    """Judge of a scene in motion.
 
     Attributes:
         instruction: the task in words.
@@ -33,7 +33,7 @@ class Judge(Protocol):
     step_info: dict[str, Any]
 
     def look(self) -> tuple[bool, str]:
-        """Whether the goal is reached now, and an explanation for a person."""
+        """Return whether the goal is reached now, and an explanation as text."""
 
 
 class KitchenJudge:
@@ -50,7 +50,7 @@ class KitchenJudge:
         self._checker = make_success_checker(realized.blueprint, self.world)
 
     def look(self) -> tuple[bool, str]:
-        """The checker's verdict."""
+        """Return the checker's verdict, as in `Judge`."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
 
@@ -65,7 +65,7 @@ class GoalJudge:
         self._episode = motion.episode
 
     def look(self) -> tuple[bool, str]:
-        """The goal's verdict."""
+        """Return the goal's verdict, as in `Judge`."""
         return self._episode.succeeds, self._episode.status
 
 
@@ -91,33 +91,33 @@ class KitchenWorld:
             compiled.model.geom_contype != 0
         )
         self._grippers = {
-            _GRIPPER + side: np.flatnonzero(fingers & (compiled.geom_arm == k))
+            _GRIPPER_PREFIX + side: np.flatnonzero(fingers & (compiled.geom_arm == k))
             for k, side in enumerate(realization.sides)
         }
 
     def aabb(self, name: str) -> tuple[Array, Array]:
-        """Lowest and highest corner (3,) of an object's colliding geoms; of a gripper, those of its two fingers."""
+        """Return the lowest and highest corner (3,) of an object's colliding geoms, or of a gripper's two fingers."""
         if name in self._grippers:
             corners = np.array([geom_aabb(self._model, self._data, int(geom)) for geom in self._grippers[name]])
             return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-        return self.scene.aabb(self._known(name))
+        return self.scene.aabb(self._require_known(name))
 
     def contained_fraction(self, item: str, container: str) -> float:
-        """The share, 0..1, of an item's volume in the bounding box of a container, or in a compartment."""
-        return self.scene.volume_fraction_in_box(self._known(item), self._known(container))
+        """Return the share, 0..1, of an item's volume in the bounding box of a container, or in a compartment."""
+        return self.scene.volume_fraction_in_box(self._require_known(item), self._require_known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
-        """Mass of a thing in a container, g. Nothing is poured here, so a substance is a thing."""
+        """Return the mass of an object in a container, g. Nothing is poured here, so a substance is an object."""
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)
 
     def opening_fraction(self, name: str) -> float:
-        """0: no realized object has a part that opens."""
-        self._known(name)
+        """Return 0: no realized object has a part that opens."""
+        self._require_known(name)
         return 0.0
 
-    def _known(self, name: str) -> str:
+    def _require_known(self, name: str) -> str:
         if name not in self._names:
             raise KeyError(name)
         return name

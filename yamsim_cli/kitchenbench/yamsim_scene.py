@@ -30,7 +30,7 @@ class TaskScene:
 
     @property
     def instruction(self) -> str:
-        """The trial's task in words."""
+        """The trial's instruction."""
         return self.attempt.phrasing or self.task.language_prompt
 
     @property
@@ -44,22 +44,22 @@ class TaskScene:
         return self.simulator.config.task
 
     def episode(self) -> Episode:
-        """A new episode, which ends once the goal has held for its hold time."""
+        """Return a new episode, which ends once the goal has held for its hold time."""
         return open_episode(self.simulator, self.attempt, EpisodeRules(EndRule.SUCCESS))
 
     def program(self) -> list[Skill]:
-        """The expert's skills, in order."""
+        """Return the expert's skills, in order."""
         return build_program(self.task, self.simulator.roles)
 
 
 def build_task_scene(session: Session, seed: int) -> TaskScene:
-    """The first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
+    """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
 
     Args:
         session: of the station and the task.
 
     Raises:
-        SimulationError: the scene cannot be compiled, or its things have no room.
+        SimulationError: the scene cannot be compiled, its objects have no room, or its goal holds in every start.
     """
     task = session.config.task
     steps = task.timing.physics_steps_per_tick

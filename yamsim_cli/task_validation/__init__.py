@@ -1,1 +1,1 @@
-"""Proofs of tasks, and the files of tasks."""
+"""Validation of tasks, and the catalog and templates of task files."""

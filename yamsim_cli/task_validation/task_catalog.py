@@ -1,4 +1,4 @@
-"""Lists the tasks that commands accept by name, and writes the file of a new task."""
+"""The catalog of tasks that commands accept by name, and the template of a new task's file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..core.files.writing import describe_refusal, write_file
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
-_TEXT = """\
+_TEMPLATE = """\
 # The task {name}: try it with `yamsim tasks check {name}.yaml`, record it with `yamsim record --task {name}.yaml`.
 kind: program
 # The rig where nobody gives --rig; `yamsim robots list` and configs/rigs have others.
@@ -57,7 +57,7 @@ expert:
 
 
 def task_entries(locations: Locations) -> list[dict[str, Any]]:
-    """Every task that commands accept by name, JSON-ready, see `task_entry`.
+    """Return every task that commands accept by name, JSON-ready, see `task_entry`.
 
     Raises ConfigError if a task's file is not valid.
     """
@@ -65,9 +65,9 @@ def task_entries(locations: Locations) -> list[dict[str, Any]]:
 
 
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """One task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path and so on.
+    """Return a task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path etc.
 
-    Raises ConfigError if there is no task of that name, or its file is not valid.
+    Raises ConfigError if no task has that name, or its file is not valid.
     """
     task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
     names = {kind: name for name, kind in SKILLS.items()}
@@ -81,21 +81,21 @@ def task_entry(name: str, locations: Locations) -> dict[str, Any]:
         "skills": list(dict.fromkeys(names[type(skill)] for skill in program)),
         "goal": list(dict.fromkeys(str(path[-1]) for path, _ in task.goal.predicates())),
         "counts": {role: one.count for role, one in task.things.items()},
-        "phrasings": _plain(task.phrasings),
-        "starts": {role: _plain(start) for role, start in task.starts.items()},
+        "phrasings": _as_data(task.phrasings),
+        "starts": {role: _as_data(start) for role, start in task.starts.items()},
         "time_limit_s": task.time_limit_s,
         "steps": len(program),
         "path": str(locations.config_file("tasks", name)),
     }
 
 
-def _plain(config: Config) -> Mapping[str, Any]:
+def _as_data(config: Config) -> Mapping[str, Any]:
     data: dict[str, Any] = config.model_dump(mode="json")
     return data
 
 
 def write_task_template(name: str, folder: Path) -> Path:
-    """Write the skeleton of a task, and return its file.
+    """Write the template of a task, and return its file.
 
     Raises UsageError if the name is not valid, the file exists, or the folder cannot be written.
     """
@@ -106,7 +106,7 @@ def write_task_template(name: str, folder: Path) -> Path:
         raise UsageError(f"{path} exists and is not overwritten; give another name, or remove it")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_file(path, _TEXT.format(name=name).encode())
+        write_file(path, _TEMPLATE.format(name=name).encode())
     except OSError as error:
         raise UsageError(describe_refusal(error, path)) from error
     return path

@@ -1,4 +1,4 @@
-"""Proves a task: its expert succeeds often enough, and nothing else reaches its goal."""
+"""Validation of a task: its expert succeeds often enough, and nothing else reaches its goal."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
 
 MIN_REACH = 0.9  # share of a region that hands have to reach
-_GRID = 8  # places along each side of a region
-_HEIGHT = 0.03  # m, of the hand over the surface
-_MOVED = 0.05  # m, smallest distance from the start that counts as moved
-_STILL_S = 2.0  # s, for which no arm moves before the goal is judged
-_MAX_ATTEMPTS = 3  # of each check that has to fail
+_GRID_POINTS = 8  # points along each side of a region
+_HAND_HEIGHT = 0.03  # m, height of the hand over the surface
+_MIN_MOTION = 0.05  # m, smallest distance from the start at which an object counts as moved
+_STILL_SECONDS = 2.0  # s, for which no arm moves before the goal is judged
+_MAX_ATTEMPTS = 3  # attempts of each check in which the goal must not be reached
 
-# Keys of a batch report that a proof's report has too.
+# Keys of a batch report that are also in a validation report.
 _BATCH_KEYS = (
     "task", "rig", "seed", "n", "n_success", "success_rate", "wilson95", "causes", "recovered", "seconds",
     "core_seconds_per_trial",
@@ -49,9 +49,9 @@ class TaskCheck:
 
     Attributes:
         name: of the check.
-        ok: whether the task passed; None where the check does not apply.
-        value: a share or a count; None where there is none.
-        detail: the figures behind it, for a person.
+        ok: whether the task passed; None if the check does not apply.
+        value: a share or a count; None without one.
+        detail: the figures behind the result, as text.
     """
 
     name: str
@@ -67,7 +67,7 @@ def check_program_fits(task: ProgramTask) -> TaskCheck:
 
 
 def check_reach(simulator: Simulator) -> TaskCheck:
-    """Check that a hand reaches enough places of each region on the table, in any orientation."""
+    """Check that a hand reaches enough points of each start region on the table, in any orientation."""
     shares = {
         role: _reachable_share(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE
     }
@@ -79,13 +79,13 @@ def check_reach(simulator: Simulator) -> TaskCheck:
 
 
 def _reachable_share(simulator: Simulator, start: Start) -> float:
-    height = simulator.config.table.top + _HEIGHT
-    places = list(itertools.product(np.linspace(*start.x, _GRID), np.linspace(*start.y, _GRID)))
+    height = simulator.config.table.top + _HAND_HEIGHT
+    places = list(itertools.product(np.linspace(*start.x, _GRID_POINTS), np.linspace(*start.y, _GRID_POINTS)))
     return sum(simulator.expert_tools.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)
 
 
 def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
-    """Check that the goal is never reached by holding still."""
+    """Check that arms that hold still never reach the goal."""
     reached = []
     for job in (AttemptJob(seed, number) for number in range(n)):
         simulator = simulators.get(job)
@@ -94,7 +94,7 @@ def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
             continue
         episode = open_episode(simulator, attempt, REPLAY_RULES)
         task = simulator.config.task
-        ticks = math.ceil(_STILL_S / task.timing.tick) + task.hold_ticks
+        ticks = math.ceil(_STILL_SECONDS / task.timing.tick) + task.hold_ticks
         episode.act(_hold_actions(simulator.scene, attempt.start, ticks))
         reached.append(episode.succeeds)
     return _never_reached("hold_still", reached, "attempts in which nothing is done")
@@ -115,21 +115,21 @@ def check_open_fingers(simulators: Simulators, seed: int, n: int) -> TaskCheck:
 
 
 def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck:
-    """Check that the goal fails where one thing is displaced at the end of a success.
+    """Check that the goal fails if one object is displaced at the end of a success.
 
-    Each moved thing is put back to its start, and each near miss of the task is applied by itself.
+    Each moved object is put back to its start in turn. Each near miss of the task is applied by itself.
     """
     episode = open_episode(simulator, done.attempt, REPLAY_RULES)
     for state in done.states:
         episode.act(state.actions)
-    task, cast = simulator.config.task, simulator.roles
+    task, roles = simulator.config.task, simulator.roles
     ended = episode.data.qpos.copy()
     counted, count = [], 0
-    for what, qpos in _near_miss_states(simulator.scene, task, cast, done.attempt, ended):
+    for what, qpos in _near_miss_states(simulator.scene, task, roles, done.attempt, ended):
         episode.data.qpos[:] = qpos
         mujoco.mj_forward(simulator.scene.model, episode.data)
         count += 1
-        if evaluate_goal(task.goal, episode.world, cast).reached:
+        if evaluate_goal(task.goal, episode.world, roles).reached:
             counted.append(what)
     detail = f"{count} near misses" + (f", of which these count: {'; '.join(counted)}" if counted else ", none counts")
     return TaskCheck("near_misses", not counted if count else None, float(len(counted)), detail)
@@ -138,7 +138,6 @@ def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck
 def _near_miss_states(
     scene: CompiledScene, task: ProgramTask, roles: RoleAssignment, attempt: Attempt, ended: Array
 ) -> Iterator[tuple[str, Array]]:
-    """Descriptions of near misses, with MuJoCo's positions (nq,) in each."""
     assert attempt.start is not None, "a success has a start"
     for name in _moved_objects(scene, attempt.start, ended):
         back, at = ended.copy(), _addresses(scene, name)
@@ -146,9 +145,9 @@ def _near_miss_states(
         yield f"the {name} where it started", back
     for miss in task.near_misses:
         for name in roles.objects_of(miss.thing):
-            off = ended.copy()
-            _displace(scene, off, name, miss)
-            yield f"the {name} {miss.what}", off
+            displaced = ended.copy()
+            _displace(scene, displaced, name, miss)
+            yield f"the {name} {miss.what}", displaced
 
 
 def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:
@@ -158,12 +157,11 @@ def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator
         else:
             at = scene.object_qpos[name]
             moved = np.linalg.norm(ended[at : at + 3] - start[at : at + 3])
-        if float(moved) > _MOVED:
+        if float(moved) > _MIN_MOTION:
             yield name
 
 
 def _addresses(scene: CompiledScene, name: str) -> Ids:
-    """Addresses of a thing's positions in qpos."""
     if name in scene.cloths:
         return scene.cloths[name].qpos
     return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
@@ -193,7 +191,6 @@ def _never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
 
 
 def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSequence:
-    """Actions that keep every arm where it is."""
     ctrl = np.zeros(scene.model.nu)
     for arm in scene.arms:
         ctrl[arm.drives] = start[arm.recorded_qpos]
@@ -211,9 +208,9 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
 
     Returns:
         JSON-ready: ok, task, rig, n, n_success, success_rate, wilson95, causes, recovered, core_seconds_per_trial,
-        checks, trials (those that failed).
+        checks, failed trials.
 
-    Raises InterruptedJobError if stopped by the user.
+    Raises InterruptedJobError if the user stops the trials.
     """
     config = session.config
     report = run_batch(session, (), progress)
@@ -237,16 +234,16 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
 
 
 def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> TaskCheck:
-    won = next((trial for trial in report["trials"] if trial["outcome"]["success"]), None)
-    if won is None:
+    success = next((trial for trial in report["trials"] if trial["outcome"]["success"]), None)
+    if success is None:
         return TaskCheck("near_misses", None, None, "no attempt succeeded that things could be put off from")
-    job = AttemptJob(won["seed"], won["trial"])
+    job = AttemptJob(success["seed"], success["trial"])
     simulator = simulators.get(job)
     return check_near_misses(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
 
 
 def require_passed(report: Mapping[str, Any]) -> None:
-    """Make sure that every check passed. Raises SimulationError if a check failed."""
+    """Raise SimulationError if a check failed."""
     failed = [check for check in report["checks"] if check["ok"] is False]
     if failed:
         first = failed[0]

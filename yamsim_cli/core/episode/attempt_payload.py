@@ -1,4 +1,4 @@
-"""The files of an attempt, as a worker returns them."""
+"""The payload of an attempt: the files and figures that a worker returns."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from .simulator import Simulator
 # shadows. A recording without a revision has `FIRST_LOOKS`.
 LOOKS, FIRST_LOOKS = "2", "1"
 
-# Revision of the engine, raised when the same config and seed give other actions: 2 since all tasks are programs of
-# skills and inverse kinematics is solved in closed form, 3 since waypoints may lean, containers take things beside each
-# other, and starts in which a thing still moves are drawn again. A recording without a revision has `FIRST_ENGINE`.
+# Revision of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
+# with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
+# moving objects are sampled again. A recording without a revision has `FIRST_ENGINE`.
 ENGINE, FIRST_ENGINE = "3", "1"
 
 
@@ -48,7 +48,7 @@ def library_versions() -> dict[str, str]:
 
 
 def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptPayload:
-    """Return what is recorded of an attempt; a success has rendered files.
+    """Return the payload of an attempt; a success has rendered files.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -75,13 +75,12 @@ def payload_without_files(simulated: SimulatedAttempt) -> AttemptPayload:
 
 
 def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
-    """Return what is recorded of each state, see `dataset.lowdim`; nothing is rendered."""
+    """Return the recorded data of each state, see `dataset.lowdim`; nothing is rendered."""
     ticks_per_frame = simulator.config.task.timing.ticks_per_frame
     return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
-    """Return thing -> positions of its joints, of things that have some."""
     return {item.name: simulator.replica.object_joints(item) for item in simulator.config.task.objects if item.links}
 
 
@@ -119,7 +118,7 @@ def max_openings(config: RecordConfig) -> list[float]:
 
 
 def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
-    """Return for each camera the RGB image (height, width, 3) at MuJoCo's positions (nq,), without picture noise.
+    """Return camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,), without picture noise.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -132,7 +131,7 @@ def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras:
 def recorded_pictures(
     simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
 ) -> Iterator[tuple[int, str, Image]]:
-    """Yield frame, camera and RGB image (height, width, 3) as recorded, at each of MuJoCo's positions (nq,).
+    """Yield the frame, the camera and the recorded RGB image (height, width, 3) at each of MuJoCo's positions (nq,).
 
     Each image reuses the memory of the previous one.
 
@@ -151,7 +150,7 @@ def recorded_pictures(
 
 
 def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Array]) -> dict[str, bytes]:
-    """Return path in the episode -> content of each JPEG, and of the ground truth if the config has `truth`.
+    """Return path in the episode -> content, for each JPEG, and for the ground truth if the config has `truth`.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -182,7 +181,6 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
 
 
 def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
-    """Return the renderer, updated to the attempt's variation."""
     simulator.set_variation(attempt)
     simulator.randomized.upload(simulator.renderer)
     return simulator.renderer
@@ -212,10 +210,10 @@ class GroundTruthCollector:
         """Path in the episode -> content."""
         files = dict(self._files)
         for camera, rows in self._rows.items():
-            forms = array_specs(self._labels.names, len(rows))
+            specs = array_specs(self._labels.names, len(rows))
             arrays = {"intrinsics": self._intrinsics[camera]} | {
                 key: np.stack([row[key] for row in rows]).astype(dtype)
-                for key, (dtype, _) in forms.items()
+                for key, (dtype, _) in specs.items()
                 if key in rows[0]
             }
             files[truth_name(camera)] = dump_arrays(arrays)

@@ -26,7 +26,7 @@ OnStep = Callable[[mujoco.MjData], None]
 
 
 class Timing(Protocol):
-    """How time passes in a task."""
+    """The durations of a task's physics steps, control ticks and frames."""
 
     @property
     def physics_steps_per_tick(self) -> int:
@@ -47,7 +47,7 @@ class EpisodeGoal:
 
     Attributes:
         goal: the predicates that have to hold.
-        cast: which thing plays which role.
+        roles: the role assignment.
         hold_ticks: control ticks for which the goal has to hold.
     """
 
@@ -58,18 +58,18 @@ class EpisodeGoal:
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """Everything that happened in an episode.
+    """The result of an episode.
 
     Attributes:
         states: one for each recorded frame, from before the frame's first command acts.
         end: how the episode ended.
-        verdict: of the goal at the end. If the goal held then but not for its hold time, the last verdict with which it
-            did not hold. None without a goal.
+        verdict: of the goal at the end. If the goal held then, but not for its hold time, the last verdict with which
+            the goal did not hold. None without a goal.
         held_ticks: control ticks for which the goal held without a break until the end.
-        margins: how near the arms came to their limits, and how far things moved in the hands; None if no tick passed.
-        collision: the first forbidden contact, and when; None without one.
-        T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
-        speeds: thing -> speed at the end, m/s.
+        margins: how near the arms came to their limits, and how far objects moved in hands; None if no tick passed.
+        collision: the first forbidden contact and its time, as text; None without one.
+        T_at_start, T_at_end: object -> pose (4, 4) in `world`.
+        speeds: object -> speed at the end, m/s.
     """
 
     states: tuple[StepState, ...]
@@ -84,31 +84,31 @@ class EpisodeResult:
 
     @property
     def success(self) -> bool:
-        """Whether the goal had held for its hold time when the episode ended, and no rule failed it."""
+        """Whether the goal had held for its hold time when the episode ended, and no rule failed the episode."""
         return self.end.cause is None
 
 
 class Episode:
     """One attempt in motion. The same commands from the same start give the same bits, in any division into calls.
 
-    The goal is evaluated after every control tick, whoever acts. `end` says when and how the episode ended.
+    The goal is evaluated after every control tick, for every actor. `end` says when and how the episode ended.
 
     Attributes:
         scene: the compiled scene.
         data: MuJoCo's present state, with poses and contacts up to date.
-        world: the present state by the names of things.
-        ticks: control ticks that have passed.
+        world: the present state by the names of objects.
+        ticks: number of control ticks that have passed.
         verdict: of the goal now, with all its margins; None without a goal.
         held_ticks: control ticks for which the goal has held without a break.
-        end: how the episode ended; None while it goes on.
+        end: how the episode ended; None while it runs.
 
     Args:
-        start: MuJoCo's positions (nq,), from which everything starts at rest.
+        start: MuJoCo's positions (nq,); everything starts at rest.
         timing: of the task.
-        sides: "left" or "right" of each of the scene's arms.
-        goal: what is judged; None if the caller judges.
-        rules: what ends the episode; by default those of `EpisodeRules()`.
-        world: returns the state by the names of things; by default of all things in the scene.
+        sides: "left" or "right" for each of the scene's arms.
+        goal: the goal that is judged; None if the caller judges.
+        rules: which events end the episode; `EpisodeRules()` by default.
+        world: returns the state by the names of objects; by default of all objects in the scene.
         on_step: see `OnStep`.
     """
 
@@ -132,7 +132,7 @@ class Episode:
         self.world.store_start()
         self._grasp = make_grasp_simulator(scene, self._rules.magnet_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
-        self._held_things = HeldObjectMonitor(scene, self.world)
+        self._held_monitor = HeldObjectMonitor(scene, self.world)
         self._T_at_start = self._poses()
         self._ctrl: list[Array] = []
         self._magnet: list[Sequence[bool]] = []
@@ -160,18 +160,18 @@ class Episode:
 
     @property
     def succeeds(self) -> bool:
-        """Whether the goal has held for its hold time, now."""
+        """Whether the goal has now held for its hold time."""
         goal = self._goal
         return goal is not None and self._goal_holds and self.held_ticks >= goal.hold_ticks
 
     @property
     def held(self) -> tuple[bool, ...]:
-        """Whether each arm's weld holds a thing (arms,)."""
+        """Whether each arm's weld holds an object (arms,)."""
         return tuple(is_weld_active(self.data, arm) for arm in self.scene.arms)
 
     @property
     def joint_velocities(self) -> Array:
-        """Each arm's joint velocities in rad/s and its finger's in m/s, (arms, drives)."""
+        """Each arm's joint velocities in rad/s and its finger's velocity in m/s, (arms, drives)."""
         return np.array([self.data.qvel[arm.recorded_dof] for arm in self.scene.arms])
 
     @property
@@ -181,7 +181,7 @@ class Episode:
 
     @property
     def status(self) -> str:
-        """The state of the goal as text for a person; empty without a goal."""
+        """The state of the goal as text; empty without a goal."""
         if self.verdict is None or self._goal is None:
             return ""
         worst = self.verdict.worst
@@ -191,7 +191,7 @@ class Episode:
         return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
 
     def readings(self, job: AttemptJob) -> Array:
-        """Return what encoders read now of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
+        """Return the encoder readings of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
         now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
         seen = delayed_positions(self.scene, self.data)
         return encoder_readings(self.scene, now if seen is None else seen, job, self.ticks)
@@ -201,8 +201,8 @@ class Episode:
 
         Args:
             ctrl: commands of each arm's drives (arms, drives), rad and m.
-            magnet: whether each arm's magnet is commanded on (arms,).
-            joints: references (arms, drives) that the actor records for the end of the tick; by default the commands.
+            magnet: whether each arm's weld is commanded on (arms,).
+            joints: references (arms, drives) at the end of the tick, for the recording; the commands by default.
         """
         command = np.empty(self.scene.model.nu)
         command[self.scene.drives] = ctrl
@@ -220,7 +220,7 @@ class Episode:
             self._tick(ctrl, magnet, joints)
 
     def finish(self) -> EpisodeResult:
-        """End the episode on behalf of its actor if it has not ended, and return all that happened."""
+        """End the episode on behalf of its actor if it has not ended, and return its result."""
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None
@@ -234,7 +234,7 @@ class Episode:
             end=self.end,
             verdict=verdict,
             held_ticks=self.held_ticks,
-            margins=self._monitor.margins(self._held_things.slip, self._held_things.tilt) if self.ticks else None,
+            margins=self._monitor.margins(self._held_monitor.slip, self._held_monitor.tilt) if self.ticks else None,
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
             T_at_end=self._poses(),
@@ -264,12 +264,12 @@ class Episode:
         self._refresh()
         self._monitor.end_tick(data)
         self.ticks += 1
-        self._held_things.watch(self.world.update_handovers())
+        self._held_monitor.watch(self.world.update_handovers())
         self._judge()
         self._check_end()
 
     def _refresh(self) -> None:
-        """Update poses and contacts: after `mj_step`, they are those of the step before."""
+        """Update poses and contacts, which belong to the step before after `mj_step`."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -305,7 +305,6 @@ class Episode:
         self.end = EpisodeEnd(reason, self.ticks, cause, detail)
 
     def _goal_failure(self) -> tuple[FailureCause, str]:
-        """Return the cause and details of a goal that is not reached now."""
         assert self.verdict is not None and self._goal is not None
         if not self._goal_holds:
             worst = self.verdict.worst

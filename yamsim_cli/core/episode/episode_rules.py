@@ -7,14 +7,14 @@ from enum import StrEnum
 
 from ..attempt_data import FailureCause
 
-MAGNET_REACH = 0.06  # m, from a hand's pinch point to a thing's surface; a magnet attracts nothing that is farther away
+MAGNET_REACH = 0.06  # m, largest distance from a hand's pinch point to an object's surface at which a weld holds it
 
 
 class EndRule(StrEnum):
     """Who ends an episode that neither fails nor runs out of time.
 
     With `SUCCESS`, the episode ends at the first control tick at which the goal has held for its hold time. With
-    `ACTOR`, the actor ends it, and the goal has to hold at that moment.
+    `ACTOR`, the actor ends the episode, and the goal has to hold at that moment.
     """
 
     SUCCESS = "success"
@@ -40,7 +40,7 @@ class EpisodeRules:
         strict: whether a forbidden contact or an exceeded joint limit fails the episode. Demonstrations are strict. The
             arms of a person or a policy may touch the table.
         max_ticks: control ticks after which the episode ends; None for no time limit.
-        magnet_reach: largest distance at which a magnet attracts a thing, m; None for any, as recorded actions need it.
+        magnet_reach: largest distance at which a weld holds an object, m; None for any, as recorded actions need.
     """
 
     end: EndRule = EndRule.ACTOR
@@ -49,7 +49,7 @@ class EpisodeRules:
     magnet_reach: float | None = MAGNET_REACH
 
 
-#: The rules of demonstrations by a task's expert, and of their replays.
+#: The rules of demonstrations by a task's expert and of their replays.
 EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, magnet_reach=None)
 
 #: The rules of replays of a person's recorded actions.
@@ -62,9 +62,9 @@ class EpisodeEnd:
 
     Attributes:
         reason: the event that ended the episode.
-        tick: control ticks that had passed.
+        tick: number of control ticks that had passed.
         cause: why the attempt failed; None if the end itself is no failure.
-        detail: the figures behind the cause, for a person.
+        detail: the figures behind the cause, as text.
     """
 
     reason: EndReason

@@ -28,8 +28,8 @@ class SimulatedAttempt:
 
     Attributes:
         attempt: as sampled, with the distractors that were placed later.
-        outcome: how it ended.
-        played: what happened; None if nothing moved.
+        outcome: how the attempt ended.
+        played: the result of the episode; None if nothing moved.
     """
 
     attempt: Attempt
@@ -38,7 +38,7 @@ class SimulatedAttempt:
 
     @property
     def states(self) -> tuple[StepState, ...]:
-        """The state of every recorded frame; none if nothing moved."""
+        """The state of every recorded frame; empty if nothing moved."""
         return self.played.states if self.played else ()
 
 
@@ -46,7 +46,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     """Return the attempt as performed by the task's expert, without rendering. A success gets its distractors.
 
     Args:
-        grips: whether fingers close. Without, every task that needs a grasp fails.
+        grips: whether fingers close. If not, every task that needs a grasp fails.
     """
     if attempt.start is None:
         return SimulatedAttempt(
@@ -55,7 +55,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     task = simulator.config.task
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     rng = random_generator(attempt.job, Stream.SEARCH)
-    bench = simulator.expert_tools.planning_context(episode.world, list(start_postures(simulator.config)), rng)
+    context = simulator.expert_tools.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
 
     def note_recoveries() -> None:
@@ -66,7 +66,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     # After the program, the arms wait until the hold time has passed.
     max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
-        for segment in _expert_motions(simulator, episode, bench, log):
+        for segment in _expert_motions(simulator, episode, context, log):
             note_recoveries()
             if episode.ticks + segment.ticks > max_ticks:
                 failure = FailureCause.TIME, f"not done after {episode.seconds:.0f} s"
@@ -77,9 +77,9 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     except SkillFailedError as error:
         failure = error.cause, str(error)
     note_recoveries()
-    last = path_actions(episode.scene, bench.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
+    last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
     episode.act(_with_fingers(episode.scene, last, grips), until_success=True)
-    bench.clear_cache()
+    context.clear_cache()
     played = episode.finish()
     outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
     simulated = SimulatedAttempt(attempt, outcome, played)
@@ -94,8 +94,8 @@ def _expert_motions(
     simulator: Simulator, episode: Episode, context: PlanningContext, log: RecoveryLog
 ) -> Iterator[MotionSegment]:
     """Yield the motions of a task's expert. Hands are not parked once the goal is reached."""
-    task, cast = simulator.config.task, simulator.roles
-    yield from run_program(build_program(task, cast), context, cast, log)
+    task, roles = simulator.config.task, simulator.roles
+    yield from run_program(build_program(task, roles), context, roles, log)
     if not episode.succeeds:
         yield from park_free_hands(context)
 
@@ -103,7 +103,7 @@ def _expert_motions(
 def run_actions(
     simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
 ) -> SimulatedAttempt:
-    """Return the attempt as performed by given actions, judged like any other.
+    """Return the attempt as performed by given actions, judged like any other attempt.
 
     Args:
         rules: of the episode in which the actions were recorded; the verdict is then the same.
@@ -149,7 +149,7 @@ def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[St
 def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt:
     """Return the attempt with distractors that leave room for its demonstration, for other actors.
 
-    Nothing is simulated if the config has no distractors. If the demonstration fails, none are placed.
+    The demonstration is simulated only if the config has distractors. If it fails, no distractors are placed.
     """
     return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
 
@@ -159,26 +159,26 @@ def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
     target = simulator.config.task.target_predicate
     if target is None or played.verdict is None or played.verdict.reached:
         return False
-    worst, cast = played.verdict.worst, simulator.roles
-    return worst.unit == "m" and worst.what == f"on({cast.object_of(target.thing)}, {cast.object_of(target.surface)})"
+    worst, roles = played.verdict.worst, simulator.roles
+    return worst.unit == "m" and worst.what == f"on({roles.object_of(target.thing)}, {roles.object_of(target.surface)})"
 
 
 def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float | None, float | None, float | None]:
-    """Return a thing's distance from its target at the end, horizontal and vertical, m; and the thing's speed, m/s.
+    """Return an object's final distance from its target, horizontal and vertical, m; and the object's speed, m/s.
 
     All are None for a goal without such a distance.
     """
-    task, cast = simulator.config.task, simulator.roles
+    task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate
     if target is None:
         return None, None, None
-    thing, surface = cast.object_of(target.thing), cast.object_of(target.surface)
+    thing, surface = roles.object_of(target.thing), roles.object_of(target.surface)
     apart = played.T_at_end[thing][:3, 3] - played.T_at_end[surface][:3, 3]
     return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
 
 
 def _with_fingers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
-    """Return the actions; without grips, with open fingers and magnets off."""
+    """Return the actions; without `grips`, with open fingers and welds off."""
     if grips:
         return actions
     ctrl = actions.ctrl.copy()

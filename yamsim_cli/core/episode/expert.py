@@ -1,4 +1,4 @@
-"""The planning tools of a task's expert."""
+"""The planners of a task's expert."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..scene.compiled import CompiledScene, GeomOwner
 from ..sim.sim_world import SimWorld
 
-# Candidate poses of a hand at a place.
-LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, from straight down
-LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the lean
-TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
+# Hand poses that are tried to reach a place.
+LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, tilts from straight down
+LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the tilt
+TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, turns about the hand's own axis
 
-# m and rad; a place counts as reachable whatever the margin to a stop
+# m and rad; a place counts as reachable at any margin to the joint limits
 _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertPlanner:
-    """The tools of skills in one scene, as far as they are the same for all attempts."""
+    """Planners of skills in one scene, for all attempts in it."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
@@ -37,49 +37,48 @@ class ExpertPlanner:
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
         distractors = [item.name for item in config.randomization.extras]
-        self._obstacles = CollisionChecker(scene.model, scene.arms, list(scene.things), geoms, distractors)
+        self._collision_checker = CollisionChecker(scene.model, scene.arms, list(scene.things), geoms, distractors)
 
     def is_place_reachable(self, place: Array) -> bool:
         """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""
-        stands = start_postures(self._config)
+        postures = start_postures(self._config)
         for k in self._config.acting_scene_arms:
             ik = self._tools[k].ik
-            if any(ik.solve_from(T, [stands[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
+            if any(ik.solve_from(T, [postures[k].joints], _REACH_TOLERANCE) is not None for T in _hand_poses(place)):
                 return True
         return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Return the height at which a thing that comes straight down meets something, see `CollisionChecker.rest_height`."""
-        return self._obstacles.rest_height(qpos, thing, T_in_world, lowest)
+        """Return the height (m) at which a lowered object meets something, see `CollisionChecker.rest_height`."""
+        return self._collision_checker.rest_height(qpos, thing, T_in_world, lowest)
 
     def planning_context(
         self, world: SimWorld, postures: list[ArmPosture], rng: np.random.Generator
     ) -> PlanningContext:
-        """Return the bench of an attempt, with the arms at their start."""
+        """Return the planning context of an attempt, with the arms in their start postures."""
         config, scene = self._config, self._scene
         hands = [
-            Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
-            for k, (side, arm, tools, stand) in enumerate(
+            Hand(k, side, arm, tools.ik, tools.dynamics, posture.joints, posture.opening)
+            for k, (side, arm, tools, posture) in enumerate(
                 zip(arm_sides(config), scene.arms, self._tools, postures, strict=True)
             )
         ]
         items = {item.name: item for item in config.task.objects}
         acting, first = config.acting_scene_arms, config.rig.recording_order.index(config.first_arm)
         return PlanningContext(
-            scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick
+            scene.model, world, hands, acting, first, items, self._collision_checker, rng, config.task.timing.tick
         )
 
 
 def arm_sides(config: RecordConfig) -> tuple[str, ...]:
-    """Return the sides of the scene's arms, in its order."""
+    """Return the sides of the scene's arms, in the scene's order."""
     return tuple(config.rig.arms[number].side for number in config.rig.recording_order)
 
 
 def _hand_poses(place: Array) -> Iterator[Array]:
-    """Yield poses (4, 4) of a hand at a place (3,), from above first."""
     down = rotation_from_vector([math.pi, 0.0, 0.0])
-    for lean in LEANS:
-        for towards in LEAN_DIRECTIONS if lean else LEAN_DIRECTIONS[:1]:
-            tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
+    for tilt in LEANS:
+        for direction in LEAN_DIRECTIONS if tilt else LEAN_DIRECTIONS[:1]:
+            tilted = rotation_from_vector([tilt * math.cos(direction), tilt * math.sin(direction), 0.0])
             for turn in TURNS:
                 yield pose(place, tilted @ rotation_z(turn) @ down)

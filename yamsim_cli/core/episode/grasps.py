@@ -1,4 +1,4 @@
-"""How hands hold things. The grasp depends on the grippers in a scene, not on the actor."""
+"""Grasp simulators: how hands hold objects. The choice depends on the grippers in a scene, not on the actor."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class GraspSimulator(Protocol):
         """Return whether a constraint holds something in each arm's hand (arms,).
 
         Args:
-            data: MuJoCo's state with poses and contacts up to date. Constraints are switched in it.
-            ctrl: the commands (nu,) of all drives for the coming tick.
-            magnet: whether each arm's magnet is commanded on (arms,).
+            data: MuJoCo's state with poses and contacts up to date. The function switches its constraints.
+            ctrl: commands (nu,) of all drives for the coming tick.
+            magnet: whether each arm's weld is commanded on (arms,).
         """
         ...
 
@@ -35,16 +35,16 @@ class FrictionGraspSimulator:
         self._none = (False,) * len(scene.arms)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `Grasp`; `magnet` is ignored."""
+        """See `GraspSimulator`; `magnet` is ignored."""
         return self._none
 
 
 class WeldGraspSimulator:
-    """A magnet in each hand, which welds the nearest thing to the flange while commanded on.
+    """A weld in each hand, which holds the nearest object to the flange while commanded on.
 
     Args:
         scene: a scene whose arms have welds.
-        reach: largest distance from the pinch point to a thing's surface at which the magnet attracts, m; None for any.
+        reach: largest distance from the pinch point to an object's surface at which the weld holds, m; None for any.
     """
 
     def __init__(self, scene: CompiledScene, reach: float | None) -> None:
@@ -56,24 +56,24 @@ class WeldGraspSimulator:
         self._bodies = roots[self._geoms]
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `Grasp`."""
+        """See `GraspSimulator`."""
         return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
     def _switch(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
         if arm.weld is None:
             return False
         if on and not is_weld_active(data, arm):
-            body, distance = self._nearest(data, data.site(f"{arm.prefix}pinch_site").xpos)
+            body, distance = self._nearest_body(data, data.site(f"{arm.prefix}pinch_site").xpos)
             on = self._reach is None or distance <= self._reach
             if on:
                 set_weld_pose(self._scene.model, arm, data, body)
         data.eq_active[arm.weld] = on
         return on
 
-    def _nearest(self, data: mujoco.MjData, point: Array) -> tuple[int, float]:
+    def _nearest_body(self, data: mujoco.MjData, point: Array) -> tuple[int, float]:
         """Return the body whose geoms' bounding boxes are nearest to a point (3,), and their distance, m.
 
-        A point inside the boxes of several bodies is nearest to the body whose origin is nearest.
+        If a point is inside the boxes of several bodies, the body with the nearest origin is returned.
         """
         model, geoms = self._scene.model, self._geoms
         rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
@@ -86,18 +86,18 @@ class WeldGraspSimulator:
 
 
 class ClothGraspSimulator:
-    """Constraints that hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid things."""
+    """Constraints hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid objects."""
 
     def __init__(self, scene: CompiledScene) -> None:
-        self._grips = ClothGrips(scene)
+        self._cloth_grips = ClothGrips(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `Grasp`; `magnet` is ignored."""
-        return self._grips.update(data, ctrl)
+        """See `GraspSimulator`; `magnet` is ignored."""
+        return self._cloth_grips.update(data, ctrl)
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:
-    """Return the grasp of a scene: of cloth if it has cloth, by welds if its arms have welds, else by friction.
+    """Return the grasp simulator: for cloth if the scene has cloth, with welds if arms have welds, else with friction.
 
     Args:
         magnet_reach: see `WeldGraspSimulator`.
@@ -110,7 +110,7 @@ def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> Gr
 
 
 def is_weld_active(data: mujoco.MjData, arm: ArmAddresses) -> bool:
-    """Return whether an arm's weld holds a thing."""
+    """Return whether an arm's weld holds an object."""
     return arm.weld is not None and bool(data.eq_active[arm.weld])
 
 
@@ -118,7 +118,7 @@ def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData,
     """Write a body's present pose relative to the flange into an arm's weld, so that switching it on moves nothing.
 
     Args:
-        body: id of the body that the weld is to hold.
+        body: id of the body that the weld will hold.
     """
     assert arm.weld is not None, "an arm without a weld attaches nothing"
     hand, item = data.body(arm.flange), data.body(body)
@@ -127,6 +127,6 @@ def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData,
     mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
     mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
     model.eq_obj2id[arm.weld] = body
-    # The layout of a weld's data: the anchor in the second body (3), the second body's position (3) and quaternion (4)
-    # in the first, and the torque scale (1). Source: MuJoCo's documentation of `mjModel.eq_data`.
+    # Layout of a weld's data: the anchor in the second body (3), the second body's position (3) and quaternion (4) in
+    # the first body, and the torque scale (1). Source: MuJoCo's documentation of `mjModel.eq_data`.
     model.eq_data[arm.weld, :11] = [0, 0, 0, *position, *quat, 1]

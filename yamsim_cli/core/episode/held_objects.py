@@ -1,4 +1,4 @@
-"""How far things slip and tilt in the hands that hold them."""
+"""How far objects slip and tilt in the hands that hold them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ..geometry.se3 import Array, inverse, pose, tilt
 from ..scene.compiled import CompiledScene
 from ..sim.sim_world import SimWorld
 
-SETTLED_TICKS = 8  # control ticks of holding after which a thing counts as settled in a hand; fingers close until then
+SETTLED_TICKS = 8  # control ticks of holding after which an object counts as settled; fingers close until then
 
 
 class HeldObjectMonitor:
-    """Measures how far things slip and tilt while they are held.
+    """Measures how far objects slip and tilt while they are held.
 
     Attributes:
-        slip: largest distance that a settled thing moved in a hand, m.
-        tilt: largest angle between a held thing's vertical axis at its grasp and later, rad.
+        slip: largest distance that a settled object moved in a hand, m.
+        tilt: largest angle between a held object's vertical axis at its grasp and later, rad.
 
     Args:
         world: the state that is measured.
@@ -35,7 +35,7 @@ class HeldObjectMonitor:
         """Measure the state after a control tick.
 
         Args:
-            holding: thing -> the sides of the hands that hold it.
+            holding_sides_by_object: object -> the sides of the hands that hold it.
         """
         for name, holders in holding_sides_by_object.items():
             if name in self._scene.cloths:

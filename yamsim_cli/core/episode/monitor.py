@@ -1,4 +1,4 @@
-"""Observation of every physics step: joint limits, forbidden contacts, and physics that breaks down."""
+"""Monitoring of every physics step: joint limits, forbidden contacts, and unstable physics."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ CONTACT_STEPS = 8  # physics steps after which contacts are checked even if thei
 
 
 class StepMonitor:
-    """Observes how near the arms come to their limits, and keeps the first fault of each kind.
+    """Measure how near the arms come to their limits, and keep the first collision and the first breakdown of physics.
 
     Attributes:
-        collision: the first forbidden contact, and when; None without one.
-        breakdown: the first breakdown of physics, and when; None without one.
+        collision: the first forbidden contact and its time, as text; None without one.
+        breakdown: the first breakdown of physics and its time, as text; None without one.
 
     Args:
         steps: physics steps in a control tick.
@@ -33,19 +33,19 @@ class StepMonitor:
         self._range = np.concatenate([arm.joint_range for arm in scene.arms])
         self._motor_speed = np.concatenate([arm.motor_speed for arm in scene.arms])
         self._max_torque = np.concatenate([arm.max_torque for arm in scene.arms])
-        # One row for every physics step of the present control tick.
+        # One row for each physics step of the present control tick.
         self._positions = np.empty((steps, scene.model.nq))
         self._velocities = np.empty((steps, scene.model.nv))
         self._forces = np.empty((steps, scene.model.nu))
         self._step, self._steps = 0, 0
         self._contacts = -1
         self._velocity = self._torque = 0.0
-        self._stop_distance = np.inf
+        self._joint_margin = np.inf
         self.collision: str | None = None
         self.breakdown: str | None = None
 
     def step(self, data: mujoco.MjData) -> None:
-        """Observe the state after a physics step."""
+        """Record the state after a physics step."""
         k = self._step
         self._positions[k], self._velocities[k], self._forces[k] = data.qpos, data.qvel, data.actuator_force
         self._step, self._steps = k + 1, self._steps + 1
@@ -54,14 +54,14 @@ class StepMonitor:
             self._check_contacts(data)
 
     def end_tick(self, data: mujoco.MjData) -> None:
-        """Observe the state after a control tick's last physics step."""
+        """Evaluate the control tick after its last physics step."""
         steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
         velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
         forces = np.abs(self._forces[:steps, self._ctrl]) / self._max_torque
         positions = self._positions[:steps, self._qpos]
         self._velocity = max(self._velocity, float(velocities.max()))
         self._torque = max(self._torque, float(forces.max()))
-        self._stop_distance = min(self._stop_distance, float(np.minimum(positions - low, high - positions).min()))
+        self._joint_margin = min(self._joint_margin, float(np.minimum(positions - low, high - positions).min()))
         self._step = 0
         if self.breakdown is None and (text := physics_failure(data)):
             # MuJoCo has reset its own clock, so the time is counted in steps.
@@ -72,9 +72,9 @@ class StepMonitor:
         """Return how near the arms have come to their limits.
 
         Args:
-            slip, tilt: see `Margins`.
+            slip, tilt: see `MotionMargins`.
         """
-        return MotionMargins(self._velocity, self._torque, float(self._stop_distance), slip, tilt)
+        return MotionMargins(self._velocity, self._torque, float(self._joint_margin), slip, tilt)
 
     def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
@@ -84,11 +84,11 @@ class StepMonitor:
             self.collision = f"{names} touch after {data.time:.2f} s"
 
 
-STOP_SLACK = 0.01  # rad, how far beyond its stop a joint may be, because stops are soft in physics
+STOP_SLACK = 0.01  # rad, how far beyond its limit a joint may be: joint limits are soft in physics
 
 
 def describe_exceeded_limits(margins: MotionMargins) -> str | None:
-    """Return the figures of a motion that exceeds a motor's speed, a drive's torque or a joint's stop; else None."""
+    """Describe how a motion exceeds a motor's speed, a drive's torque or a joint limit; None if it does not."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
         return None
     return (

@@ -13,19 +13,19 @@ from ..scene.randomized_model import RandomizedArms, RandomizedModel
 
 
 class RandomizedScene:
-    """A compiled scene with the variation of the last attempt given to `apply`; without randomization it never changes.
+    """A compiled scene with the variation last given to `apply`; without randomization the scene never changes.
 
     Args:
-        scene: as compiled.
+        scene: the scene without variation.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._config = config
         self._scene = scene
-        self._varied: RandomizedModel | None = None
+        self._randomized_model: RandomizedModel | None = None
         if config.randomization.parts:
-            self._varied = RandomizedModel(scene.model, config.randomization, config.scene)
-        self._arms = RandomizedArms(scene) if config.randomization.arm_dynamics else None
+            self._randomized_model = RandomizedModel(scene.model, config.randomization, config.scene)
+        self._randomized_arms = RandomizedArms(scene) if config.randomization.arm_dynamics else None
         # The variation that the model has now, and the variation that the renderer has.
         self._applied: Variation | None = None
         self._uploaded: Variation | None = None
@@ -33,17 +33,17 @@ class RandomizedScene:
 
     def apply(self, attempt: Attempt) -> CompiledScene:
         """Return the scene with an attempt's variation; valid until the next call."""
-        if self._varied and attempt.variation is not self._applied:
-            self._varied.apply(attempt.variation)
-            if self._arms:
-                self._scene = self._arms.apply(attempt.variation.arm_dynamics)
+        if self._randomized_model and attempt.variation is not self._applied:
+            self._randomized_model.apply(attempt.variation)
+            if self._randomized_arms:
+                self._scene = self._randomized_arms.apply(attempt.variation.arm_dynamics)
             self._applied = attempt.variation
         return self._scene
 
     def upload(self, renderer: SceneRenderer) -> None:
         """Upload the textures of the scene's variation to the renderer; needed before rendering."""
-        if self._varied and self._uploaded is not self._applied:
-            for texture in self._varied.textures:
+        if self._randomized_model and self._uploaded is not self._applied:
+            for texture in self._randomized_model.textures:
                 renderer.upload_texture(texture)
             self._uploaded = self._applied
 
@@ -51,7 +51,7 @@ class RandomizedScene:
         """Apply the noise of the camera and its cable to an attempt's image (height, width, 3), in place.
 
         Args:
-            frame, camera: their numbers, from which the noise follows.
+            frame, camera: indices that determine the noise.
         """
         ranges = self._config.randomization.picture
         if ranges is None:

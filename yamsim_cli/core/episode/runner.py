@@ -1,4 +1,4 @@
-"""Makes attempts in a worker: each attempt is a pure function of its job."""
+"""Execution of attempt jobs in a worker: each attempt is a pure function of its job."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .execution import demonstrate
 from .sampling import sample_attempt
 from .simulator import Simulators
 
-# Places in which meshes are shown, for messages: the recorder and the worker.
-_PLACES = ("for the recorder", "there")
+# Where meshes differ, in error messages: the recorder and the worker.
+_PLACE_NAMES = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
-    """Makes attempts from their seed and number, in a worker or in this process.
+    """Run attempts from their seed and number, in a worker or in this process.
 
     Args:
         render: whether successes become files; otherwise attempts are simulated without rendering.
 
     Raises:
-        ResourceError: other meshes would be shown than the config states.
+        ResourceError: the session shows other meshes than the config states.
     """
 
     def __init__(self, session: Session, *, render: bool) -> None:
@@ -34,11 +34,11 @@ class AttemptRunner(Closable):
         if render:
             check_meshes(session)
         self._simulators = Simulators(session)
-        # The expert's tools are made now, since the files that they need may be gone when the first job comes.
+        # The expert's planner is made now: the files that it needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
 
     def run(self, job: AttemptJob) -> AttemptPayload:
-        """Make one attempt."""
+        """Run one attempt and return its payload."""
         simulator = self._simulators.get(job)
         simulated = demonstrate(simulator, sample_attempt(simulator, job))
         return build_payload(simulator, simulated) if self._render else payload_without_files(simulated)
@@ -55,7 +55,7 @@ def check_meshes(session: Session) -> None:
         ResourceError: the session shows other meshes.
     """
     expected = session.config.meshes
-    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACES)):
+    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):
         raise ResourceError(
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; they "
             "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"

@@ -1,4 +1,4 @@
-"""Sampling of an attempt: everything random in it, from its seed and number, before anything is planned or moves."""
+"""Sampling of an attempt: everything random in it, from its seed and number, before planning and motion."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from .episode_rules import EpisodeRules
 from .expert import arm_sides
 from .simulator import Simulator, Simulators, open_episode
 
-MAX_DRAWS = 20  # count, draws of the start after which an attempt has no start, because the goal already held in each
-_MAX_SPEED = 0.1  # m/s and rad/s, speed of a thing above which another start is drawn; rolling things come below it
+MAX_DRAWS = 20  # samples of the start, after which an attempt has no start because the goal already held in each
+_MAX_START_SPEED = 0.1  # m/s and rad/s, largest speed of an object at the start; rolling objects get below it
 HOLDS_ALREADY = "the goal holds already at the start"
 
-DROP_HEIGHT = 0.5  # m over the table, from which the resting height of each thing is searched
-SPARE_HEIGHT = 2.0  # m between things that wait above the table until they are placed
-SPAWN_GAP = 2e-4  # m between a placed thing and its support, so that no contact exists before the first step
+DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height of each object starts
+SPARE_HEIGHT = 2.0  # m between objects that wait above the table until they are placed
+SPAWN_GAP = 2e-4  # m between a placed object and its support, so that no contact exists before the first step
 
 
 def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
     """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
 
-    A draw in which a thing still moves, such as a bottle that rocks, is used only if there is no other. The attempt has
-    no start if its things have no room or if its goal holds in every draw, see `describe_missing_start`.
+    A start in which an object still moves, such as a rocking bottle, is used only if there is no other. The attempt has
+    no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
     """
-    config, task, cast = simulator.config, simulator.config.task, simulator.roles
-    attempt = Attempt(job, None, _variation(config, job), roles=cast, phrasing=sample_phrasing(task, job))
+    config, task, roles = simulator.config, simulator.config.task, simulator.roles
+    attempt = Attempt(job, None, _variation(config, job), roles=roles, phrasing=sample_phrasing(task, job))
     scene = simulator.set_variation(attempt)
     moving: Attempt | None = None
     for number in range(MAX_DRAWS):
-        places = sample_placements(task, cast, _block_of(simulator), config.table, job, number)
+        places = sample_placements(task, roles, _local_box_function(simulator), config.table, job, number)
         if isinstance(places, str):
             break
         settled = settle_objects(scene, _drop_objects(simulator, places), task.timing.timestep)
@@ -55,21 +55,21 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
             poses = {name: episode.world.pose(name) for name in scene.things}
-            started = replace(attempt, layout=Layout(poses, upright=False), start=start)
-            if settled.speed <= _MAX_SPEED:
-                return started
-            moving = moving or started
+            with_start = replace(attempt, layout=Layout(poses, upright=False), start=start)
+            if settled.speed <= _MAX_START_SPEED:
+                return with_start
+            moving = moving or with_start
     return moving or attempt
 
 
 def sample_object_placements(simulator: Simulator, job: AttemptJob) -> dict[str, ObjectPlacement] | str:
-    """Return where an attempt's things are first placed, or the name of a thing that has no room."""
+    """Return the placements of an attempt's objects before they settle, or the name of an object that has no room."""
     config = simulator.config
-    return sample_placements(config.task, simulator.roles, _block_of(simulator), config.table, job)
+    return sample_placements(config.task, simulator.roles, _local_box_function(simulator), config.table, job)
 
 
 def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
-    """Return why an attempt has no start, for a person."""
+    """Return why an attempt has no start, as text."""
     places = sample_object_placements(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
@@ -83,8 +83,7 @@ def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
     return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
-def _block_of(simulator: Simulator) -> BoundsOf:
-    """Return the function that gives a thing's block, see `sample_placements`."""
+def _local_box_function(simulator: Simulator) -> BoundsOf:
     scene, replica = simulator.scene, simulator.replica
     world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 
@@ -99,7 +98,7 @@ def _block_of(simulator: Simulator) -> BoundsOf:
 
 
 def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
-    """Write the openings of a thing's parts, as shares of their ranges, into MuJoCo's positions (nq,)."""
+    """Write the openings of an object's parts, as shares of their ranges, into MuJoCo's positions (nq,)."""
     for part, share in opened.items():
         joint = scene.model.joint(f"{name}_{part}")
         low, high = joint.range
@@ -107,7 +106,7 @@ def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[
 
 
 def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -> Array:
-    """Return MuJoCo's positions (nq,) after each thing has been placed on its support in turn."""
+    """Return MuJoCo's positions (nq,) after each object has been placed on its support in turn."""
     scene, top = simulator.scene, simulator.config.table.top
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_postures(simulator.config))
@@ -124,7 +123,7 @@ def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -
 
 
 def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
-    """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all lie flat."""
+    """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all are flat."""
     task, scene = simulator.config.task, simulator.scene
     for role, how in task.starts.items():
         for name in simulator.roles.objects_of(role):
@@ -134,16 +133,15 @@ def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator
     return start
 
 
-# count, attempts after which a task without any start is rejected; usually the first attempt has one
-_CHECKED_ATTEMPTS = 3
+_CHECKED_ATTEMPTS = 3  # attempts after which a task without any start is rejected; usually the first has one
 
 
 def require_start(session: Session) -> None:
     """Check that one of the first attempts of a task has a start.
 
     Raises:
-        ConflictError: none has, because the goal already holds or things have no room; the path leads from the config.
-        SimulationError: its scene cannot be compiled.
+        ConflictError: the goal already holds or objects have no room in all of them; the path leads from the config.
+        SimulationError: a scene cannot be compiled.
     """
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:

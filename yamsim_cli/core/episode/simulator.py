@@ -1,4 +1,4 @@
-"""The simulator of attempts: everything that is expensive to make, once in a process."""
+"""The simulator of attempts: the expensive parts, which a process makes once."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from .randomized_scene import RandomizedScene
 
 
 class Simulator(Closable):
-    """A session's compiled scene, and what is made from it on demand: replica, the expert's tools and renderer.
+    """A session's compiled scene, with a state replay, the expert's planner and a renderer that are made on demand.
 
-    A simulator keeps no state of attempts. Close it or use it as a context manager, since it may own a renderer.
+    A simulator keeps no state of attempts. Close it, or use it as a context manager: it may own a renderer.
 
     Args:
-        session: its task has only the things of the cast.
-        cast: which thing plays which role; by default the task's typical cast, whose things the session then gets.
-        tools: gives the tools of the rig's arms, when the expert first needs them; by default they are made then.
+        session: its task has only the objects of `roles`.
+        roles: the role assignment; by default the task's typical one, and the session is reduced to its objects.
+        tools: returns the solvers of the rig's arms when the expert first needs them; by default makes them.
 
     Attributes:
         session: the session.
         config: the session's config.
-        cast: which thing plays which role.
-        scene: the compiled scene. Its model has the variation of the last attempt given to `varied`.
+        roles: the role assignment.
+        scene: the compiled scene. Its model has the variation that was last given to `set_variation`.
 
     Raises:
         SimulationError: the scene cannot be compiled.
@@ -59,7 +59,7 @@ class Simulator(Closable):
         self.roles = roles
         self._tools = tools or functools.partial(make_arm_solvers, config.rig)
         self.scene = build_scene(session)
-        # These are made from the scene before its first variation.
+        # The following parts need the scene before its first variation.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
         self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
         self.randomized = RandomizedScene(config, self.scene)
@@ -71,16 +71,16 @@ class Simulator(Closable):
 
     @functools.cached_property
     def replica(self) -> StateReplay:
-        """A copy of the scene that takes on recorded states."""
+        """A copy of the scene that shows recorded states."""
         return StateReplay(self.scene)
 
     @functools.cached_property
     def expert_tools(self) -> ExpertPlanner:
-        """The expert's planning tools; making them reads files."""
+        """The expert's planner; making it reads files."""
         return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
-        """Make now what reads files, in case the files are gone at the first attempt."""
+        """Make the parts that read files now: the files may be gone at the first attempt."""
         _ = self.expert_tools
 
     @property
@@ -103,18 +103,18 @@ class Simulator(Closable):
 
 
 def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
-    """Return the session with only the things of a cast, and with start regions in `world`.
+    """Return the session with only the objects of a role assignment, and with start regions in `world`.
 
     Raises:
-        SimulationError: a thing cannot be made in its size.
+        SimulationError: an object cannot be made in its size.
     """
     task = session.config.task
     try:
-        played = task.with_objects_of(roles)
+        task_of_roles = task.with_objects_of(roles)
     except ValueError as error:
-        # A dataset's task: its things could be made in their sizes when it was recorded.
+        # Such a task is from a dataset: its objects could be made in their sizes at the time of the recording.
         raise SimulationError(f"task {task.name!r}: {error}") from error
-    return session.with_values(task=played.model_copy(update={"starts": session.config.starts}))
+    return session.with_values(task=task_of_roles.model_copy(update={"starts": session.config.starts}))
 
 
 def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
@@ -124,49 +124,48 @@ def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-# count, simulators that are kept: each holds a compiled scene and, once used, a renderer
-_MAX_SIMULATORS = 4
+_MAX_SIMULATORS = 4  # simulators that are kept; each holds a compiled scene and, once used, a renderer
 
-_Key = tuple[tuple[str, str, float], ...]
+_RolesKey = tuple[tuple[str, str, float], ...]
 
 
 def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
-    """Return which thing plays which role in an attempt."""
+    """Return which objects play which roles in an attempt."""
     return sample_roles(session.config.task, job)
 
 
 def simulator_for(session: Session, job: AttemptJob) -> Simulator:
-    """Return a new simulator for the things of an attempt.
+    """Return a new simulator for the objects of an attempt.
 
     Raises:
-        SimulationError: its scene cannot be compiled, or a thing cannot be made in its size.
+        SimulationError: the scene cannot be compiled, or an object cannot be made in its size.
     """
-    cast = sample_roles_for(session, job)
-    return Simulator(session_for_roles(session, cast), cast)
+    roles = sample_roles_for(session, job)
+    return Simulator(session_for_roles(session, roles), roles)
 
 
 class Simulators(Closable):
-    """Makes simulators and keeps the most recently used. Close it, or use it as a context manager."""
+    """Make simulators and keep the most recently used. Close it, or use it as a context manager."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._simulators: OrderedDict[_Key, Simulator] = OrderedDict()
+        self._simulators: OrderedDict[_RolesKey, Simulator] = OrderedDict()
         self._tools = functools.cache(functools.partial(make_arm_solvers, session.config.rig))
 
     def get(self, job: AttemptJob) -> Simulator:
         """Return the simulator of an attempt; valid until the next call.
 
         Raises:
-            SimulationError: its scene cannot be compiled.
+            SimulationError: the scene cannot be compiled.
         """
-        cast = sample_roles_for(self.session, job)
-        key = tuple((name, cast.config_names[name], cast.scale_factors.get(name, 1.0)) for name in cast.config_names)
+        roles = sample_roles_for(self.session, job)
+        key = tuple((name, roles.config_names[name], roles.scale_factors.get(name, 1.0)) for name in roles.config_names)
         if key in self._simulators:
             self._simulators.move_to_end(key)
             return self._simulators[key]
         while len(self._simulators) >= _MAX_SIMULATORS:
             self._simulators.popitem(last=False)[1].close()
-        made = self._simulators[key] = Simulator(session_for_roles(self.session, cast), cast, self._tools)
+        made = self._simulators[key] = Simulator(session_for_roles(self.session, roles), roles, self._tools)
         return made
 
     def close(self) -> None:
@@ -176,7 +175,7 @@ class Simulators(Closable):
 
 
 def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
-    """Return the episode of an attempt at its start, in the attempt's varied scene.
+    """Return the episode of an attempt at its start, in the attempt's randomized scene.
 
     Args:
         on_step: see `Episode`.

@@ -1,4 +1,4 @@
-"""Trials: many attempts at a task, in physics alone, counted and filmed."""
+"""Trials: many simulated attempts at a task, counted and filmed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from .simulator import Simulator, Simulators
 
 R = TypeVar("R")
 
-_NEVER_MOVED = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # causes of trials that end before anything moves
+_MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # causes of trials that end before any motion
 _JPEG_QUALITY = 95  # of frames from a worker to the film: hardly any loss beside the film's own
 
 
@@ -45,10 +45,10 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
         thresholds: distances (m) by which the outcomes are scored, besides the task's own.
 
     Returns:
-        JSON-ready: what `tally` counts, margins, rig, task, grasp, arms (those that act), seconds, trials.
+        JSON-ready: the figures of `count_outcomes`, margins, rig, task, grasp, acting arms, seconds, trials.
 
     Raises:
-        InterruptedJobError: stopped by the user.
+        InterruptedJobError: the user stopped the trials.
     """
     began = time.monotonic()
     config = session.config
@@ -69,7 +69,7 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
         trials.append(trial)
     return {
         **count_outcomes([record.outcome for record in records], config.task, thresholds, [True] * n),
-        "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
+        "margins": _worst_margins([record.outcome.margins for record in records if record.outcome.margins]),
         **describe_run(config),
         "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
@@ -78,8 +78,7 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
     }
 
 
-def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
-    """The worst of each margin over all trials; None if nothing ever moved."""
+def _worst_margins(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
     if not margins:
         return None
     slips = [margin.slip_m for margin in margins if margin.slip_m is not None]
@@ -100,13 +99,13 @@ def run_trials(
     progress: Progress,
     lost: Callable[[LostJobError], R] | None = None,
 ) -> list[R]:
-    """The results of the first `n` trials of a seed, in no particular order.
+    """Return the results of the first `n` trials of a seed, in no particular order.
 
     Args:
-        lost: gives the result of a trial whose workers died or hung; None raises the `LostJobError`.
+        lost: returns the result of a trial whose workers died or hung; None raises the `LostJobError`.
 
     Raises:
-        InterruptedJobError: stopped by the user.
+        InterruptedJobError: the user stopped the trials.
     """
     results: list[R] = []
     try:
@@ -121,7 +120,7 @@ def run_trials(
 
 
 def describe_run(config: RecordConfig) -> dict[str, Any]:
-    """What trials were run with, JSON-ready: rig, task, grasp, arms (those that act), seed."""
+    """Return the settings of trials, JSON-ready: rig, task, grasp, acting arms, seed."""
     return {
         "rig": config.rig.name,
         "task": config.task.name,
@@ -134,12 +133,12 @@ def describe_run(config: RecordConfig) -> dict[str, Any]:
 def count_outcomes(
     outcomes: Sequence[OutcomeRecord], task: ProgramTask, thresholds: Sequence[float], valid: Sequence[bool]
 ) -> dict[str, Any]:
-    """Counts and rates of outcomes, JSON-ready.
+    """Return counts and rates of outcomes, JSON-ready.
 
     Args:
-        task: whose goal judged them.
+        task: its goal judged the outcomes.
         thresholds: distances (m) by which the outcomes are scored, if the task's goal measures a distance.
-        valid: whether an outcome may count as a success at any threshold.
+        valid: whether each outcome may count as a success at any threshold.
 
     Returns:
         n, n_success, success_rate, wilson95, threshold_m, rates per threshold, dxy_m, causes, recovered (successes in
@@ -169,7 +168,7 @@ def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
     """Raise SimulationError if less than the share `minimum` of trials succeeded; None accepts any share.
 
     Args:
-        counts: what `tally` returns.
+        counts: result of `count_outcomes`.
     """
     if minimum is not None and counts["success_rate"] < minimum:
         raise SimulationError(
@@ -180,7 +179,7 @@ def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
 
 @dataclass(frozen=True)
 class FilmedTrial:
-    """A trial and the video that shows it."""
+    """A trial and its video."""
 
     trial: int
     path: Path
@@ -193,7 +192,6 @@ class TrialFilmer(Closable):
         self._simulators = Simulators(session)
 
     def _film(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
-        """The trial's frames as JPEGs; empty if nothing moved."""
         shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 
@@ -203,10 +201,10 @@ class TrialFilmer(Closable):
 
 
 class _ExpertFilmer(TrialFilmer):
-    """Simulates the expert's trials again, and renders them whatever their outcome."""
+    """Simulates the expert's trials again, and renders them for any outcome."""
 
     def run(self, job: AttemptJob) -> list[bytes]:
-        """The trial's frames as JPEGs."""
+        """Return the trial's frames as JPEGs."""
         simulator = self._simulators.get(job)
         return self._film(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
 
@@ -216,7 +214,7 @@ class TrialFilms:
 
     Args:
         frame_period: of the trials, s.
-        overwrite: move what is at `path` aside.
+        overwrite: whether to make a backup of an existing `path` first.
 
     Raises:
         UsageError: `path` is occupied.
@@ -282,10 +280,10 @@ def film_trials(
         trials: as `run_batch` reports them.
 
     Raises:
-        InterruptedJobError: stopped by the user; finished films stay.
+        InterruptedJobError: the user stopped; finished films stay.
         ResourceError: nothing can render here, or the films cannot be written.
     """
-    moving = [trial for trial in trials if trial["outcome"]["cause"] not in _NEVER_MOVED]
+    moving = [trial for trial in trials if trial["outcome"]["cause"] not in _MOTIONLESS_CAUSES]
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:
         return []
@@ -302,7 +300,7 @@ def film_jobs(
     workers: int,
     progress: Progress,
 ) -> list[FilmedTrial]:
-    """Film trials, whose frames come from as many jobs, at least one. Raises as `film_trials`."""
+    """Film trials with the frames of their jobs, one job for each trial, at least one. Raises as `film_trials`."""
     try:
         with ProcessPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
             return films.write(_with_frames(trials, jobs, pool, progress))
@@ -313,7 +311,7 @@ def film_jobs(
 def _with_frames(
     trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
 ) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-    """Trials with the frames from their jobs, in the order of `trials`."""
+    """Yield trials with the frames from their jobs, in the order of `trials`."""
     numbers = {id(job): number for number, job in enumerate(jobs)}
     results = run_all(pool, jobs)
     finished: dict[int, list[bytes]] = {}

@@ -1,17 +1,17 @@
-"""Inverse kinematics in closed form, for arms with parallel axes 2, 3 and 4 whose last two axes intersect.
+"""Analytic inverse kinematics for arms with parallel axes 2, 3 and 4 whose last two axes intersect.
 
 The decomposition into subproblems is that of A. J. Elias and J. T. Wen, "IK-Geo: Unified robot inverse kinematics using
 subproblem decomposition" (Mechanism and Machine Theory 209, 2025), for three parallel axes and two that intersect.
-In the notation below, `R_i` turns about the axis `h_i` of joint i through its anchor `a_i`, all at zero joints; `h` is
-the direction of the parallel axes, and `c` is where axes 5 and 6 meet. The flange's motion from its pose at zero is
-`x -> R x + t`, the product of the six turns. Joints 5 and 6 leave `c` where it is, and joints 2 to 4 leave every
-component along `h` as it is. Therefore:
+Notation, all at zero joints: `R_i` rotates about the axis `h_i` of joint i through its anchor `a_i`. `h` is the
+direction of the parallel axes. Axes 5 and 6 meet at `c`. The flange's motion from its pose at zero is
+`x -> R x + t`, the product of the six rotations. Joints 5 and 6 do not move `c`. Joints 2 to 4 do not change
+components along `h`. Therefore:
 
 - q1: `h . R_1^T (R c + t - a_1) = h . (c - a_1)`, at most two angles.
 - q5: `h . R_1^T R h_6 = h . R_5 h_6`, at most two angles.
-- q6: `R_6` turns `R^T R_1 h` into `R_5^T h`.
-- The sum of q2, q3 and q4: the rest of the rotation, `R_1^T R R_6^T R_5^T`, is a turn about `h`.
-- q3 and q2: two links in the plane across `h` bring joint 4's anchor to a known place, with at most two postures.
+- q6: `R_6` rotates `R^T R_1 h` into `R_5^T h`.
+- The sum of q2, q3 and q4: the remaining rotation, `R_1^T R R_6^T R_5^T`, is about `h`.
+- q3 and q2: two links in the plane across `h` bring joint 4's anchor to a known point, with at most two postures.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ Vector = tuple[float, float, float]
 Joints = tuple[float, ...]
 Ids = NDArray[np.intp]
 
-_EXACT = 1e-6  # m and rad, largest error of a solution's forward kinematics
-_ALIGNED = 1e-9  # rad and m, largest error of axes that count as parallel, or as intersecting
-_ROUNDING = 1e-9  # excess of a cosine over 1 that counts as rounding, as happens where two solutions meet
-_FREE = 1e-7  # m or 1, size of coefficients below which an angle is undetermined, with an error below `_EXACT`
-_SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that are tried for an undetermined angle
-_STOP_ROUNDING = 1e-7  # rad, excess of a joint over its stop that counts as rounding
-_LOOSE = 1e-5  # rad and 1, by which `may_reach` is more tolerant than `solutions`: far above rounding
-_TRIALS = 20  # random poses that must be solved before an arm counts as having a closed solution
-_MAX_KEPT = 4096  # count, poses whose solutions are kept: a search asks for the same poses again, up to five times
-_HAND_LENGTH = 0.13  # m, beyond the flange, for weights of joints by how far they move a held thing
+_SOLUTION_TOLERANCE = 1e-6  # m and rad, largest error of a solution's forward kinematics
+_AXIS_TOLERANCE = 1e-9  # rad and m, largest error of axes that count as parallel or as intersecting
+_COSINE_ROUNDING = 1e-9  # excess of a cosine over 1 that counts as rounding; occurs where two solutions meet
+_MIN_COEFFICIENT = 1e-7  # m or 1, smaller coefficients leave an angle undetermined; the error is below 1e-6
+_SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that are tried for an undetermined joint
+_LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit that counts as rounding
+_REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
+_VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
+_CACHE_SIZE = 4096  # poses whose solutions are cached: a search asks for the same pose up to five times
+_HAND_LENGTH = 0.13  # m, beyond the flange; weights joints by how far they move a held object
 
 
 class AnalyticIk:
-    """Finds all joints that bring a bare arm's flange to a pose; for arms that `closed_form` accepts.
+    """Find all joint positions that bring a bare arm's flange to a pose; for arms that `find_analytic_ik` accepts.
 
     Args:
-        model: the bare arm, see `scene.robot.bare_arm`, of six hinge joints.
+        model: the bare arm of six hinge joints, see `scene.arm_model.kinematic_model`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._flange = int(model.site("tool").bodyid[0])
         self._ranges = model.jnt_range.tolist()
-        # Views of MuJoCo's arrays, which follow its state.
+        # Views of MuJoCo's arrays: they change with its state.
         self._qpos, self._position = self._data.qpos, self._data.xpos[self._flange]
         self._rotation = self._data.xmat[self._flange].reshape(3, 3)
         T_flange = self.pose_of(np.zeros(model.nq))
@@ -63,7 +63,7 @@ class AnalyticIk:
         h = axes[1]
         across = np.cross(h, np.eye(3)[np.argmin(np.abs(h))])
         across /= np.linalg.norm(across)
-        # All below is in a frame whose third axis is h: components along h and places in the plane are coordinates.
+        # In the following frame, the third axis is h; x and y are coordinates in the plane across h.
         basis = np.array([across, np.cross(h, across), h])
         self._signs = (1.0, *np.sign(axes[1:4] @ h).tolist(), 1.0, 1.0)
         self._T_zero = inverse(T_flange) @ pose(rotation=basis.T)
@@ -80,25 +80,25 @@ class AnalyticIk:
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
         steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
         self._levers = np.cumsum(steps[::-1])[::-1] + _HAND_LENGTH
-        self._kept = functools.lru_cache(_MAX_KEPT)(self._solutions)
+        self._cached_solutions = functools.lru_cache(_CACHE_SIZE)(self._solutions)
 
     def pose_of(self, joints: Array) -> Array:
-        """Pose (4, 4) of the flange in the base at joints (6,)."""
+        """Return the pose (4, 4) of the flange in the base at joints (6,), rad."""
         self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         return pose(self._position, self._rotation)
 
     def solutions(self, T_flange_in_base: Array) -> Array:
-        """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
+        """Return all joints (n, 6), in rad and within their limits, that bring the flange to a pose (4, 4) in the base.
 
-        An empty array means that the arm does not reach the pose. The exception are poses that leave a joint
-        undetermined: the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three.
-        For these, only 16 angles of that joint are tried.
+        An empty array means that the arm does not reach the pose. Some poses leave a joint undetermined: the wrist's
+        centre lies on the first joint's axis, or the last axis is parallel to axes 2 to 4. For these poses, only 16
+        angles of that joint are tried, so an empty array proves nothing.
         """
-        return self._kept(T_flange_in_base.tobytes())
+        return self._cached_solutions(T_flange_in_base.tobytes())
 
     def _solutions(self, T_flange_in_base: bytes) -> Array:
-        """`solutions` of a pose's bytes; the array is read-only."""
+        """Compute `solutions` from a pose's bytes, which are a cache key; the array is read-only."""
         T = np.frombuffer(T_flange_in_base).reshape(4, 4)
         candidates = self._candidates(self._T_basis @ T @ self._T_zero)
         found = np.array([joints for joints in candidates if self._reaches(joints, T)]).reshape(-1, self._model.nq)
@@ -106,13 +106,13 @@ class AnalyticIk:
         return found
 
     def maybe_reachable(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Which of many poses (n, 4, 4) `solutions` may solve, (n,) bool: False means out of reach.
+        """Return which of many poses (n, 4, 4) `solutions` may solve, (n,) bool; False means out of reach.
 
-        Computing all poses at once is some 30 times as fast as one by one. Its rounding differs between processors, so
-        that borderline poses give True.
+        A batch is some 30 times as fast as single poses. Rounding in a batch differs between processors, so borderline
+        poses give True.
 
         Args:
-            margin: least distance of every joint from its stops, rad.
+            margin: least distance of every joint from its limits, rad.
         """
         T = self._T_basis @ T_flange_in_base @ self._T_zero
         R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
@@ -120,57 +120,56 @@ class AnalyticIk:
         z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
         along_1 = self._h1[2] * (wrist @ h1)
         bent = self._upper.conjugate() * self._fore
-        # Only poses for which the joints so far keep the margin go on: `k` has their numbers in the step before.
+        # Poses are dropped once a joint violates the margin. `k` indexes the arrays of the step before.
         a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
-        q1, number = self._all_solved(0, a1, b1, c1, margin)
-        before_6 = np.einsum("nji,nj->ni", R[number], _all_turned(z, h1, q1))
+        q1, number = self._solve_all(0, a1, b1, c1, margin)
+        before_6 = np.einsum("nji,nj->ni", R[number], _rotate_all(z, h1, q1))
         a5, b5, c5 = self._h6[2] - self._along_5, self._h5_h6[2], before_6 @ h6 - self._along_5
-        q5, k = self._all_solved(4, a5, b5, c5, margin)
-        q1, number, v, u = q1[k], number[k], before_6[k] @ across_6, _all_turned(z, h5, -q5) @ across_6
+        q5, k = self._solve_all(4, a5, b5, c5, margin)
+        q1, number, v, u = q1[k], number[k], before_6[k] @ across_6, _rotate_all(z, h5, -q5) @ across_6
         q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
-        is_place_free = np.maximum(np.abs(v), np.abs(u)).max(axis=1) <= _LOOSE
-        k = np.flatnonzero(is_place_free | self._all_within(5, q6, margin))
+        is_undetermined = np.maximum(np.abs(v), np.abs(u)).max(axis=1) <= _REACH_SLACK
+        k = np.flatnonzero(is_undetermined | self._within_limits(5, q6, margin))
         q1, q5, q6, number = q1[k], q5[k], q6[k], number[k]
-        ahead = np.einsum("nij,nj->ni", R[number], _all_turned(_all_turned(x, h5, -q5), h6, -q6))
-        q234 = np.angle(_as_complex(_all_turned(ahead, h1, -q1)))
-        place = _as_complex(_all_turned(wrist[number], h1, -q1) + self._a1) - self._a2
+        ahead = np.einsum("nij,nj->ni", R[number], _rotate_all(_rotate_all(x, h5, -q5), h6, -q6))
+        q234 = np.angle(_as_complex(_rotate_all(ahead, h1, -q1)))
+        place = _as_complex(_rotate_all(wrist[number], h1, -q1) + self._a1) - self._a2
         far = place - np.exp(1j * q234) * self._wrist
         c3 = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
-        q3, k = self._all_solved(2, bent.real, -bent.imag, c3, margin)
+        q3, k = self._solve_all(2, bent.real, -bent.imag, c3, margin)
         q2 = np.angle(far[k]) - np.angle(self._upper + self._fore * np.exp(1j * q3))
         q4 = q234[k] - q2 - q3
         reached = np.zeros(len(T), bool)
-        reached[number[k[self._all_within(1, q2, margin) & self._all_within(3, q4, margin)]]] = True
+        reached[number[k[self._within_limits(1, q2, margin) & self._within_limits(3, q4, margin)]]] = True
         return reached
 
-    def _all_solved(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
-        """Both angles q about a joint's axis with `a cos q + b sin q = c` that keep a margin to the stops.
+    def _solve_all(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
+        """Return both angles q about a joint's axis with `a cos q + b sin q = c` that keep a margin to the limits.
 
         Args:
             a, b: (n,) or numbers.
             c: (n,).
 
         Returns:
-            The angles (m,) and their numbers in `c` (m,); 0 where every angle is a solution.
+            The angles (m,) and their indices into `c` (m,). The angle is 0 where every angle is a solution.
         """
         length = np.hypot(a, b)
-        is_place_free = length <= _LOOSE
-        cosine = c / np.where(is_place_free, 1.0, length)
-        half = np.arccos(np.where(np.abs(cosine) > 1.0 + _LOOSE, np.nan, np.clip(cosine, -1.0, 1.0)))
-        angles = np.where(is_place_free, 0.0, np.arctan2(b, a) + np.array((half, -half)))
-        kept = np.flatnonzero(is_place_free | self._all_within(joint, angles, margin))
+        is_undetermined = length <= _REACH_SLACK
+        cosine = c / np.where(is_undetermined, 1.0, length)
+        half = np.arccos(np.where(np.abs(cosine) > 1.0 + _REACH_SLACK, np.nan, np.clip(cosine, -1.0, 1.0)))
+        angles = np.where(is_undetermined, 0.0, np.arctan2(b, a) + np.array((half, -half)))
+        kept = np.flatnonzero(is_undetermined | self._within_limits(joint, angles, margin))
         return angles.ravel()[kept], kept % len(c)
 
-    def _all_within(self, joint: int, angles: Array, margin: float) -> NDArray[np.bool_]:
-        """Which angles about a joint's axis, with any number of whole turns, keep a margin to the stops."""
+    def _within_limits(self, joint: int, angles: Array, margin: float) -> NDArray[np.bool_]:
         low, high = self._ranges[joint]
-        low, high = low + margin - _LOOSE, high - margin + _LOOSE
+        low, high = low + margin - _REACH_SLACK, high - margin + _REACH_SLACK
         angles = angles * self._signs[joint]
         within: NDArray[np.bool_] = angles + math.tau * np.ceil((low - angles) / math.tau) <= high
         return within
 
     def nearest(self, solutions: Array, start: Array) -> Array:
-        """The solution (6,) of several (n, 6), n > 0, with the least motion of the hand from joints `start` (6,).
+        """Return the solution (6,) of several (n, 6), n > 0, that moves the hand least from joints `start` (6,).
 
         Each joint's motion is weighted by the distance from its axis to the end of the stretched arm.
         """
@@ -179,56 +178,56 @@ class AnalyticIk:
         return nearest
 
     def from_singular(self, joints: Array) -> float:
-        """The distance of joints (6,) from a singular posture, rad.
+        """Return the distance of joints (6,) from a singular posture, rad.
 
-        It is the smaller one of the elbow's bend, 0 for a stretched arm, and the angle between the last axis and the
-        three parallel ones.
+        The distance is the smaller of two angles: the elbow's bend, 0 for a stretched arm, and the angle between the
+        last axis and the three parallel axes.
         """
         fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
-        x, y, along = _turned(self._h6, self._h5, float(joints[4]))
+        x, y, along = _rotate(self._h6, self._h5, float(joints[4]))
         return min(abs(cmath.phase(self._upper.conjugate() * fore)), math.atan2(math.hypot(x, y), abs(along)))
 
     def _candidates(self, T: Array) -> Iterator[Joints]:
-        """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
+        """Yield joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
         rows = T[:3, :3].tolist()
         columns = tuple(zip(*rows, strict=True))
         wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
         along_1 = self._h1[2] * _dot(self._h1, wrist)
-        for q1 in _solved(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
-            if not (all_q1 := self._turns(0, q1)):
+        for q1 in _solve_angle(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
+            if not (all_q1 := self._joint_positions(0, q1)):
                 continue
-            before_6 = _product(columns, _turned((0.0, 0.0, 1.0), self._h1, q1))
-            x, y, _ = _turned(wrist, self._h1, -q1)
+            before_6 = _product(columns, _rotate((0.0, 0.0, 1.0), self._h1, q1))
+            x, y, _ = _rotate(wrist, self._h1, -q1)
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
             c5 = _dot(before_6, self._h6) - self._along_5
-            for q5 in _solved(self._h6[2] - self._along_5, self._h5_h6[2], c5):
-                if not (all_q5 := self._turns(4, q5)):
+            for q5 in _solve_angle(self._h6[2] - self._along_5, self._h5_h6[2], c5):
+                if not (all_q5 := self._joint_positions(4, q5)):
                     continue
-                after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
-                for q6 in _between(before_6, after_6, self._h6):
-                    if not (all_q6 := self._turns(5, q6)):
+                after_6 = _rotate((0.0, 0.0, 1.0), self._h5, -q5)
+                for q6 in _angle_between(before_6, after_6, self._h6):
+                    if not (all_q6 := self._joint_positions(5, q6)):
                         continue
-                    ahead = _product(rows, _turned(_turned((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
-                    ahead = _turned(ahead, self._h1, -q1)
+                    ahead = _product(rows, _rotate(_rotate((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
+                    ahead = _rotate(ahead, self._h1, -q1)
                     q234 = math.atan2(ahead[1], ahead[0])
                     for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
-                        if (all_q3 := self._turns(2, q3)) and (all_q2 := self._turns(1, q2)):
-                            all_q4 = self._turns(3, q234 - q2 - q3)
+                        if (all_q3 := self._joint_positions(2, q3)) and (all_q2 := self._joint_positions(1, q2)):
+                            all_q4 = self._joint_positions(3, q234 - q2 - q3)
                             yield from itertools.product(all_q1, all_q2, all_q3, all_q4, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
-        """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, seen from joint 2's anchor."""
+        """Yield angles of joints 2 and 3 that bring joint 4's anchor to a point in the plane, from joint 2's anchor."""
         bent = self._upper.conjugate() * self._fore
         rest = (abs(place) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
-        for q3 in _solved(bent.real, -bent.imag, rest):
+        for q3 in _solve_angle(bent.real, -bent.imag, rest):
             yield cmath.phase(place) - cmath.phase(self._upper + self._fore * cmath.rect(1.0, q3)), q3
 
-    def _turns(self, k: int, angle: float) -> list[float]:
-        """The positions of a joint within its range for an angle about its axis, with any number of whole turns."""
+    def _joint_positions(self, k: int, angle: float) -> list[float]:
+        """Return the positions of a joint within its limits for an angle about its axis, plus whole turns."""
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
-        turn = math.ceil((low - _STOP_ROUNDING - joint) / math.tau)
-        last = math.floor((high + _STOP_ROUNDING - joint) / math.tau)
+        turn = math.ceil((low - _LIMIT_ROUNDING - joint) / math.tau)
+        last = math.floor((high + _LIMIT_ROUNDING - joint) / math.tau)
         turns = []
         while turn <= last:
             turns.append(min(max(joint + math.tau * turn, low), high))
@@ -239,15 +238,14 @@ class AnalyticIk:
         self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         off, turn = self._position - T[:3, 3], self._rotation - T[:3, :3]
-        # The Frobenius norm of a small turn is its angle times the square root of 2.
-        return bool(off @ off <= _EXACT**2 and np.vdot(turn, turn) <= 2 * _EXACT**2)
+        # The Frobenius norm of a small rotation is its angle times the square root of 2.
+        return bool(off @ off <= _SOLUTION_TOLERANCE**2 and np.vdot(turn, turn) <= 2 * _SOLUTION_TOLERANCE**2)
 
 
 def find_analytic_ik(model: mujoco.MjModel) -> AnalyticIk | None:
-    """A bare arm's inverse kinematics in closed form, verified on random poses; None if no closed form is known.
+    """Return a bare arm's analytic inverse kinematics, verified on random poses; None if the arm has none.
 
-    A closed form is known for arms of six hinge joints, if axes 2, 3 and 4 are parallel or antiparallel and axes 5 and
-    6 intersect.
+    The arm needs six hinge joints, parallel or antiparallel axes 2, 3 and 4, and intersecting axes 5 and 6.
     """
     if model.nq != 6 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         return None
@@ -257,56 +255,54 @@ def find_analytic_ik(model: mujoco.MjModel) -> AnalyticIk | None:
     axes, anchors = data.xaxis, data.xanchor
     across = np.cross(axes[4], axes[5])
     if (
-        np.abs(np.cross(axes[1], axes[2:4])).max() > _ALIGNED
-        or np.linalg.norm(across) < _ALIGNED
-        or abs(across @ (anchors[5] - anchors[4])) > _ALIGNED
+        np.abs(np.cross(axes[1], axes[2:4])).max() > _AXIS_TOLERANCE
+        or np.linalg.norm(across) < _AXIS_TOLERANCE
+        or abs(across @ (anchors[5] - anchors[4])) > _AXIS_TOLERANCE
     ):
         return None
     solver, (low, high) = AnalyticIk(model), model.jnt_range.T
-    for joints in np.random.default_rng(0).uniform(low, high, (_TRIALS, model.nq)):
+    for joints in np.random.default_rng(0).uniform(low, high, (_VALIDATION_POSES, model.nq)):
         found = solver.solutions(solver.pose_of(joints))
-        if not len(found) or np.abs(found - joints).max(axis=1).min() > _EXACT:
+        if not len(found) or np.abs(found - joints).max(axis=1).min() > _SOLUTION_TOLERANCE:
             return None
     return solver
 
 
-def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
-    """The angles q with `a cos q + b sin q = c`; samples if every angle is a solution."""
+def _solve_angle(a: float, b: float, c: float) -> tuple[float, ...]:
+    """Return the angles q with `a cos q + b sin q = c`; sample angles if every angle is a solution."""
     length = math.hypot(a, b)
-    if length < _FREE:
-        return _SAMPLES if abs(c) < _FREE else ()
+    if length < _MIN_COEFFICIENT:
+        return _SAMPLE_ANGLES if abs(c) < _MIN_COEFFICIENT else ()
     cosine = c / length
-    if abs(cosine) > 1.0 + _ROUNDING:
+    if abs(cosine) > 1.0 + _COSINE_ROUNDING:
         return ()
     middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, cosine)))
     return (middle + half, middle - half) if half else (middle,)
 
 
-def _all_turned(v: Array, axis: Array, angles: Array) -> Array:
-    """Vectors (n, 3), or one (3,), turned about a unit axis (3,) by angles (n,)."""
+def _rotate_all(v: Array, axis: Array, angles: Array) -> Array:
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     turned: Array = c * v + s * (v @ _skew(axis).T) + (1.0 - c) * (v @ axis)[..., None] * axis
     return turned
 
 
 def _skew(axis: Array) -> Array:
-    """The matrix (3, 3) whose product with a vector is the cross product of the axis and the vector."""
+    """Return the matrix (3, 3) of the cross product with an axis."""
     x, y, z = axis
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
 def _as_complex(points: Array) -> Array:
-    """The first two coordinates of points (n, 3) as complex numbers (n,)."""
     both: Array = points[:, 0] + 1j * points[:, 1]
     return both
 
 
-def _between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
-    """The angle about a unit axis from one vector to another; samples if both are parallel to the axis."""
-    # Components across the axis come first: near a singular pose they are short, and their products keep precision.
+def _angle_between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
+    """Return the angle about a unit axis from one vector to another; sample angles if both are parallel to the axis."""
+    # Take the components across the axis first: near a singular pose they are short, and products stay precise.
     v, u = _cross(axis, v), _cross(axis, u)
-    if max(*map(abs, v), *map(abs, u)) < _FREE:
-        return _SAMPLES
+    if max(*map(abs, v), *map(abs, u)) < _MIN_COEFFICIENT:
+        return _SAMPLE_ANGLES
     return (math.atan2(_dot(axis, _cross(v, u)), _dot(v, u)),)
 
 
@@ -331,8 +327,8 @@ def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
-    """A vector turned about a unit axis: Rodrigues' formula."""
+def _rotate(v: Vector, axis: Vector, angle: float) -> Vector:
+    """Rotate a vector about a unit axis by Rodrigues' formula."""
     c, s = math.cos(angle), math.sin(angle)
     (i, j, k), (x, y, z) = axis, v
     along = (1.0 - c) * (i * x + j * y + k * z)

@@ -14,15 +14,15 @@ from ...errors import SimulationError
 from ...geometry.se3 import Array, pose, rotation_vector
 from .ik import IkSolver
 
-_ITERATIONS = 100  # limit for a search that may start on the other side of the workspace
-_HAND_LENGTH = 0.13  # m, from the wrist to the finger tips, by which an angle counts as a distance
+_ITERATIONS = 100  # iterations of a search, which may start on the other side of the workspace
+_HAND_LENGTH = 0.13  # m, from the wrist to the fingertips; converts an angle to a distance
 
 
 class ArmKinematics:
-    """Computes poses of the hand at given joints.
+    """Forward kinematics of the hand's sites.
 
     Args:
-        model: a bare arm, see `scene.robot.kinematic_model`.
+        model: a bare arm, see `scene.arm_model.kinematic_model`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -30,11 +30,11 @@ class ArmKinematics:
         self._data = mujoco.MjData(model)
 
     def T_grasp_in_base(self, joints: ArrayLike) -> Array:
-        """Pose (4, 4) of `grasp_site` in the arm's base, with the arm at `joints` (dof,) in rad."""
+        """Return the pose (4, 4) of `grasp_site` in the arm's base, with the arm at `joints` (dof,), rad."""
         return self.T_site_in_base(joints, "grasp_site")
 
     def T_site_in_base(self, joints: ArrayLike, name: str) -> Array:
-        """Pose (4, 4) of one of the hand's sites in the arm's base, with the arm at `joints` (dof,) in rad."""
+        """Return the pose (4, 4) of a site of the hand in the arm's base, with the arm at `joints` (dof,), rad."""
         self._data.qpos[:] = np.asarray(joints, dtype=np.float64)
         mujoco.mj_kinematics(self._model, self._data)
         site = self._data.site(name)
@@ -43,7 +43,7 @@ class ArmKinematics:
 
 @dataclass(frozen=True)
 class ReachResult:
-    """The result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
+    """Result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
 
     joints: Array
     position_error: float
@@ -51,12 +51,12 @@ class ReachResult:
 
     @property
     def total_error(self) -> float:
-        """The total error, m; an angle counts as the distance that it makes at the finger tips."""
+        """The total error, m; the rotation error counts as the distance that it causes at the fingertips."""
         return self.position_error + _HAND_LENGTH * self.rotation_error
 
 
 class OutOfReachError(SimulationError):
-    """A pose that the arm does not reach.
+    """The arm does not reach a pose.
 
     Attributes:
         nearest: the joints with the smallest total error.
@@ -79,10 +79,10 @@ def solve_or_raise(
     position_tolerance: float,
     rotation_tolerance: float,
 ) -> ReachResult:
-    """The first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
+    """Return the first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
 
     Args:
-        solvers: run one after the other; each starts at the result of the previous one.
+        solvers: run one after the other; each solver starts from the previous solver's result.
         position_tolerance, rotation_tolerance: largest errors, m and rad.
 
     Raises:
@@ -102,5 +102,5 @@ def solve_or_raise(
             if found.position_error <= position_tolerance and found.rotation_error <= rotation_tolerance:
                 return found
         nearest = found if nearest is None or found.total_error < nearest.total_error else nearest
-    assert nearest is not None  # there is a start
+    assert nearest is not None  # `starts` is not empty
     raise OutOfReachError(nearest, position_tolerance, rotation_tolerance)

@@ -1,4 +1,4 @@
-"""Inverse kinematics, dynamics and start positions of a scene's arms."""
+"""Inverse kinematics, dynamics and start postures of a scene's arms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ArmSolvers:
 
 
 def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
-    """The tools of each arm in a rig's scene; making them reads files."""
+    """Return the solvers of each arm in a rig's scene; building them reads files."""
 
     def tools(number: int) -> ArmSolvers:
         arm = rig.arms[number]
@@ -34,9 +34,7 @@ def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
 
 
 def start_postures(config: RecordConfig) -> tuple[ArmPosture, ...]:
-    """Joints and openings of the scene's arms at the start: acting arms over the table, another arm at home, out of the
-    way with closed fingers.
-    """
+    """Return the arms' postures at the start: acting arms over the table, other arms at home with closed fingers."""
     robots = [config.rig.arms[number].robot for number in config.rig.recording_order]
     return tuple(
         ArmPosture(np.array(config.start_joints), robot.fingers.initial_opening if robot.fingers else 0.0)

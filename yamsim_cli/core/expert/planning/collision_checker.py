@@ -1,4 +1,4 @@
-"""Collision checks of an arm and the thing in its hand at given joints, in a scene that is otherwise still."""
+"""Collision checks of an arm and its held object at given joints, in an otherwise static scene."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from ...geometry.se3 import Array, pose, quat_from_rotation
 from ...scene.compiled import ArmAddresses, Ids
 
 _ARM_DISTANCE = 0.004  # m, least distance of an arm from everything else
-_THING_DISTANCE = 0.003  # m, least distance of a carried thing from everything else
-_FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into the thing that they hold: contacts are soft in physics
+_OBJECT_DISTANCE = 0.003  # m, least distance of an object from everything else
+_FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into a grasped object: contacts are soft in physics
 
-_DESCENT_STEP = 0.004  # m, of a search downwards
-_HALVINGS = 6  # bisections of the last step of a search downwards
+_DESCENT_STEP = 0.004  # m, step of the search for a resting height
+_BISECTIONS = 6  # bisections of the last step of that search
 
-_LATERAL_STEP = 0.002  # m, of a search sideways
-_SUPPORT = 0.7  # vertical component of a contact's normal, above which the contact is with what the thing lies on
+_LATERAL_STEP = 0.002  # m, step of the search for free distance
+_MIN_SUPPORT_NORMAL = 0.7  # vertical component of a contact's normal above which the contact is with the support
 
-# MuJoCo's masks: two geoms collide if one's type and the other's affinity have a common bit. Bodies have those of all
-# their geoms.
+# MuJoCo's masks: two geoms collide if one geom's type and the other's affinity have a common bit. A body has the bits
+# of all its geoms.
 _MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
 
 
 @dataclass(frozen=True)
 class AttachedObject:
-    """A carried thing.
+    """A held object in collision checks.
 
     Attributes:
-        thing: name.
-        T_thing_in_pinch: pose (4, 4) of the thing in the pinch frame.
-        may_touch: names of things, or `TABLE`, that the carried thing may touch.
+        thing: name of the object.
+        T_thing_in_pinch: pose (4, 4) of the object in the pinch frame.
+        allowed_contacts: names of objects, or `TABLE`, that the held object may touch.
     """
 
     thing: str
@@ -46,11 +46,11 @@ class AttachedObject:
 
 
 class CollisionChecker:
-    """Checks for contacts in a copy of a scene.
+    """Check for contacts in a copy of a scene.
 
     Args:
         model: the compiled scene.
-        things: names of the things in the scene.
+        things: names of the objects in the scene.
         fingers: geoms of each arm's fingers, in the order of `arms`.
         absent: names of bodies that are no obstacles: distractors, which are placed after planning.
     """
@@ -80,9 +80,9 @@ class CollisionChecker:
         away = np.isin(root, [model.body(name).id for name in absent])
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
-        self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
+        self._model.geom_margin[self._thing_of >= 0] = _OBJECT_DISTANCE
         self._solid = self._model.geom_contype != 0
-        # The arm and the thing that move in the model now, and the model's masks for all that moved so far.
+        # The arm and the object that move in the model now, and cached masks for each pair of moving arm and object.
         self._moving: tuple[int | None, str | None] = (None, None)
         self._masks: dict[tuple[int | None, str | None], list[NDArray[np.int_]]] = {
             (None, None): [getattr(self._model, name).copy() for name in _MASKS]
@@ -98,19 +98,19 @@ class CollisionChecker:
         grasped: str | None = None,
         finger_clearance: float | None = None,
     ) -> str | None:
-        """Names of two geoms that are too near to each other; None if there are none.
+        """Return the names of two geoms that are too near to each other; None if there are none.
 
         Args:
             qpos: MuJoCo's positions (nq,) of everything else.
-            arm: number of the arm.
+            arm: index of the arm.
             joints: joints (dof,) of the arm, rad.
             opening: opening of one finger, m.
-            attached: the carried thing.
-            grasped: a thing between the fingers, which they may touch.
-            finger_clearance: least distance of the fingers from everything else, m; by default that of the arm.
+            attached: the held object.
+            grasped: an object between the fingers, which the fingers may touch.
+            finger_clearance: least distance of the fingers from everything else, m; default: that of the arm.
         """
         data = self._pose(qpos, arm, joints, opening, attached)
-        self._collide(arm, None if attached is None else attached.thing)
+        self._update_contacts(arm, None if attached is None else attached.thing)
         if not data.ncon:
             return None
         geoms = data.contact.geom
@@ -121,24 +121,24 @@ class CollisionChecker:
         return f"{one} and {other}"
 
     def has_self_collision(self, arm: int, joints: Array) -> bool:
-        """Whether links of an arm collide with each other at given joints (dof,), rad."""
+        """Return whether links of an arm collide with each other at joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
-        self._collide(None, None)
+        self._update_contacts(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
         return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
 
     def qpos_with_arm(
         self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None = None
     ) -> Array:
-        """MuJoCo's positions (nq,) with an arm and its load at other joints; see `touched`."""
+        """Return MuJoCo's positions (nq,) with an arm and its held object moved; arguments as in `find_contact`."""
         positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """The height at which a thing that is lowered from a pose (4, 4) meets something, m.
+        """Return the height at which an object that is lowered from a pose (4, 4) meets something, m.
 
         Args:
-            lowest: limit of the search, m.
+            lowest: limit of the search, m; returned if nothing is met above it.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         data.qpos[:] = qpos
@@ -148,7 +148,7 @@ class CollisionChecker:
         def meets(height: float) -> bool:
             data.qpos[address + 2] = height
             mujoco.mj_kinematics(self._model, data)
-            self._collide(None, thing)
+            self._update_contacts(None, thing)
             return bool((data.contact.dist < 0).any())
 
         high = float(T_in_world[2, 3])
@@ -160,16 +160,16 @@ class CollisionChecker:
             if high < lowest:
                 return lowest
         low = high - _DESCENT_STEP
-        for _ in range(_HALVINGS):
+        for _ in range(_BISECTIONS):
             middle = (low + high) / 2
             low, high = (middle, high) if meets(middle) else (low, middle)
         return high
 
     def free_distance(self, qpos: Array, thing: str, direction: Array, maximum: float) -> float:
-        """How far a thing can move along a direction (2,), seen from above, before it meets something, m.
+        """Return how far an object can move along a horizontal direction (2,) before it meets something, m.
 
         Args:
-            most: limit of the search, m.
+            maximum: limit of the search, m.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         step = direction / np.linalg.norm(direction) * _LATERAL_STEP
@@ -177,13 +177,13 @@ class CollisionChecker:
         for count in range(math.ceil(maximum / _LATERAL_STEP)):
             data.qpos[address : address + 2] += step
             mujoco.mj_kinematics(self._model, data)
-            self._collide(None, thing)
-            if ((data.contact.dist < 0) & (np.abs(data.contact.frame[:, 2]) < _SUPPORT)).any():
+            self._update_contacts(None, thing)
+            if ((data.contact.dist < 0) & (np.abs(data.contact.frame[:, 2]) < _MIN_SUPPORT_NORMAL)).any():
                 return count * _LATERAL_STEP
         return maximum
 
     def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
-        """A lower bound of the distance by which a thing can be lowered, from the geoms' bounding boxes, m."""
+        """Return a lower bound of the distance by which an object can be lowered, from bounding boxes, m."""
         low, high = _bounding_boxes(self._model, data)
         of_thing = self._thing_of == self._things.index(thing)
         mine = np.flatnonzero(self._solid & of_thing)
@@ -192,30 +192,30 @@ class CollisionChecker:
         gaps = low[mine, None, 2] - high[None, others, 2]
         return float(gaps[under].min(initial=np.inf))
 
-    def _collide(self, arm: int | None, thing: str | None) -> None:
-        """Update the contacts between what moves and what stays. Contacts within either are left out.
+    def _update_contacts(self, arm: int | None, thing: str | None) -> None:
+        """Update the contacts between moving and static geoms. Contacts within either group are left out.
 
         Args:
-            arm: number of the arm that moves. None leaves out all arms, and without a thing it leaves out nothing.
-            thing: name of the thing that moves; None without one.
+            arm: index of the moving arm. None leaves out all arms; with no object either, nothing is left out.
+            thing: name of the moving object; None without one.
         """
         if self._moving != (arm, thing):
             self._moving = arm, thing
             if self._moving not in self._masks:
-                self._masks[self._moving] = self._masks_of(arm, thing)
+                self._masks[self._moving] = self._collision_masks(arm, thing)
             for name, mask in zip(_MASKS, self._masks[self._moving], strict=True):
                 getattr(self._model, name)[:] = mask
         mujoco.mj_collision(self._model, self._data)
 
-    def _masks_of(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
-        """The values of `_MASKS` for `_collide`: what moves has types alone, and what stays has affinities alone."""
+    def _collision_masks(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
+        """Return the values of `_MASKS`: moving geoms have only types, and static geoms only affinities."""
         moves = np.zeros(self._model.ngeom, bool)
         if arm is not None:
             moves |= self._arm_of == arm
         if thing is not None:
             moves |= self._thing_of == self._things.index(thing)
         stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
-        # Geoms with the same masks in the scene are of one kind, which has a bit of its own.
+        # Geoms with the same masks in the scene are of one kind. Each kind gets its own bit.
         masks = np.column_stack(self._masks[None, None][:2])
         kinds, kind = np.unique(masks, axis=0, return_inverse=True)
         bits = 1 << np.arange(len(kinds))
@@ -251,7 +251,6 @@ class CollisionChecker:
         between: str | None,
         beside: float | None,
     ) -> Array:
-        """Which contacts (n,) of the moving arm or its load with something else are forbidden."""
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
         counts = np.ones(len(geoms), bool)
@@ -270,7 +269,6 @@ class CollisionChecker:
 
 
 def _bounding_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """The lowest and highest corners (ngeom, 3) of the geoms' bounding boxes along the axes of `world`, m."""
     R = data.geom_xmat.reshape(-1, 3, 3)
     middle = data.geom_xpos + np.einsum("gij,gj->gi", R, model.geom_aabb[:, :3])
     reach = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[:, 3:])

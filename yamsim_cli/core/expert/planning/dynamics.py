@@ -1,4 +1,4 @@
-"""Inverse dynamics: torques that move an arm along a path, for feed-forward commands."""
+"""Inverse dynamics: the torques that move an arm along a path, for feed-forward commands."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ...scene.arm_model import finger_addresses
 
 
 class ArmDynamics:
-    """Computes the joint torques of one arm from its motion.
+    """Compute the joint torques of one arm from its motion.
 
     Args:
-        model: the whole arm with its gripper, see `scene.robot.arm_spec`.
+        model: the whole arm with its gripper, see `scene.arm_model.arm_spec`.
         robot: the robot of the model.
     """
 
@@ -24,16 +24,16 @@ class ArmDynamics:
         joints = [model.joint(name) for name in robot.joint_names]
         self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
         self._fingers, self._signs = finger_addresses(model, robot)
-        # Torques of contacts are left to the controller: paths do not touch anything on purpose.
+        # The controller handles contact torques: paths are planned without contacts.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Torques (n, dof) in N m in the middle of each tick, with friction, and with gravity unless compensated.
+        """Return torques (n, dof), N m, at the middle of each tick, with friction, and gravity unless compensated.
 
         Args:
-            joints: positions (n + 1, dof) at the ticks' boundaries, rad.
+            joints: positions (n + 1, dof) at the tick boundaries, rad.
             gripper: opening (n,) of one finger, m.
-            tick: length of a tick, s.
+            tick: length of a control tick, s.
         """
         positions = (joints[1:] + joints[:-1]) / 2
         velocities = np.diff(joints, axis=0) / tick
@@ -53,7 +53,7 @@ class ArmDynamics:
         return torques
 
     def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
-        """Torques (n, dof) in N m that support a weight in the hand.
+        """Return the torques (n, dof), N m, that support a weight in the hand.
 
         Args:
             joints: positions (n, dof), rad.

@@ -1,4 +1,4 @@
-"""A quick check whether an arm without a closed solution reaches a pose; most poses of a search are out of reach."""
+"""Fast numerical inverse kinematics, which rejects poses out of reach, for arms without analytic inverse kinematics."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 
 from ...geometry.se3 import Array, inverse
 
-_DAMPING = 1e-3 * np.eye(6)  # of the damped least squares
+_DAMPING = 1e-3 * np.eye(6)  # damping of the least squares
 _MAX_STEP = 0.4  # rad, change of a joint in a step
-_MAX_STEPS = 40
-_LEVER = 0.25  # m, weight of a radian
+_MAX_STEPS = 40  # steps of a search
+_ROTATION_LEVER = 0.25  # m, distance that an error of 1 rad counts as
 
-# m and rad, errors from which `IkSolver` refines a solution.
+# m and rad, largest errors of a returned solution; `IkSolver` refines the solution.
 _MAX_POSITION_ERROR = 3e-3
 _MAX_ROTATION_ERROR = math.radians(4.0)
 
-_STALLED = 0.97  # ratio of the error to that two steps before, above which the search gives up
+_MIN_PROGRESS_RATIO = 0.97  # ratio of the error to the error two steps before, above which the search gives up
 
 
 class FastIkSolver:
-    """Fast inverse kinematics of the frame that a bare arm holds, less exact and less robust than `IkSolver`.
+    """Fast inverse kinematics of a bare arm's held frame, less exact and less robust than `IkSolver`.
 
     Args:
-        model: the bare arm, see `scene.robot.kinematic_model`.
-        T_base_in_world: pose (4, 4) of its base; targets are given in `world`.
+        model: the bare arm, see `scene.arm_model.kinematic_model`.
+        T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
     """
 
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
@@ -37,16 +37,16 @@ class FastIkSolver:
         self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
 
     def solve(self, T_tool_in_world: Array, start: Array) -> Array | None:
-        """Joints (dof,) near those that bring the held frame to a pose (4, 4); None if none are found."""
+        """Return joints (dof,) that bring the held frame near a pose (4, 4); None if none are found."""
         T, joints = self._T_world_in_base @ T_tool_in_world, np.clip(start, self._low, self._high)
         before = (math.inf, math.inf)
         for _ in range(_MAX_STEPS):
             error = self._error(T, joints)
             away, turn = float(error[:3] @ error[:3]), float(error[3:] @ error[3:])
             size = math.sqrt(away + turn)
-            if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _LEVER) ** 2:
+            if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _ROTATION_LEVER) ** 2:
                 return joints
-            if size > _STALLED * before[0]:
+            if size > _MIN_PROGRESS_RATIO * before[0]:
                 return None
             before = before[1], size
             J = self._jacobian
@@ -56,15 +56,15 @@ class FastIkSolver:
         return None
 
     def _error(self, T: Array, joints: Array) -> Array:
-        """Update the Jacobian, and return the pose's error (6,) in the base's frame: m, and rad times `_LEVER`."""
+        """Update the Jacobian, and return the pose error (6,) in the base frame: m, and rad times `_ROTATION_LEVER`."""
         model, data = self._model, self._data
         data.qpos[:] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
-        self._jacobian[3:] *= _LEVER
+        self._jacobian[3:] *= _ROTATION_LEVER
         # MuJoCo's arithmetic is faster than that of `geometry.se3`, and an attempt checks thousands of poses.
         turned = T[:3, :3] @ data.site_xmat[self._site].reshape(3, 3).T
         mujoco.mju_mat2Quat(self._quat, turned.ravel())
         mujoco.mju_quat2Vel(self._turn, self._quat, 1.0)
-        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _LEVER * self._turn])
+        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _ROTATION_LEVER * self._turn])

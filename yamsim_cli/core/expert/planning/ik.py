@@ -1,4 +1,4 @@
-"""Inverse kinematics of a bare arm: exact if the arm has a closed solution, else by search with mink."""
+"""Inverse kinematics of a bare arm: analytic if the arm allows it, else by search with mink."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from ...geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_f
 from .analytic_ik import find_analytic_ik
 from .fast_ik import FastIkSolver
 
-# The position has priority, then the heading, then the tilt. An arm that must lean outwards to reach a place does so,
-# and the position stays exact to a fraction of a millimetre.
+# Costs order the errors: position first, then heading, then tilt. An arm that must tilt its hand to reach a pose does
+# so, and the position stays exact to a fraction of a millimetre.
 _POSITION_COST = 10.0
 _TILT_COST = 0.02
 _HEADING_COST = 0.05
-_FOLLOWING = (_TILT_COST, _TILT_COST, _HEADING_COST)
+_DEFAULT_ROTATION_COSTS = (_TILT_COST, _TILT_COST, _HEADING_COST)
 
 # Levenberg-Marquardt: a step that increases the cost is undone, and a shorter step is tried. Without damping, the
-# iteration diverges for a nearly stretched arm, which is over a third of the table.
+# iteration diverges for a nearly stretched arm, which is the case over a third of the table.
 _DAMPING_START = 1e-5
 _DAMPING_MIN = 1e-8
 _DAMPING_MAX = 1e4
-_ACCEPTED = 0.2
-_REJECTED = 10.0
+_DAMPING_DECREASE = 0.2  # factor on the damping after a successful step
+_DAMPING_INCREASE = 10.0  # factor on the damping after a failed step
 
-_SOLVER = "daqp"
+_QP_SOLVER = "daqp"
 _CONVERGED = 1e-5  # rad, largest change of a joint in the last step
-_MIN_COST = 1e-14  # 10 nm and a thousandth of a degree, below which rounding makes steps fail
+_CONVERGED_COST = 1e-14  # 10 nm and a thousandth of a degree; rounding makes steps fail below this cost
 
-_MAX_STEP = 0.35  # rad, change of a joint between poses of a path: a farther exact solution may be on another branch
-_MAX_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
+_MAX_STEP = 0.35  # rad, change of a joint between poses of a path; a larger change may be a change of branch
+_MAX_ROTATION_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
 
-# rad, from a singular posture. On a path that comes nearer, such as to the edge of the reach, exact joints would race
-# and then turn back. The search slows the joints down: its steps differ from exact ones below 0.2 rad.
+# rad, least distance from a singular posture for exact solutions on a path. Nearer, as at the edge of the reach, exact
+# joints move fast and then turn back. The search slows them down: below 0.2 rad, its steps differ from exact ones.
 _MIN_FROM_SINGULAR = 0.3
 
-_LEANING = 0.95  # share of the largest rotation error by which a hand leans if the pose itself is out of reach
+_TILT_SHARE = 0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach
 
-_REFINEMENTS = 30  # iterations from a solution of `QuickReach` to the exact pose
+_REFINEMENT_ITERATIONS = 30  # iterations from a solution of `FastIkSolver` to the exact pose
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class IkSolution:
     Attributes:
         position_error: m.
         tilt_error, heading_error: rad.
-        margin: smallest distance of a joint from a stop, rad.
+        margin: smallest distance of a joint from a limit, rad.
     """
 
     joints: Array
@@ -65,10 +65,10 @@ class IkSolution:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Largest position error, m, and rotation error, rad, and least distance of joints from their stops, rad.
+    """Largest position error, m, and rotation error, rad, and least distance of joints from their limits, rad.
 
     Attributes:
-        leans: whether the hand may lean by up to `rotation` if the pose itself is out of reach.
+        allow_tilt: whether the hand may tilt by up to `rotation` if the pose itself is out of reach.
     """
 
     position: float
@@ -88,27 +88,27 @@ class Tolerance:
 class IkSolver:
     """Inverse kinematics within the joint limits.
 
-    An arm with a closed solution, see `closed_form`, is solved exactly. Without one, or for a pose out of reach,
-    differential inverse kinematics is iterated to convergence, and the hand may lean.
+    An arm that `find_analytic_ik` accepts is solved exactly. For other arms, and for poses out of reach, differential
+    inverse kinematics is iterated to convergence, and the hand may tilt.
 
     Args:
-        model: a bare arm with the sites `pinch_site` and `tool`, see `scene.robot.bare_arm`.
-        T_base_in_world: pose (4, 4) of its base; targets are given in `world`.
-        rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes, where 1 m costs 10.
+        model: a bare arm with the sites `pinch_site` and `tool`, see `scene.arm_model.kinematic_model`.
+        T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
+        rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes; an error of 1 m costs 10.
     """
 
     def __init__(
         self,
         model: mujoco.MjModel,
         T_base_in_world: Array,
-        rotation_costs: tuple[float, float, float] = _FOLLOWING,
+        rotation_costs: tuple[float, float, float] = _DEFAULT_ROTATION_COSTS,
     ) -> None:
         self._model = model
         self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
         self._low, self._high = model.jnt_range.T.copy()
-        self._closed_form = find_analytic_ik(model)
-        self._quick = FastIkSolver(model, T_base_in_world)
+        self._analytic = find_analytic_ik(model)
+        self._fast = FastIkSolver(model, T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
         self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
@@ -120,13 +120,13 @@ class IkSolver:
 
     @property
     def has_analytic_ik(self) -> bool:
-        """Whether the arm has a closed solution, so that a pose without an exact solution is out of reach."""
-        return self._closed_form is not None
+        """Whether the arm has analytic inverse kinematics: without an exact solution, a pose is out of reach."""
+        return self._analytic is not None
 
     def set_held_frame(self, T_object_in_pinch: Array) -> None:
-        """Set the held frame, for which later calls solve, to a pose (4, 4) in the pinch frame.
+        """Set the held frame, which later calls bring to their targets, to a pose (4, 4) in the pinch frame.
 
-        Until the first call, the held frame is the pinch frame.
+        The initial held frame is the pinch frame.
         """
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
@@ -135,100 +135,99 @@ class IkSolver:
         self._T_flange_in_tool = inverse(T)
 
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        """A solution that brings the held frame to a pose (4, 4), or as near as the search gets.
+        """Return a solution that brings the held frame to a pose (4, 4), or the nearest one that a search finds.
 
         Args:
-            start: joints (dof,), rad; of several exact solutions, the nearest to `start` is returned.
-            iterations: limit of the search, which is used if there is no exact solution.
+            start: joints (dof,), rad; the exact solution nearest to `start` is returned.
+            iterations: limit of the search that runs if there is no exact solution.
         """
-        exact = self._exact(T_tool_in_world, start)
-        return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
+        exact = self._solve_exact(T_tool_in_world, start)
+        return self._search(T_tool_in_world, start, iterations) if exact is None else exact
 
     def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
-        """A solution for the next pose (4, 4) of the held frame on a path, on the same branch and without a jump.
+        """Return a solution for the next pose (4, 4) of the held frame on a path, on the same branch without a jump.
 
         Args:
-            before: the solution for the previous pose, see `at` for the first one.
-            iterations: limit of the search, which is used if no exact solution is near `before`.
+            before: the solution for the previous pose; `solution_at` gives the first one.
+            iterations: limit of the search that runs if no exact solution is near `before`.
         """
         start = before.joints
-        if before.tilt_error + before.heading_error <= _MAX_LAG and self._is_regular(start):
-            exact = self._exact(T_tool_in_world, start)
+        if before.tilt_error + before.heading_error <= _MAX_ROTATION_LAG and self._is_regular(start):
+            exact = self._solve_exact(T_tool_in_world, start)
             if exact is not None and np.abs(exact.joints - start).max() <= _MAX_STEP:
                 return exact
-        return self._searched(T_tool_in_world, start, iterations)
+        return self._search(T_tool_in_world, start, iterations)
 
     def solution_at(self, joints: Array) -> IkSolution:
-        """The solution at joints (dof,), for the pose of the held frame there."""
+        """Return the error-free solution at joints (dof,), for the pose that the held frame has there."""
         return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
     def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
-        """Joints (dof,) that bring the held frame to a pose (4, 4); None if the arm does not reach the pose.
+        """Return joints (dof,) that bring the held frame to a pose (4, 4); None if none are found.
 
         Args:
-            starts: joints (dof,), rad. Of several exact solutions, the nearest to the first start is returned. For an
-                arm without a closed solution, a search runs from each start in turn until one succeeds.
+            starts: joints (dof,), rad. The exact solution nearest to the first start is returned. For an arm without
+                analytic inverse kinematics, a search runs from each start in turn until one succeeds.
         """
-        if self._closed_form is not None:
-            exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
+        if self._analytic is not None:
+            exact = self._solve_exact(T_tool_in_world, starts[0], tolerance.margin)
             if exact is None and tolerance.allow_tilt:
-                exact = self._leaning(T_tool_in_world, starts[0], tolerance)
+                exact = self._solve_tilted(T_tool_in_world, starts[0], tolerance)
             return None if exact is None else exact.joints
         for start in starts:
-            if (near := self._quick.solve(T_tool_in_world, start)) is not None:
-                solution = self._searched(T_tool_in_world, near, _REFINEMENTS)
+            if (near := self._fast.solve(T_tool_in_world, start)) is not None:
+                solution = self._search(T_tool_in_world, near, _REFINEMENT_ITERATIONS)
                 if tolerance.is_met_by(solution):
                     return solution.joints
         return None
 
     def maybe_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
-        """Which of many poses (n, 4, 4) `reach` may find joints for, (n,) bool; for the others it finds none."""
-        if self._closed_form is None:
+        """Return which poses (n, 4, 4) `solve_from` may reach without tilt, (n,) bool; it cannot reach the others."""
+        if self._analytic is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        return self._closed_form.maybe_reachable(T_flange_in_base, tolerance.margin)
+        return self._analytic.maybe_reachable(T_flange_in_base, tolerance.margin)
 
-    def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
-        """The exact solution nearest to joints `start` (dof,) with at least a margin, rad, from every stop."""
-        if self._closed_form is None:
+    def _solve_exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
+        if self._analytic is None:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        found = self._closed_form.solutions(T_flange_in_base)
+        found = self._analytic.solutions(T_flange_in_base)
         if margin > 0.0 and len(found):
             found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
         if not len(found):
             return None
-        return self.solution_at(found[0] if len(found) == 1 else self._closed_form.nearest(found, start))
+        return self.solution_at(found[0] if len(found) == 1 else self._analytic.nearest(found, start))
 
-    def _leaning(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
-        """An exact solution for a pose (4, 4) turned by about the largest rotation error; None without one."""
-        T_leaning = T_tool_in_world @ _tilt_rotations(_LEANING * tolerance.rotation)
-        for k in np.flatnonzero(self.maybe_reachable(T_leaning, tolerance)):
-            if (found := self._exact(T_leaning[k], start, tolerance.margin)) is not None:
+    def _solve_tilted(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
+        """Return an exact solution for a pose (4, 4) tilted by about the rotation tolerance; None without one."""
+        T_tilted = T_tool_in_world @ _tilt_rotations(_TILT_SHARE * tolerance.rotation)
+        for k in np.flatnonzero(self.maybe_reachable(T_tilted, tolerance)):
+            if (found := self._solve_exact(T_tilted[k], start, tolerance.margin)) is not None:
                 return found
         return None
 
     def _is_regular(self, joints: Array) -> bool:
-        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _MIN_FROM_SINGULAR
+        return self._analytic is not None and self._analytic.from_singular(joints) >= _MIN_FROM_SINGULAR
 
     def _margin(self, joints: Array) -> float:
         return float(np.minimum(joints - self._low, self._high - joints).min())
 
-    def _searched(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
+    def _search(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         configuration, task = self._configuration, self._task
         configuration.update(start)
         task.set_target(mink.SE3.from_matrix(self._T_world_in_base @ T_tool_in_world))
         error = task.compute_error(configuration)
         cost, damping = self._cost(error), _DAMPING_START
         for _ in range(iterations):
-            if cost < _MIN_COST:
+            if cost < _CONVERGED_COST:
                 break
             try:
                 # For a step of one second, the velocity equals the change of the joints.
-                change = mink.solve_ik(configuration, [task], 1.0, _SOLVER, damping=damping, limits=self._limits)
+                change = mink.solve_ik(configuration, [task], 1.0, _QP_SOLVER, damping=damping, limits=self._limits)
             except mink.NoSolutionFound:
-                # The solver fails for targets that are too far away. A shorter step may work.
-                damping *= _REJECTED
+                # The solver fails for targets that are too far away; a shorter step may succeed.
+                damping *= _DAMPING_INCREASE
                 if damping > _DAMPING_MAX:
                     break
                 continue
@@ -238,11 +237,11 @@ class IkSolver:
             new_cost = self._cost(new_error)
             if new_cost > cost:
                 configuration.update(before)
-                damping *= _REJECTED
+                damping *= _DAMPING_INCREASE
                 if damping > _DAMPING_MAX:
                     break
                 continue
-            error, cost, damping = new_error, new_cost, max(damping * _ACCEPTED, _DAMPING_MIN)
+            error, cost, damping = new_error, new_cost, max(damping * _DAMPING_DECREASE, _DAMPING_MIN)
             if np.abs(change).max() < _CONVERGED:
                 break
         joints = configuration.q
@@ -255,7 +254,7 @@ class IkSolver:
         )
 
     def pose_of(self, joints: Array) -> Array:
-        """Pose (4, 4) in `world` of the held frame with the arm at `joints` (dof,)."""
+        """Return the pose (4, 4) of the held frame in `world` with the arm at `joints` (dof,), rad."""
         self._configuration.update(joints)
         T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
         return self._T_base_in_world @ T
@@ -267,6 +266,6 @@ class IkSolver:
 
 @functools.cache
 def _tilt_rotations(angle: float) -> Array:
-    """Rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
+    """Return rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
     axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
     return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

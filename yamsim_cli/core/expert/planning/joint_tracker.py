@@ -6,8 +6,8 @@ import numpy as np
 
 from ...geometry.se3 import Array
 
-_MAX_SPEED_SHARE = 0.5  # of the motors' no-load speed; the rest overcomes load and friction
-_MAX_ACCELERATION = 12.0  # rad/s^2
+_MAX_SPEED_SHARE = 0.5  # share of the motors' no-load speed; the rest overcomes load and friction
+_MAX_ACCELERATION = 12.0  # rad/s^2, limits each joint
 
 
 class JointTracker:
@@ -18,7 +18,7 @@ class JointTracker:
 
     Args:
         motor_speed: no-load speed (dof,) of each joint's motor, rad/s.
-        joint_range: (dof, 2), rad.
+        joint_range: joint limits (dof, 2), rad.
         tick: length of a control tick, s.
     """
 
@@ -30,13 +30,13 @@ class JointTracker:
         self._velocity: Array = np.zeros_like(motor_speed)
 
     def reset(self, joints: Array) -> None:
-        """Set the reference to `joints` (dof,), at rest."""
+        """Set the reference to `joints` (dof,), rad, at rest."""
         self.joints, self._velocity = joints.copy(), np.zeros_like(joints)
 
     def next_reference(self, goal: Array) -> Array:
-        """The reference (dof,) one tick later on the path to `goal` (dof,), within its range; `go` applies it."""
+        """Return the reference (dof,) one tick later towards `goal` (dof,), within limits, without applying it."""
         distance = np.clip(goal, self._low, self._high) - self.joints
-        # The speed from which braking ends at the goal. Another bound is the speed that reaches the goal in this tick.
+        # Limits: the speed from which braking ends at the goal, and the speed that reaches the goal in this tick.
         braking = np.sqrt(2 * _MAX_ACCELERATION * np.abs(distance))
         wanted = np.sign(distance) * np.minimum.reduce([self._speed, braking, np.abs(distance) / self._tick])
         most = _MAX_ACCELERATION * self._tick
@@ -45,7 +45,7 @@ class JointTracker:
         return reached
 
     def apply_reference(self, joints: Array) -> Array:
-        """Set the next reference to `joints` (dof,), and return the velocity (dof,) of this tick, rad/s."""
+        """Set the reference to `joints` (dof,), and return the velocity (dof,) of this tick, rad/s."""
         self._velocity = (joints - self.joints) / self._tick
         self.joints = joints.copy()
         return self._velocity

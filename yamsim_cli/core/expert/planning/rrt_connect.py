@@ -12,8 +12,8 @@ from ...geometry.se3 import Array
 
 _MAX_BRANCH = 0.25  # rad, change of a joint along a branch
 _EDGE_STEP = 0.06  # rad, change of a joint between two checks of an edge
-_MAX_BRANCHES = 400  # tried branches, after which the search gives up
-_TOWARDS_OTHER = 0.3  # share of branches that grow towards the other tree
+_MAX_BRANCHES = 400  # branches that are tried before the search gives up
+_GOAL_BIAS = 0.3  # share of branches that grow towards the other tree
 _SHORTCUTS = 40  # random shortcuts that are tried on a found path
 
 
@@ -41,13 +41,13 @@ class _Tree:
 def plan_rrt_connect(
     start: Array, goal: Array, bounds: Array, find_contact: Callable[[Array], str | None], rng: np.random.Generator
 ) -> list[Array] | None:
-    """Points (dof,) in joint space from start to goal with free straight edges between them; None if none are found.
+    """Return waypoints (dof,) from start to goal with collision-free straight edges; None if none are found.
 
     The method is that of Kuffner and LaValle, "RRT-Connect", ICRA 2000.
 
     Args:
-        bounds: the joints' stops (dof, 2), rad.
-        find_contact: joints -> what is touched there; None for free joints.
+        bounds: joint limits (dof, 2), rad.
+        find_contact: joints -> description of a contact there; None without contact.
     """
     if find_contact(goal):
         return None
@@ -61,7 +61,7 @@ def plan_rrt_connect(
         growing, other = trees[number % 2], trees[1 - number % 2]
         aim = (
             other.nodes[int(rng.integers(len(other.nodes)))]
-            if rng.random() < _TOWARDS_OTHER
+            if rng.random() < _GOAL_BIAS
             else rng.uniform(bounds[:, 0], bounds[:, 1])
         )
         near = growing.nearest(aim)
@@ -84,7 +84,7 @@ def _step_towards(here: Array, there: Array) -> Array:
 
 
 def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
-    """Grow a tree straight towards a point, and return the node there; None if an obstacle is met."""
+    """Grow a tree straight to a point, and return the node there; None if an obstacle is in the way."""
     node = tree.nearest(joints)
     while True:
         here = tree.nodes[node]

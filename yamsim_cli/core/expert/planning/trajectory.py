@@ -10,28 +10,28 @@ import numpy as np
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from .ik import IkSolver
 
-_MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed, limit of a joint's speed
-_MAX_SPEED = 2.2  # rad/s, limit of a joint's speed
+_MAX_SPEED_SHARE = 0.55  # share of the motor's no-load speed that limits a joint's speed
+_MAX_SPEED = 2.2  # rad/s, limits a joint's speed
 
-_PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of the mean speed
-_PASSING_PEAK = 1.5  # peak speed of a motion that does not stop at all its points, as a multiple of the mean speed
+_PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of its mean speed
+_WAYPOINT_PEAK = 1.5  # peak speed of a motion through waypoints without stops, as a multiple of its mean speed
 
 LINE_SPEED = 0.25  # m/s, mean speed of a hand on a straight line
-_LINE_TURN_SPEED = 1.2  # rad/s, mean turn of a hand on a straight line
+_LINE_TURN_SPEED = 1.2  # rad/s, mean rotation speed of a hand on a straight line
 _MIN_TICKS = 6  # control ticks of the shortest motion
 
-_MAX_LINE_ERROR = 0.004  # m, from the curve, above which a pose counts as out of reach
-_MAX_JOINT_STEP = 0.35  # rad, change of a joint in a tick above which a pose counts as out of reach
-_LINE_ITERATIONS = 8  # limit of each search for joints on a curve
+_MAX_LINE_ERROR = 0.004  # m, distance from the curve above which a pose counts as out of reach
+_MAX_JOINT_STEP = 0.35  # rad, change of a joint in a control tick above which a pose counts as out of reach
+_LINE_ITERATIONS = 8  # iterations of each inverse kinematics search on a curve
 
 
 def minimum_jerk(fraction: float) -> float:
-    """The position, 0..1, of a minimum-jerk motion at a fraction, 0..1, of its duration."""
+    """Return the position, 0..1, of a minimum-jerk motion at a fraction, 0..1, of its duration."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
 
 
 def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
-    """Joints (n + 1, dof) at the ticks' boundaries of a motion from rest through points to rest, within speed limits.
+    """Return a motion through waypoints, from rest to rest within speed limits: joints (n + 1, dof) at tick boundaries.
 
     Args:
         points: joints (dof,), the present ones first, rad.
@@ -40,13 +40,13 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
     """
     limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
     knots = np.asarray(points)
-    peak = _PEAK if len(knots) == 2 else _PASSING_PEAK
+    peak = _PEAK if len(knots) == 2 else _WAYPOINT_PEAK
     steps = np.diff(knots, axis=0)
     ticks = [max(_MIN_TICKS, math.ceil(float((np.abs(step) / limit).max()) * peak / tick)) for step in steps]
     velocities = [np.zeros(knots.shape[1])]
     for k in range(1, len(steps)):
         velocity = (knots[k + 1] - knots[k - 1]) / ((ticks[k - 1] + ticks[k]) * tick)
-        # A joint that reverses at a point has no speed there.
+        # A joint that reverses at a waypoint has no speed there.
         velocities.append(np.where(steps[k] * steps[k - 1] > 0, velocity, 0.0))
     velocities.append(np.zeros(knots.shape[1]))
     rows = [knots[0]]
@@ -65,10 +65,10 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
 def cartesian_line(
     ik: IkSolver, start: Array, T_tool_in_world: Array, tick: float, speed: float = LINE_SPEED
 ) -> Array | None:
-    """Joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
+    """Return joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
 
     Args:
-        ik: solves for the held frame, see `IkSolver.hold`.
+        ik: solves for the held frame, see `IkSolver.set_held_frame`.
         start: the present joints (dof,), rad.
         speed: mean speed of the frame, m/s.
 
@@ -90,10 +90,10 @@ def cartesian_line(
 def cartesian_curve(
     ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float
 ) -> Array | None:
-    """Joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
+    """Return joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
 
     Args:
-        ik: solves for the held frame, see `IkSolver.hold`.
+        ik: solves for the held frame, see `IkSolver.set_held_frame`.
         start: the present joints (dof,), rad.
         pose_at: share of the curve, 0..1 -> the frame's pose (4, 4) in `world`.
         seconds: duration at the mean speed.
@@ -115,7 +115,7 @@ def cartesian_curve(
 
 
 def is_collision_free(path: Array, find_contact: Callable[[Array], str | None], step: float = 0.02) -> bool:
-    """Whether nothing is touched along a motion (n + 1, dof), checked every `step` rad."""
+    """Return whether a motion (n + 1, dof) has no contacts, checked every `step` rad and at its end."""
     last = path[0]
     for joints in (*path[1:-1], path[-1]):
         if joints is not path[-1] and float(np.abs(joints - last).max()) < step:

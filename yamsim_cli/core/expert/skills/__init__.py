@@ -1,1 +1,1 @@
-"""What experts are made of: skills, each planned from the state that it finds, and programs of them."""
+"""Skills of experts, each planned from the present state, and programs of skills."""

@@ -13,16 +13,16 @@ from .planning_context import FingerTarget, MotionSegment, PlanningContext, Skil
 
 GRIP_TICKS = 10  # control ticks in which fingers close
 _OPEN_TICKS = 8  # control ticks in which fingers open
-_REST_TICKS = 4  # control ticks in which the arms and a released thing come to rest
+_REST_TICKS = 4  # control ticks in which the arms and a released object come to rest
 
-# m, how far a hand draws back from a released thing; the shorter one if the other ends near a joint's stop
-_RETREAT, _SHORT_RETREAT = 0.07, 0.04
+# m, retreat of a hand from a released object; the shorter one is used if the other ends near a joint limit
+_RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE = 0.07, 0.04
 
 
 def close_fingers_on(context: PlanningContext, hand: Hand, grip: GraspCandidate) -> Iterator[MotionSegment]:
-    """Yield segments that close the fingers on the thing between them, and wait until everything rests.
+    """Yield segments that close the fingers on the object between them, and wait until everything rests.
 
-    Fingers close with the grip's force. A hand with a weld closes to the thing's width, and switches its magnet on.
+    Fingers close with the grasp's force. A hand with a weld closes to the object's width, and switches its weld on.
     """
     closing = FingerTarget(grip.opening, 0.0 if hand.grasps_by_weld else grip.force)
     yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
@@ -31,14 +31,14 @@ def close_fingers_on(context: PlanningContext, hand: Hand, grip: GraspCandidate)
 
 
 def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) -> Iterator[MotionSegment]:
-    """Yield segments that open each finger by a clearance (m), and draw the hand back along its axis or up."""
+    """Yield segments that open each finger by a clearance (m), and move the hand back along its axis or up."""
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.magnet = False
     yield context.make_segment(
         {hand: context.hold_still(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
     )
     thing, hand.held = None if hand.held is None else hand.held.thing, None
-    # Open fingers are still near to the thing. If no path is free of contacts, the first path is used.
+    # Open fingers are still near the object. If no path is free of contacts, the first path is used.
     retreat: Array | None = None
     for path in _retreat_paths(context, hand):
         if is_collision_free(path, lambda joints: context.find_contact(hand, joints, opening, between=thing)):
@@ -50,10 +50,10 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
 
 
 def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
-    """Yield straight paths (n + 1, dof) away from a released thing, those that end away from stops first."""
+    """Yield straight paths (n + 1, dof) away from a released object; paths that end near joint limits come last."""
     T = hand.pinch_pose(hand.joints)
     paths = []
-    for distance in (_RETREAT, _SHORT_RETREAT):
+    for distance in (_RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE):
         back, up = T @ pose((0.0, 0.0, -distance)), T.copy()
         up[2, 3] += distance
         for T_clear in (back, up):
@@ -67,29 +67,29 @@ def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
 
 
 def plan_held_object_line(context: PlanningContext, hand: Hand, T_thing: Array, speed: float) -> Array:
-    """Return a motion (n + 1, dof) that moves a held thing straight to a pose (4, 4) in `world`, at a speed in m/s.
+    """Return a motion (n + 1, dof) that moves a held object straight to a pose (4, 4) in `world`, at a speed in m/s.
 
     Raises:
-        SkillFailedError: the hand no longer holds anything, or the line leaves the arm's reach.
+        SkillFailedError: the hand no longer holds the object, or the line leaves the arm's reach.
     """
     held = context.update_held(hand)
-    # The arm sags under its load, so the measured pose differs from the commanded pose by this transform.
+    # The arm sags under its load: this transform leads from the measured pose to the commanded pose.
     T_commanded_in_pinch = inverse(context.T_pinch(hand)) @ hand.pinch_pose(hand.joints)
     return context.plan_line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
 
 
 def park(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
-    """Yield the motion of a hand that holds nothing to its ready posture, unless it is there."""
-    if not _parked(hand):
+    """Yield the motion of a hand that holds nothing to its ready posture, unless the hand is there already."""
+    if not _is_parked(hand):
         yield context.make_segment({hand: context.plan_free_path(hand, hand.ready_joints)}, wait_for_arrival=False)
 
 
 def unparked_hands(context: PlanningContext) -> list[Hand]:
     """Return the hands that hold nothing and are not parked."""
-    return [hand for hand in context.free_hands("any") if not _parked(hand)]
+    return [hand for hand in context.free_hands("any") if not _is_parked(hand)]
 
 
-def _parked(hand: Hand) -> bool:
+def _is_parked(hand: Hand) -> bool:
     return bool(abs(hand.joints - hand.ready_joints).max() <= 1e-6)
 
 
@@ -113,7 +113,7 @@ def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:
     """
     waiting = context.free_hands("any")
     while waiting:
-        before, faults = len(waiting), list[SkillFailedError]()
+        before, errors = len(waiting), list[SkillFailedError]()
         for hand in tuple(waiting):
             try:
                 if hand.opening < hand.max_opening / 4:
@@ -121,6 +121,6 @@ def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:
                 yield from park(context, hand)
                 waiting.remove(hand)
             except SkillFailedError as fault:
-                faults.append(fault)
+                errors.append(fault)
         if len(waiting) == before:
-            raise faults[0]
+            raise errors[0]

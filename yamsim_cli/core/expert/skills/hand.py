@@ -1,4 +1,4 @@
-"""An arm as skills see it: its last command, what it holds, and its reach."""
+"""An arm with its gripper: last command, held object, and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ...scene.compiled import ArmAddresses
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver, Tolerance
 
-GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
-WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad, at waypoints
+GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, for poses where fingers close or open
+WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad, for waypoints
 
-# rad, distance from the stops that every joint keeps if some grip allows it. Tracking errors and a gripper's load move
+# rad, distance that every joint keeps from its limits if some grasp allows. Tracking errors and a gripper's load move
 # joints by up to 0.05 rad, and a real arm differs from its model.
 PREFERRED_JOINT_MARGIN = 0.15
 
-_SAME_POSITION, _SAME_DIRECTION = 0.01, math.radians(20.0)  # m and rad; grips that differ by less reach the same places
+_SIMILAR_DISTANCE, _SIMILAR_ANGLE = 0.01, math.radians(20.0)  # m and rad; grasps that differ by less count as similar
 
 
 @dataclass(frozen=True)
 class HeldObject:
-    """A thing in a hand, with its pose (4, 4) in the pinch frame when last measured."""
+    """An object in a hand, with its last measured pose (4, 4) in the pinch frame."""
 
     thing: str
     T_thing_in_pinch: Array
@@ -35,20 +35,20 @@ class Hand:
     """An arm with its gripper.
 
     Attributes:
-        number: of the arm in its scene.
+        number: index of the arm in its scene.
         side: "left" or "right".
-        arm: the arm's indices in MuJoCo's arrays, and its limits.
+        arm: the arm's addresses in MuJoCo's arrays, and its limits.
         ik: inverse kinematics of the pinch frame.
         dynamics: inverse dynamics.
-        ready: joints (dof,) of the parked arm, rad.
+        ready_joints: joints (dof,) of the parked arm, rad.
         joints: last commanded joints (dof,), rad.
         opening: last commanded opening of each finger, m.
-        grip: commanded force of each finger, N.
-        magnet: whether the magnet is commanded on; without effect on a hand that has none.
-        held: the thing in the hand; None without one.
-        failed_grasps: grasps after which the thing could not be brought to its goal.
-        reserve: least distance of every joint from its stops in `reach`, rad; see `Bench.reserve`.
-        leans: whether the hand may lean at waypoints in `reach`; see `Bench.reserve`.
+        grip_force: last commanded force of each finger, N.
+        magnet: whether the weld is commanded on; without effect on a hand that has none.
+        held: the object in the hand; None without one.
+        failed_grasps: grasps with which the object could not be brought to its goal.
+        joint_margin: least distance from joint limits in `solve_ik`, rad, see `PlanningContext.planning_limits`.
+        allow_tilt: whether `solve_ik` may tilt the hand at waypoints, see `PlanningContext.planning_limits`.
     """
 
     def __init__(
@@ -71,11 +71,11 @@ class Hand:
         self.joint_margin, self.allow_tilt = 0.0, False
 
     def has_failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
-        """Return whether `failed_grasps` has a similar grasp of a thing, by the pinch frame (4, 4) in the thing's."""
+        """Return whether `failed_grasps` has a grasp similar to `T_pinch_in_thing` (4, 4), the pinch frame's pose."""
         earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
-            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_POSITION
-            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_DIRECTION)
+            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SIMILAR_DISTANCE
+            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SIMILAR_ANGLE)
             for T in earlier
         )
 
@@ -87,23 +87,23 @@ class Hand:
 
     @property
     def grasps_by_weld(self) -> bool:
-        """Whether the hand holds things by a weld instead of by friction."""
+        """Whether the hand holds objects by a weld instead of by friction."""
         return self.arm.weld is not None
 
     def pinch_pose(self, joints: Array) -> Array:
-        """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,)."""
+        """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,), rad."""
         return self.ik.pose_of(joints)
 
     def solve_ik(
         self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = GRASP_TOLERANCE
     ) -> Array | None:
-        """Return joints (dof,) that bring the pinch frame to a pose (4, 4); None without any. See `IkSolver.reach`."""
-        return self.ik.solve_from(T_pinch_in_world, seeds, self._with_reserve(tolerance))
+        """Return joints (dof,) with the pinch frame at a pose (4, 4); None without any. See `IkSolver.solve_from`."""
+        return self.ik.solve_from(T_pinch_in_world, seeds, self._with_planning_limits(tolerance))
 
     def maybe_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
-        """Return for which of the poses (n, 4, 4) `reach` may find joints, see `IkSolver.maybe_reachable`."""
-        return self.ik.maybe_reachable(T_pinch_in_world, self._with_reserve(tolerance))
+        """Return which poses (n, 4, 4) `solve_ik` may reach, (n,) bool; see `IkSolver.maybe_reachable`."""
+        return self.ik.maybe_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
 
-    def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
+    def _with_planning_limits(self, tolerance: Tolerance) -> Tolerance:
         margin, allow_tilt = max(tolerance.margin, self.joint_margin), tolerance.allow_tilt and self.allow_tilt
         return Tolerance(tolerance.position, tolerance.rotation, margin, allow_tilt)

@@ -1,4 +1,4 @@
-"""Hand a thing over in the air, from one hand to the other."""
+"""Hand an object over in the air, from one hand to the other."""
 
 from __future__ import annotations
 
@@ -24,52 +24,50 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import CachedIterable, FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, preference_levels, require_holding_hand
 
-_APPROACH = 0.08  # m, length of the straight approach of the taking hand
+_APPROACH = 0.08  # m, length of the receiver's straight approach
 
-# m, candidate distances of the meeting in front of the midpoint between the bases, in the order tried
-_MEETING_X = (0.32, 0.26, 0.38, 0.44)
+_HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m, distances in front of the midpoint between the bases, in the order tried
 
-_MIN_ANGLE = math.radians(50)  # rad, hands that point less far apart are in each other's way unless side by side
-# rad, from here on hands face each other, and the thing may roll about the line between them
+_MIN_ANGLE = math.radians(50)  # rad, hands whose directions differ by less collide unless side by side
+# rad, hands whose directions differ by more face each other, and the object may roll about the line between them
 _FACING_ANGLE = math.radians(165)
 _MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other
-_ROOMY = 0.13  # m, distance between hands from which on their fingers have room between them
-# Meetings in the order tried: least and largest distance between the hands, m, infinite unless they come from the same
-# side; how much lower than `height`, m; and angle between the line from hand to hand and the line between the bases,
-# rad. Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
+_ROOMY_DISTANCE = 0.13  # m, least distance between hands at which their fingers have room between them
+# Where handovers are searched, in the order tried: least and largest distance between the hands, m (infinite unless
+# they come from the same side); drop below `height`, m; angle from the line of the bases to the line of the hands, rad.
+# Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
 # reach from above.
-_MEETINGS = (
-    (_ROOMY, math.inf, 0.0, 0.0),
-    (_MIN_APART, _ROOMY, 0.0, 0.0),
+_SEARCH_ORDER = (
+    (_ROOMY_DISTANCE, math.inf, 0.0, 0.0),
+    (_MIN_APART, _ROOMY_DISTANCE, 0.0, 0.0),
     *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
 )
-_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
-_TURNED_MEETINGS = (
-    *_MEETINGS,
+_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, angles between the lines, in the order tried
+_TURNED_SEARCH_ORDER = (
+    *_SEARCH_ORDER,
     *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
 )
 
-# count, giving grips for which `Handover.fault` searches a meeting while nothing moves. A search that finds none takes
-# half a second, and a thing in a pile has hundreds of grips.
+# Giver's grasps for which `Handover.infeasibility` searches a handover while nothing moves. A search without success
+# takes half a second, and an object in a pile has hundreds of grasps.
 _MAX_SEARCHES = 24
 
-# count, grips whose poses are tested in one call; a call costs as much as 200 poses in it
-_BATCH_SIZE = 256
+_BATCH_SIZE = 256  # grasps whose poses are tested in one call; a call costs as much as 200 poses in it
 
-# rad, of the thing about the line between hands that face each other
+# rad, rolls of the object about the line between hands that face each other, in the order tried
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
 class _HandoverPose:
-    """Grip and joints of both hands at a handover.
+    """The receiver's grasp, and joints of both arms at a handover.
 
     Attributes:
-        grip: of the taking hand.
-        opening: of each of its fingers before it closes, m.
-        giver_joints: of the giving arm (dof,), rad.
-        approach_joints: of the taking arm before the straight approach (dof,), rad.
-        taker_joints: of the taking arm at the thing (dof,), rad.
+        grip: grasp candidate of the receiver.
+        opening: of each of the receiver's fingers before they close, m.
+        giver_joints: of the giver's arm (dof,), rad.
+        approach_joints: of the receiver's arm before the straight approach (dof,), rad.
+        receiver_joints: of the receiver's arm at the object (dof,), rad.
     """
 
     grip: GraspCandidate
@@ -80,18 +78,18 @@ class _HandoverPose:
 
 
 class Handover(Skill):
-    """Move a thing to where both hands reach it, grasp it with the other hand, and release it.
+    """Move an object to where both hands reach it, grasp it with the other hand, and release it.
 
     Attributes:
-        thing: a role; it is in a hand.
-        to: the hand that holds the thing afterwards.
-        height: of the thing's origin over the table, m.
+        thing: a role; its object is in a hand.
+        to: the hand that holds the object afterwards.
+        height: of the object's origin over the table, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = True
-    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _MEETINGS
+    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _SEARCH_ORDER
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
@@ -104,23 +102,25 @@ class Handover(Skill):
         giver = require_holding_hand(context, thing, "handed over")
         if context.side_of(self.to) == giver.side:
             return
-        taker = next(hand for hand in context.hands if hand is not giver)
-        meeting = self._meeting(context, roles, giver, taker, next_skills)
+        receiver = next(hand for hand in context.hands if hand is not giver)
+        handover = self._find_handover(context, roles, giver, receiver, next_skills)
         held = context.update_held(giver)
         load = AttachedObject(thing, held.T_thing_in_pinch)
-        yield context.make_segment({giver: context.plan_free_path(giver, meeting.giver_joints, load=load)})
-        path = context.plan_free_path(taker, meeting.approach_joints, meeting.opening)
-        yield context.make_segment({taker: path}, {taker: FingerTarget(meeting.opening)})
-        T_grip = context.world.pose(thing) @ meeting.grip.T_pinch_in_thing
-        yield context.make_segment({taker: context.plan_line(taker, T_grip)})
-        yield from close_fingers_on(context, taker, meeting.grip)
-        if taker.side not in context.world.holding_sides(thing):
-            yield from release_and_retreat(context, taker, meeting.grip.clearance)
-            raise SkillFailedError(FailureCause.SLIPPED, f"the {thing} is not between the {taker.side} hand's fingers")
-        taker.held = HeldObject(thing, inverse(context.T_pinch(taker)) @ context.world.pose(thing))
+        yield context.make_segment({giver: context.plan_free_path(giver, handover.giver_joints, load=load)})
+        path = context.plan_free_path(receiver, handover.approach_joints, handover.opening)
+        yield context.make_segment({receiver: path}, {receiver: FingerTarget(handover.opening)})
+        T_grip = context.world.pose(thing) @ handover.grip.T_pinch_in_thing
+        yield context.make_segment({receiver: context.plan_line(receiver, T_grip)})
+        yield from close_fingers_on(context, receiver, handover.grip)
+        if receiver.side not in context.world.holding_sides(thing):
+            yield from release_and_retreat(context, receiver, handover.grip.clearance)
+            raise SkillFailedError(
+                FailureCause.SLIPPED, f"the {thing} is not between the {receiver.side} hand's fingers"
+            )
+        receiver.held = HeldObject(thing, inverse(context.T_pinch(receiver)) @ context.world.pose(thing))
         yield from release_and_retreat(context, giver, context.release_clearance(thing))
         yield rest_segment(context)
-        context.update_held(taker)
+        context.update_held(receiver)
 
     def infeasibility(
         self,
@@ -135,34 +135,34 @@ class Handover(Skill):
         """See `Skill`."""
         if roles.object_of(self.thing) != thing or context.side_of(self.to) == hand.side:
             return None
-        taker = next(other for other in context.hands if other is not hand)
+        receiver = next(other for other in context.hands if other is not hand)
         searches = context.cached(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
         if next(searches) > _MAX_SEARCHES:
-            return f"no place found where the {taker.side} hand can take it"
+            return f"no place found where the {receiver.side} hand can take it"
         if (
-            self._meeting_before(context, roles, hand, taker, HeldObject(thing, T_thing_in_pinch), next_skills)
+            self._find_handover_for(context, roles, hand, receiver, HeldObject(thing, T_thing_in_pinch), next_skills)
             is not None
         ):
             return None
-        faults = list(_receiver_grasps(context, roles, taker, thing, next_skills).faults.values())
-        return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
+        faults = list(_receiver_grasps(context, roles, receiver, thing, next_skills).faults.values())
+        return faults[-1] if faults and all(faults) else f"no place where the {receiver.side} hand can take it"
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """See `Skill`: the line from hand to hand may be turned relative to the line between the bases."""
+        """See `Skill`: the line from hand to hand may deviate from the line between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
-    def _meeting(
+    def _find_handover(
         self, context: PlanningContext, roles: RoleAssignment, giver: Hand, receiver: Hand, next_skills: Sequence[Skill]
     ) -> _HandoverPose:
-        """Return the first meeting that leaves the next skills possible; else the first reachable meeting."""
+        """Return the first handover that leaves the next skills possible; else the first reachable one."""
         held = context.update_held(giver)
         for following in (*preference_levels(next_skills, context, roles), ()):
             for skill in (self, self.without_preferences(context, roles)):
-                if (found := skill._meeting_before(context, roles, giver, receiver, held, following)) is not None:
+                if (found := skill._find_handover_for(context, roles, giver, receiver, held, following)) is not None:
                     return found
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _meeting_before(
+    def _find_handover_for(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -171,9 +171,9 @@ class Handover(Skill):
         held: HeldObject,
         next_skills: Sequence[Skill],
     ) -> _HandoverPose | None:
-        """Return the first meeting without contacts that both hands reach and that leaves skills possible."""
+        """Return the first handover without contacts that both hands reach and that leaves `next_skills` possible."""
         grips = _receiver_grasps(context, roles, receiver, held.thing, next_skills)
-        # The first search tests a grip only if hands can meet with it. Later searches profit from every tested grip.
+        # The first search tests a grasp only if hands can reach a handover with it. Later searches test grasps first.
         check_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, receiver)]
@@ -182,28 +182,26 @@ class Handover(Skill):
         height = float(context.world.aabb(TABLE)[1][2]) + self.height
         attitude = functools.cache(lambda grip: _handover_orientation(T_giving, grip.T_pinch_in_thing))
         for least, most, lower, turn in self.PLACES:
-            places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _MEETING_X]
+            places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _HANDOVER_X]
             poses = _HandoverPoseSampler(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
             for number, grip, T_things in _reachable_poses(giver, receiver, T_giving, grips.open(), poses):
                 if check_first and not grips.suits(number, grip):
                     continue
                 for T_thing in T_things:
-                    meeting = _solve_handover(
+                    handover = _solve_handover(
                         giver, receiver, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip
                     )
-                    if meeting is None:
+                    if handover is None:
                         continue
                     if not grips.suits(number, grip):
                         break
-                    if _is_free(context, giver, receiver, held, meeting):
-                        return meeting
+                    if _is_contact_free(context, giver, receiver, held, handover):
+                        return handover
         return None
 
 
 class _TurnedHandover(Handover):
-    """A handover in which the line from hand to hand may be turned."""
-
-    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_MEETINGS
+    PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_SEARCH_ORDER
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
         """See `Skill`."""
@@ -211,10 +209,10 @@ class _TurnedHandover(Handover):
 
 
 class _ReceiverGrasps:
-    """Grips by which a hand may take a thing, the most reliable first.
+    """Grasp candidates of the receiver, the most reliable first.
 
     Attributes:
-        faults: number of each tested grip -> why the skills ahead would fail with it; None if they would not.
+        faults: index of each tested candidate -> why the next skills would fail with it; None if they would not.
     """
 
     def __init__(
@@ -231,11 +229,11 @@ class _ReceiverGrasps:
         self.faults: dict[int, str | None] = {}
 
     def open(self) -> Iterator[tuple[int, GraspCandidate]]:
-        """Yield the number and the grip of all that are untested or suitable."""
+        """Yield the index and the candidate of all that are untested or suitable."""
         return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
     def suits(self, number: int, grip: GraspCandidate) -> bool:
-        """Return whether the skills ahead can continue with a grip; each grip is tested once."""
+        """Return whether the next skills can continue with a candidate; each candidate is tested once."""
         if number not in self.faults:
             fault = None
             if self._next_skills:
@@ -248,7 +246,7 @@ class _ReceiverGrasps:
 def _receiver_grasps(
     context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
 ) -> _ReceiverGrasps:
-    """Return the taking grips, which all searches share while nothing moves: `faults` holds for every meeting."""
+    """Return the receiver's candidates, which all searches share while nothing moves: `faults` suits them all."""
     key = ("taking grips", receiver.side, thing, tuple(next_skills))
     return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 
@@ -260,7 +258,7 @@ def _reachable_poses(
     grips: Iterator[tuple[int, GraspCandidate]],
     poses: _HandoverPoseSampler,
 ) -> Iterator[tuple[int, GraspCandidate, Array]]:
-    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach the thing."""
+    """Yield each candidate with the object's poses (n, 4, 4) in `world` at which both hands may reach the object."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T, k = poses.of([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
@@ -272,46 +270,47 @@ def _reachable_poses(
 
 
 def _solve_handover(
-    giver: Hand, receiver: Hand, T_giving: Array, T_taking: Array, grip: GraspCandidate
+    giver: Hand, receiver: Hand, T_giving: Array, T_receiving: Array, grip: GraspCandidate
 ) -> _HandoverPose | None:
-    """Return the meeting with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
+    """Return the handover with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
     if not is_orientation_plausible(T_giving, giver.arm.T_base_in_world) or not is_orientation_plausible(
-        T_taking, receiver.arm.T_base_in_world
+        T_receiving, receiver.arm.T_base_in_world
     ):
         return None
-    taking = receiver.solve_ik(T_taking, (receiver.ready_joints,))
-    if taking is None:
+    receiving = receiver.solve_ik(T_receiving, (receiver.ready_joints,))
+    if receiving is None:
         return None
     giving = giver.solve_ik(T_giving, (giver.joints, giver.ready_joints), WAYPOINT_TOLERANCE)
     if giving is None:
         return None
-    before = receiver.solve_ik(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), WAYPOINT_TOLERANCE)
+    before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH)), (receiving,), WAYPOINT_TOLERANCE)
     if before is None:
         return None
-    return _HandoverPose(grip, min(grip.opening + grip.clearance, receiver.max_opening), giving, before, taking)
+    return _HandoverPose(grip, min(grip.opening + grip.clearance, receiver.max_opening), giving, before, receiving)
 
 
-def _is_free(context: PlanningContext, giver: Hand, receiver: Hand, held: HeldObject, meeting: _HandoverPose) -> bool:
-    """Return whether the hands touch nothing at a meeting but the thing between their fingers."""
+def _is_contact_free(
+    context: PlanningContext, giver: Hand, receiver: Hand, held: HeldObject, handover: _HandoverPose
+) -> bool:
     if context.find_contact(
-        giver, meeting.giver_joints, giver.opening, AttachedObject(held.thing, held.T_thing_in_pinch)
+        giver, handover.giver_joints, giver.opening, AttachedObject(held.thing, held.T_thing_in_pinch)
     ):
         return False
-    qpos = context.qpos_with_hand(giver, meeting.giver_joints, giver.opening, held)
-    touched, opening = context.collision_checker.find_contact, meeting.opening
-    blocked = touched(qpos, receiver.number, meeting.receiver_joints, opening, grasped=held.thing)
-    return not blocked and not touched(qpos, receiver.number, meeting.approach_joints, opening)
+    qpos = context.qpos_with_hand(giver, handover.giver_joints, giver.opening, held)
+    touched, opening = context.collision_checker.find_contact, handover.opening
+    blocked = touched(qpos, receiver.number, handover.receiver_joints, opening, grasped=held.thing)
+    return not blocked and not touched(qpos, receiver.number, handover.approach_joints, opening)
 
 
 @dataclass(frozen=True)
 class _HandoverOrientation:
-    """Orientation of a thing in which two hands grasp it from their own sides.
+    """Orientation of an object in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation (3, 3) from the thing's frame to a frame whose first axis leads from the giving hand to the
-            taking hand, and whose second axis points along both hands.
+        R_thing: rotation (3, 3) from the object's frame to the handover frame. Its first axis leads from the giver to
+            the receiver, and its second axis points along both hands.
         apart: distance between hands that point in similar directions, m; infinite for other hands.
-        facing: whether the hands face each other, so that the thing may roll about the line between them.
+        facing: whether the hands face each other, so that the object may roll about the line between them.
     """
 
     R_thing: Array
@@ -321,13 +320,13 @@ class _HandoverOrientation:
 
 @dataclass(frozen=True)
 class _HandoverPoseSampler:
-    """Poses of a thing at which each hand comes from its own side, and both as steeply from above as possible.
+    """Poses of an object at which each hand comes from its own side, and both as steeply from above as possible.
 
     Attributes:
-        across: direction (3,) from the giving to the taking hand, in `world`.
-        apart: least and largest `apart` of an attitude, m.
-        places: of the thing's origin (n, 3), in `world`, m.
-        attitude: returns the thing's attitude for a taking grip.
+        across: direction (3,) from the giver to the receiver, in `world`.
+        apart: least and largest `apart` of an orientation, m.
+        places: of the object's origin (n, 3), in `world`, m.
+        attitude: returns the object's orientation for a grasp candidate of the receiver.
     """
 
     across: Array
@@ -336,38 +335,37 @@ class _HandoverPoseSampler:
     attitude: Callable[[GraspCandidate], _HandoverOrientation | None]
 
     def of(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
-        """Return the poses (n, 4, 4) in `world` for taking grips, in their order, and the number of each one's grip."""
+        """Return poses (n, 4, 4) in `world` for candidates, in their order, and the index of each pose's candidate."""
         attitudes, (least, most) = [self.attitude(grip) for grip in grips], self.apart
         fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
         numbers = np.array([k for k, _ in fitting], np.intp)
-        R = self._rolled @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
+        R = self._rolled_frames @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
         rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (np.arange(len(_ROLLS)) == 0)
         T = np.zeros((np.count_nonzero(rolls), len(self.places), 4, 4))
         T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R[rolls][:, None], self.places, 1.0
         return T.reshape(-1, 4, 4), numbers[np.nonzero(rolls)[0]].repeat(len(self.places))
 
     @functools.cached_property
-    def _rolled(self) -> Array:
+    def _rolled_frames(self) -> Array:
         down = np.array((0.0, 0.0, -1.0))
         world = np.column_stack([self.across, down, np.cross(self.across, down)])
         return np.array([rotation_from_vector(self.across * roll) @ world for roll in _ROLLS])
 
 
-def _handover_orientation(T_giving: Array, T_taking: Array) -> _HandoverOrientation | None:
-    """Return the attitude for two pinch frames (4, 4) in the thing's frame; None if the hands would collide."""
-    giving, taking = T_giving[:3, 2], T_taking[:3, 2]
-    angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
-    first, apart = giving - taking, math.inf
+def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrientation | None:
+    """Return the orientation for two pinch frames (4, 4) in the object's frame; None if the hands would collide."""
+    giving, receiving = T_giving[:3, 2], T_receiving[:3, 2]
+    angle = math.acos(max(-1.0, min(1.0, float(giving @ receiving))))
+    first, apart = giving - receiving, math.inf
     if angle < _MIN_ANGLE:
-        first = T_taking[:3, 3] - T_giving[:3, 3]
+        first = T_receiving[:3, 3] - T_giving[:3, 3]
         apart = float(np.linalg.norm(first))
         if apart < _MIN_APART:
             return None
     first = first / np.linalg.norm(first)
-    second = giving + taking
+    second = giving + receiving
     if angle > _FACING_ANGLE:
-        # The hands face each other, so any direction across the line may point down; the thing's own z axis is tried
-        # first.
+        # Hands that face each other leave free which direction across their line points down; try the object's z first.
         second = np.array((0.0, 0.0, -1.0)) if abs(first[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
     second = second - (second @ first) * first
     length = np.linalg.norm(second)

@@ -1,4 +1,4 @@
-"""Hang a held thing on a peg."""
+"""Hang a held object on a peg."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
 _DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
-_APPROACH = 0.04  # m, of the thing before the peg's tip when the straight approach starts
+_APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
-# rad, of the thing about the peg, since it may turn when released; the smallest first
-_LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
+# rad, tilts of the object about the peg, in the order tried; the object may turn when released
+_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
 
-# Motion onto the peg and down.
-_SPEED = 0.10  # m/s
+_HANG_SPEED = 0.10  # m/s, of the motion onto the peg and down
 _RELEASE_GAP = 0.001  # m, of the eye over the peg at the release
-_SWING_TICKS = 40  # control ticks in which the thing swings to rest
+_SWING_TICKS = 40  # control ticks in which the object swings to rest
 
 
 class Hang(Skill):
-    """Move the eye of a thing over a peg, and release the thing.
+    """Move the eye of an object over a peg, and release the object.
 
     Attributes:
-        thing: a role; it is in a hand, and has a handle called `eye`, which points through an opening.
-        onto: a role; it has a handle called `peg`, which points from the peg's tip to its root.
+        thing: a role; its object is in a hand, and has a handle called `eye`, which points through an opening.
+        onto: a role; its object has a handle called `peg`, which points from the peg's tip to its root.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
@@ -90,7 +89,7 @@ class Hang(Skill):
             context, roles, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready_joints)
         )
         for before, T_on in candidates:
-            onto = cartesian_line(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), context.tick, _SPEED)
+            onto = cartesian_line(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), context.tick, _HANG_SPEED)
             if onto is None or not is_collision_free(
                 onto, lambda joints: context.find_contact(hand, joints, hand.opening, load)
             ):
@@ -101,13 +100,13 @@ class Hang(Skill):
                 fault = str(error)
                 continue
             yield context.make_segment({hand: path})
-            yield context.make_segment({hand: plan_held_object_line(context, hand, T_on, _SPEED)})
+            yield context.make_segment({hand: plan_held_object_line(context, hand, T_on, _HANG_SPEED)})
             T_down = context.world.pose(thing)
             T_down[2, 3] = (
                 context.collision_checker.rest_height(context.qpos, thing, T_down, T_down[2, 3] - _APPROACH)
                 + _RELEASE_GAP
             )
-            yield context.make_segment({hand: plan_held_object_line(context, hand, T_down, _SPEED)})
+            yield context.make_segment({hand: plan_held_object_line(context, hand, T_down, _HANG_SPEED)})
             yield from release_and_retreat(context, hand, context.release_clearance(thing))
             yield context.wait_segment(_SWING_TICKS)
             yield rest_segment(context)
@@ -124,7 +123,7 @@ class Hang(Skill):
         T_thing_in_pinch: Array,
         seeds: Sequence[Array],
     ) -> Iterator[tuple[Array, Array]]:
-        """Yield joints (dof,) of a hand that holds a thing before the peg, with the thing's pose (4, 4) on the peg."""
+        """Yield a hand's joints (dof,) with a held object before the peg, and the object's pose (4, 4) on the peg."""
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
         T_eye_in_thing = inverse(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
         for T_eye in _eye_poses(T_peg):
@@ -142,11 +141,11 @@ class Hang(Skill):
 
 
 def _eye_poses(T_peg: Array) -> Iterator[Array]:
-    """Yield candidate poses (4, 4) of an eye on a peg, in `world`, y up; those that lean least first."""
+    """Yield candidate poses (4, 4) of an eye on a peg, in `world`, y up; least tilt first."""
     along = T_peg[:3, 2]
-    level = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
-    for lean in _LEANS:
+    horizontal = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
+    for lean in _TILTS:
         for depth in _DEPTHS:
-            for z in (level, -level):
+            for z in (horizontal, -horizontal):
                 R = np.column_stack([np.cross((0.0, 0.0, 1.0), z), (0.0, 0.0, 1.0), z]) @ rotation_z(lean)
                 yield pose(T_peg[:3, 3] + depth * along, R)

@@ -1,4 +1,4 @@
-"""Put a held thing into a container."""
+"""Put a held object into a container."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from ...geometry.se3 import Array, pose, rotation_z, yaw
 from .place import PlaceSkill
 from .planning_context import PlanningContext
 
-# m, between the places in a container that are tried; the finer step is for a container in which no place of the
-# coarse grid is free down to the floor
+# m, grid steps of the places in a container. The finer step is used if no place of the coarse grid is free down to the
+# floor.
 _GRID_STEPS = (0.03, 0.01)
-_FLOOR = 0.02  # m above a container's lowest point; a thing whose lowest point rests lower stands on the floor
-_HEIGHT_STEP = 0.01  # m, resting heights are compared in these steps; at equal height the more central place is better
+_FLOOR_MARGIN = 0.02  # m above a container's lowest point; an object whose lowest point is lower stands on the floor
+_HEIGHT_STEP = 0.01  # m, resolution of resting heights; at equal height the more central place is better
 
-# share of the volume. A thing that fell over is in the container if at least this share is inside; tall things do not
-# go deep.
+# share of the volume. An object that fell over is in the container if at least this share is inside; tall objects do
+# not go deep.
 _MIN_SHARE_INSIDE = 0.3
 
-# shares of a container's height at which a place must be inside the container at least once. The block around a
-# container also covers space outside of its walls, such as under a mug's handle.
-_HEIGHTS = (0.25, 0.5, 0.75)
+# shares of a container's height; a place must be inside the container at one of them. A container's bounding box also
+# covers space outside its walls, such as under a mug's handle.
+_HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
-_MAX_LEAN = math.radians(3.0)  # rad, a thing that leans more may also be put into the container as it hangs in the hand
+_MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
 # rad, headings relative to the container's, in the order tried
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(PlaceSkill):
-    """Put a thing where it rests lowest in a container, near the container's middle.
+    """Put an object where it rests lowest in a container, near the container's middle.
 
     Attributes:
-        thing: a role; it is in a hand.
-        into: a role: the container.
+        thing: a role; its object is in a hand.
+        into: the role of the container.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
@@ -50,9 +50,9 @@ class Insert(PlaceSkill):
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`: upright ones first; for a thing that leans, then those with the present lean."""
+        """See `PlaceSkill`: upright goals come first; a tilted object also gets goals with its present tilt."""
         container = roles.object_of(self.into)
-        bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR
+        bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR_MARGIN
         upright = list[Array]()
         for step in _GRID_STEPS:
             upright = self._upright_goals(context, container, thing, step)
@@ -61,9 +61,8 @@ class Insert(PlaceSkill):
         return upright + _tilted_goals(context, thing, container, upright)
 
     def _upright_goals(self, context: PlanningContext, container: str, thing: str, step: float) -> list[Array]:
-        """Return upright goals (4, 4) on a grid in the container, those that are lowest and most central first."""
         T, (low, high) = context.world.pose(container), context.world.local_box(container)
-        heights = low[2] + np.array(_HEIGHTS) * (high - low)[2]
+        heights = low[2] + np.array(_HEIGHT_SHARES) * (high - low)[2]
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
@@ -93,9 +92,9 @@ def _grid(first: float, last: float, step: float) -> Array:
 
 
 def _tilted_goals(context: PlanningContext, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
-    """Return upright goals (4, 4) changed to a thing's present lean; none if the thing hardly leans."""
+    """Return upright goals (4, 4) changed to an object's present tilt; empty if the object hardly tilts."""
     T_now = context.world.pose(thing)
-    if T_now[2, 2] > math.cos(_MAX_LEAN):
+    if T_now[2, 2] > math.cos(_MAX_TILT):
         return []
     goals = []
     for T_upright in upright:

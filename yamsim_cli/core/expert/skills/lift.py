@@ -1,4 +1,4 @@
-"""Lift a thing with both hands at once."""
+"""Lift an object with both hands at once."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .skill import Skill
 
 _APPROACH = 0.08  # m, length of the straight approach of each hand
 _MIN_APART = 0.12  # m, least distance between the two grasps
-_MAX_GRIPS = 24  # count, reachable grips of each hand that are compared
+_MAX_CANDIDATES = 24  # reachable grasps of each hand that are compared
 
-_SPEED = 0.10  # m/s, of both hands while they lift
+_LIFT_SPEED = 0.10  # m/s, speed of both hands while they lift
 
 
 class Lift(Skill):
-    """Grasp a thing at two places, one with each hand, and lift it level.
+    """Grasp an object at two places, one with each hand, and lift it level.
 
     Attributes:
         thing: a role.
@@ -45,7 +45,7 @@ class Lift(Skill):
         """See `Skill`."""
         thing = roles.object_of(self.thing)
         hand_a, hand_b = context.hands[:2]
-        found = self._pair(context, hand_a, hand_b, thing)
+        found = self._find_grasp_pair(context, hand_a, hand_b, thing)
         openings = {hand: min(grip.opening + grip.clearance, hand.max_opening) for hand, grip, *_ in found}
         for hand, _, before, _ in found:
             yield context.make_segment(
@@ -68,16 +68,16 @@ class Lift(Skill):
         for hand in closing:
             T_up = hand.pinch_pose(hand.joints)
             T_up[2, 3] += self.by
-            up[hand] = context.plan_line(hand, T_up, _SPEED)
+            up[hand] = context.plan_line(hand, T_up, _LIFT_SPEED)
         yield context.make_segment(up)
         for hand in closing:
             context.update_held(hand)
 
-    def _pair(
+    def _find_grasp_pair(
         self, context: PlanningContext, hand_a: Hand, hand_b: Hand, thing: str
     ) -> list[tuple[Hand, GraspCandidate, Array, Array]]:
-        """Return the most distant free pair of grips: each hand with its grip, and joints (dof,) before and at it."""
-        reached = {hand: list(self._reached(context, hand, thing)) for hand in (hand_a, hand_b)}
+        """Return the most distant free grasps: each hand with its grasp, and joints (dof,) before and at the grasp."""
+        reached = {hand: list(self._reachable_grasps(context, hand, thing)) for hand in (hand_a, hand_b)}
         pairs = sorted(
             itertools.product(*reached.values()),
             key=lambda pair: (
@@ -98,7 +98,7 @@ class Lift(Skill):
                 return [first, second]
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no two places at which both hands can take the {thing}")
 
-    def _reached(
+    def _reachable_grasps(
         self, context: PlanningContext, hand: Hand, thing: str
     ) -> Iterator[tuple[Hand, GraspCandidate, Array, Array]]:
         T_thing, number = context.world.pose(thing), 0
@@ -121,7 +121,7 @@ class Lift(Skill):
                 continue
             number += 1
             yield hand, grip, before, at
-            if number == _MAX_GRIPS:
+            if number == _MAX_CANDIDATES:
                 return
 
 

@@ -1,4 +1,4 @@
-"""Open or close a part of an articulated thing by its handle."""
+"""Open or close a part of an articulated object by its handle."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .planning_context import FingerTarget, MotionSegment, PlanningContext, Skil
 from .skill import ArmSelector, Skill
 
 _APPROACH = 0.08  # m, length of the straight approach to a handle
-_FORCE = 25.0  # N, of each finger on a handle
-_SPEED = 0.12  # m/s, of the hand while it moves a part
+_FORCE = 25.0  # N, force of each finger on a handle
+_HAND_SPEED = 0.12  # m/s, speed of the hand while it moves a part
 
-_TOLERANCE = 0.1  # share of the joint's range; a joint this near to its goal is there
+_MAX_GOAL_ERROR = 0.1  # share of the joint's range within which the joint is at its goal
 
 
 class Operate(Skill):
@@ -31,7 +31,7 @@ class Operate(Skill):
 
     Attributes:
         thing: a role.
-        joint: the name of the part that moves, such as `drawer`.
+        joint: name of the part that moves, such as `drawer`.
         to: goal as a share of the joint's range: 1 is open, 0 is closed.
         arm: which arm.
     """
@@ -50,14 +50,14 @@ class Operate(Skill):
         link = next((link for link in context.object_configs[thing].links if link.name == self.joint), None)
         if link is None or not link.handles:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"the {thing} has no part {self.joint!r} with a handle")
-        if abs(context.world.joint_opening(thing, self.joint) - self.to) <= _TOLERANCE:
+        if abs(context.world.joint_opening(thing, self.joint) - self.to) <= _MAX_GOAL_ERROR:
             return
-        yield from self._move(context, thing, link)
+        yield from self._move_part(context, thing, link)
         yield rest_segment(context)
-        if abs((share := context.world.joint_opening(thing, self.joint)) - self.to) > _TOLERANCE:
+        if abs((share := context.world.joint_opening(thing, self.joint)) - self.to) > _MAX_GOAL_ERROR:
             raise SkillFailedError(FailureCause.OFF_TARGET, f"the {self.joint} of the {thing} is open by {share:.0%}")
 
-    def _move(self, context: PlanningContext, thing: str, link: Link) -> Iterator[MotionSegment]:
+    def _move_part(self, context: PlanningContext, thing: str, link: Link) -> Iterator[MotionSegment]:
         T_part = context.world.part_pose(thing, link.name)
         fault = f"no arm reaches a handle of the {link.name}"
         for hand in context.free_hands(self.arm):
@@ -79,7 +79,7 @@ class Operate(Skill):
                     yield context.make_segment({hand: context.plan_line(hand, T_part @ T_in_part)})
                     closing = FingerTarget(handle.opening, _FORCE)
                     yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
-                    seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _SPEED
+                    seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _HAND_SPEED
                     yield context.make_segment({hand: context.plan_curve(hand, pose_at, seconds)})
                     yield rest_segment(context)
                     yield from release_and_retreat(context, hand, CLEARANCE)
@@ -87,7 +87,6 @@ class Operate(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _before(self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
-        """Return joints (dof,) before the straight approach to a handle; None if it is out of reach or blocked."""
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None or context.find_contact(hand, at, opening, between=thing):
             return None
@@ -117,7 +116,7 @@ class Operate(Skill):
 
 
 def _can_follow_path(hand: Hand, start: Array, pose_at: Callable[[float], Array]) -> bool:
-    """Return whether a hand can follow a path of its pinch frame, tested at five poses."""
+    """Return whether a hand reaches five poses on a path of its pinch frame."""
     joints: Array | None = start
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         joints = None if joints is None else hand.solve_ik(pose_at(share), (joints,), WAYPOINT_TOLERANCE)

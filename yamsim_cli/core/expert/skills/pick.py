@@ -1,4 +1,4 @@
-"""Pick up a thing."""
+"""Pick up an object."""
 
 from __future__ import annotations
 
@@ -21,21 +21,19 @@ from .hand import PREFERRED_JOINT_MARGIN, WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill, holding_hand, preference_levels
 
-# m, lengths of the straight approach; the shorter one is for tight places
-_APPROACHES = (0.09, 0.05)
+_APPROACH_DISTANCES = (0.09, 0.05)  # m, lengths of the straight approach; the shorter one is for tight places
 
-# Arguments of `Bench.reserve` in the order tried.
-_REACHES = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
+# Arguments of `PlanningContext.planning_limits`, in the order tried.
+_LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 
 @dataclass(frozen=True)
 class ReachableGrasp:
-    """A grip that a hand can take now.
+    """A grasp that a hand can reach now.
 
     Attributes:
-        grip: the grip.
         before: joints (dof,) before the straight approach, rad.
-        at: joints (dof,) at the grip, rad.
+        at: joints (dof,) at the grasp, rad.
         opening: of each finger during the approach, m.
     """
 
@@ -46,12 +44,12 @@ class ReachableGrasp:
 
 
 class Pick(Skill):
-    """Grasp a thing and lift it, with an arm and a grip that leave the skills ahead possible.
+    """Grasp an object and lift it, with an arm and a grasp that leave the next skills possible.
 
     Attributes:
         thing: a role.
         arm: which arm.
-        lift: how high, m.
+        lift: height of the lift, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -72,11 +70,11 @@ class Pick(Skill):
             return
         places = next_skills[0].approximate_targets(context, roles, thing) if next_skills else ()
         reasons: dict[str, int] = {}
-        for following, (reserve, leans) in itertools.product(preference_levels(next_skills, context, roles), _REACHES):
+        for following, (margin, tilts) in itertools.product(preference_levels(next_skills, context, roles), _LIMITS):
             reasons.clear()
             for hand in self._hands(context, thing, places):
-                with context.planning_limits(reserve, leans):
-                    found = self._reached(context, roles, hand, thing, following, reasons)
+                with context.planning_limits(margin, tilts):
+                    found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free_hands(context, hand)
                     yield from self._take(context, hand, thing, found)
@@ -94,7 +92,7 @@ class Pick(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
-        """Return the hands that may pick, those nearest to the thing and to its goals first."""
+        """Return the hands that may pick; the hand with the shortest reach to the object and its goals comes first."""
         places = [context.world.pose(thing)[:2, 3], *goals]
         hands = context.free_hands(self.arm)
 
@@ -126,7 +124,7 @@ class Pick(Skill):
             yield from release_and_retreat(context, hand, grip.clearance)
             raise
 
-    def _reached(
+    def _find_grasp(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -135,19 +133,19 @@ class Pick(Skill):
         next_skills: Sequence[Skill],
         reasons: dict[str, int],
     ) -> ReachableGrasp | None:
-        """Return the first grip that a hand can take now and that leaves the skills ahead possible; else None."""
+        """Return the first grasp that a hand can reach now and that leaves the next skills possible; else None."""
         for grip in context.grasp_candidates(thing, hand.max_opening):
             found = self.find_reachable_grasp(context, hand, thing, grip)
             if isinstance(found, ReachableGrasp):
                 T = inverse(grip.T_pinch_in_thing)
-                fault = (
+                reason = (
                     next_skills[0].infeasibility(context, roles, hand, thing, T, found.at, next_skills[1:])
                     if next_skills
                     else None
                 )
-                if fault is None:
+                if reason is None:
                     return found
-                found = fault
+                found = reason
             if found is not None:
                 reasons[found] = reasons.get(found, 0) + 1
         return None
@@ -155,10 +153,10 @@ class Pick(Skill):
     def find_reachable_grasp(
         self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate
     ) -> ReachableGrasp | str | None:
-        """Return how a hand can take a thing by a grip now; else why not, for a person.
+        """Return how a hand can reach a grasp of an object now; else the reason against it, in words.
 
         Returns:
-            None if the grip is no candidate: a similar grasp failed before, or no hand can point there.
+            None if the grasp is not tried: a similar grasp failed before, or the hand cannot point there.
         """
         if grip.opening > hand.max_opening:
             return (
@@ -177,12 +175,12 @@ class Pick(Skill):
         before, why = _approach_joints(context, hand, thing, T_at, at, opening, grip.finger_distance)
         if before is None:
             return why
-        return self._blocked(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
+        return self._lift_problem(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
 
-    def _blocked(
+    def _lift_problem(
         self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate, T_at: Array, at: Array
     ) -> str | None:
-        """Return what prevents a hand from lifting a thing grasped at joints `at` (dof,); None if nothing."""
+        """Return what prevents a hand from lifting an object grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
         up = hand.solve_ik(T_up, (at,))
@@ -201,12 +199,12 @@ def _approach_joints(
     opening: float,
     finger_distance: float | None,
 ) -> tuple[Array | None, str]:
-    """Return joints (dof,) before the straight approach to a thing; else None, and why there are none."""
+    """Return joints (dof,) before the straight approach to an object; else None and the reason."""
     why = context.find_contact(hand, at, opening, between=thing, beside=finger_distance)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"
-    for distance in _APPROACHES:
+    for distance in _APPROACH_DISTANCES:
         before = hand.solve_ik(T_at @ pose((0.0, 0.0, -distance)), (at,), WAYPOINT_TOLERANCE)
         if before is not None:
             blocked = context.find_contact(hand, before, opening)

@@ -1,4 +1,4 @@
-"""Put a held thing down: onto or into another thing, or at a point on the table."""
+"""Put a held object down: onto or into another object, or at a point on the table."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import CachedIterable, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
-HOVER_HEIGHT = 0.07  # m, a thing comes straight down from this height over its goal
-_RELEASE_GAP = 0.002  # m, a thing is released this high over its goal
+HOVER_HEIGHT = 0.07  # m, an object comes straight down from this height over its goal
+_RELEASE_GAP = 0.002  # m, height of the release over the goal
 
-_MAX_OFFSET = 0.03  # m, a thing farther than this from its goal has not been placed
+_MAX_GOAL_ERROR = 0.03  # m, an object farther than this from its goal has not been placed
 
-# largest sine of the angle above horizontal at which a hand points that puts a thing down in a lying attitude
+# largest sine of the hand's angle above horizontal when it puts an object down in another stable pose than upright
 _MAX_UPWARD = 0.1
 
 # rad, headings relative to the present heading, the smallest first
@@ -36,31 +36,30 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 1
 
 
 class PlaceSkill(Skill):
-    """Base class of the skills that put down a held thing; they differ in the goal.
+    """Base class of the skills that put down a held object; subclasses define the goal.
 
     Attributes:
-        thing: a role; it is in a hand.
-        drop: height of the release over the goal, m, where fingers around the thing would touch the support.
+        thing: a role; its object is in a hand.
+        drop: height of the release over the goal, m, where fingers around the object would touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
     LEAVES_HELD: ClassVar[bool | None] = False
-    # m/s, speed at which a thing comes down
-    LOWERING: ClassVar[float] = 0.15
+    LOWERING: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
     thing: str
     drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
     def support(self, roles: RoleAssignment) -> str:
-        """Return the name of what the thing is put onto or into: a thing or `table`."""
+        """Return the name of the support: an object or `table`."""
         return TABLE
 
     @abstractmethod
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
-        """Return candidate poses (4, 4) of the thing in `world`, the best first."""
+        """Return candidate poses (4, 4) of the object in `world`, the best first."""
 
     def _cached_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
-        """Return `goals`, computed once while nothing moves, because `fault` needs them for every grip."""
+        """Return `goals`, computed once while nothing moves: `infeasibility` needs them for every grasp."""
         return context.cached((self, thing), lambda: CachedIterable(self.goals(context, roles, thing)))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> PlaceSkill:
@@ -70,7 +69,7 @@ class PlaceSkill(Skill):
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterable[Array]:
-        """Return the goals in the order in which they are tried for a pose (4, 4) of the thing in the hand."""
+        """Return the goals in the order in which they are tried for a pose (4, 4) of the object in the hand."""
         return self._cached_goals(context, roles, thing)
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
@@ -121,17 +120,17 @@ class PlaceSkill(Skill):
         hand = require_holding_hand(context, thing, "put down")
         held = context.update_held(hand)
         fault = f"there is no room for the {thing} on or in the {self.support(roles)}"
-        placing = self.without_preferences(context, roles)
+        relaxed = self.without_preferences(context, roles)
         candidates = (
-            (leans, T_lying)
-            for leans in (False, True)
-            for T_lying in placing._ordered_goals(context, roles, thing, held.T_thing_in_pinch)
+            (allow_tilt, T_lying)
+            for allow_tilt in (False, True)
+            for T_lying in relaxed._ordered_goals(context, roles, thing, held.T_thing_in_pinch)
         )
-        for leans, T_lying in candidates:
+        for allow_tilt, T_lying in candidates:
             fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
             T_goal = pose_raised_by(T_lying, self.drop)
             T_pinch = T_goal @ inverse(held.T_thing_in_pinch)
-            with context.planning_limits(0.0, leans):
+            with context.planning_limits(0.0, allow_tilt):
                 joints = self._hover_joints(hand, T_pinch)
                 if joints is None or hand.solve_ik(T_pinch, (joints,), WAYPOINT_TOLERANCE) is None:
                     continue
@@ -147,7 +146,7 @@ class PlaceSkill(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) of a hand at `HOVER_HEIGHT` over a pose (4, 4) of its pinch frame; None without any."""
+        """Return joints (dof,) with a hand's pinch frame at `HOVER_HEIGHT` over a pose (4, 4); None without any."""
         return hand.solve_ik(
             pose_raised_by(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE
         )
@@ -161,32 +160,27 @@ class PlaceSkill(Skill):
         yield rest_segment(context)
 
     def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
-        """Check that the thing lies at its goal.
-
-        Raises:
-            SkillFailedError: it does not.
-        """
         T = context.world.pose(thing)
         offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
-        if offset > _MAX_OFFSET or T[2, 3] < T_goal[2, 3] - _MAX_OFFSET:
+        if offset > _MAX_GOAL_ERROR or T[2, 3] < T_goal[2, 3] - _MAX_GOAL_ERROR:
             raise SkillFailedError(
                 FailureCause.OFF_TARGET, f"the {thing} lies {offset * 1000:.0f} mm beside its place on the {onto}"
             )
 
 
 class Place(PlaceSkill):
-    """Put a thing down, upright and with the heading that suits the arm. If no grasp allows that, a thing whose config
-    has `rests` may be put down in another stable attitude.
+    """Put an object down, upright and with the heading that suits the arm. If no grasp allows that, an object whose
+    config has `rests` may be put down in another stable pose.
 
     Attributes:
-        thing: a role; it is in a hand.
-        on: a role, or `table`; the thing is put over the middle of the role's thing, on it or in it.
+        thing: a role; its object is in a hand.
+        on: a role, or `table`; the object is put over the middle of the role's object, on it or in it.
         at: x and y on the support, in its frame, m; for the table, in `world`.
-        start_of: a role, instead of `at`: the point where that role's thing started.
+        start_of: a role, instead of `at`: the point where that role's object started.
         step: offset from `at`, m, which is applied `number` times.
         number: how often `step` is applied.
-        heading_deg: of the thing in the support's frame; None for any. With a heading, the thing stands upright.
-        upright: whether the thing has to stand upright.
+        heading_deg: of the object in the support's frame; None for any. With a heading, the object stands upright.
+        upright: whether the object has to stand upright.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
@@ -221,11 +215,11 @@ class Place(PlaceSkill):
             yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """See `Skill`: the thing may be put down in another attitude than upright."""
+        """See `Skill`: the object may be put down in another stable pose than upright."""
         fixed = self.upright or self.heading_deg is not None
         if fixed or not context.object_configs[roles.object_of(self.thing)].rests_in_any_pose:
             return self
-        return _PlaceInAnyAttitude.model_construct(**dict(self))
+        return _PlaceInAnyStablePose.model_construct(**dict(self))
 
     def _place(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
         """Return the goal's point (2,) and the pose (4, 4) of the support, in `world`."""
@@ -237,8 +231,8 @@ class Place(PlaceSkill):
         return (T_onto @ (x, y, 0.0, 1.0))[:2], T_onto
 
 
-class _PlaceInAnyAttitude(Place):
-    """Put a thing down in any stable attitude, upright if the hand reaches that."""
+class _PlaceInAnyStablePose(Place):
+    """Put an object down in any stable pose, upright if the hand reaches that."""
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
         """See `Skill`."""
@@ -247,7 +241,7 @@ class _PlaceInAnyAttitude(Place):
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterator[Array]:
-        """See `PlaceSkill`. Upright goals come first, then those at which the hand comes most steeply from above."""
+        """See `PlaceSkill`. Upright goals come first, then the others, with the hand's steepest approach first."""
         yield from self._cached_goals(context, roles, thing)
         lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
@@ -260,7 +254,7 @@ class _PlaceInAnyAttitude(Place):
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
     def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return the goals (4, 4) in stable attitudes other than upright, with the centre of mass over the point."""
+        """Return the goals (4, 4) in stable poses other than upright, with the centre of mass over the point."""
         place, _ = self._place(context, roles)
         centre = np.array(context.object_configs[thing].inertia.centre)
         heading = yaw(context.world.pose(thing))

@@ -1,4 +1,4 @@
-"""What skills plan with: the present state of the scene, the hands, and collision-free motions."""
+"""Planning context of skills: the present state of the scene, the hands, and collision-free motions."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 _GRAVITY = 9.81  # m/s^2
 
 # Free places on the table.
-_FREE_MARGIN = 0.02  # m, free space required around a thing that is put down
-_MIDDLE_X = (0.34, 0.42, 0.28)  # m, candidate distances in front of the midpoint between the bases, the preferred first
-_MIDDLE_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m, candidate distances to the side of that midpoint
+_FREE_MARGIN = 0.02  # m, free space required around an object that is put down
+_CENTRAL_X = (0.34, 0.42, 0.28)  # m, distances in front of the midpoint between the bases, in the order tried
+_CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m, distances to the side of that midpoint, in the order tried
 
-_UPRIGHT_TILT = math.radians(10.0)  # rad, a thing that leans less than this stands upright
+_UPRIGHT_TILT = math.radians(10.0)  # rad, an object that tilts less than this stands upright
 
 V = TypeVar("V")
 
@@ -57,8 +57,8 @@ class MotionSegment:
     """A motion of all arms: one path for each arm, all of the same length.
 
     Attributes:
-        paths: of the arms, in the scene's order.
-        wait_for_arrival: whether the next segment starts only once the arms have reached the last reference.
+        paths: the arms' paths, in the scene's order.
+        wait_for_arrival: whether the next segment starts only when the arms have reached the last reference.
     """
 
     paths: tuple[JointPath, ...]
@@ -72,7 +72,7 @@ class MotionSegment:
 
 @dataclass(frozen=True)
 class FingerTarget:
-    """Target of the fingers of a hand at the end of a motion: opening of one finger (m), and force (N)."""
+    """Opening of one finger (m) and its force (N) at the end of a motion."""
 
     opening: float
     force: float = 0.0
@@ -82,11 +82,11 @@ class PlanningContext:
     """The present state of a scene, and the motion planners that skills use.
 
     Args:
-        world: the present state of the things.
-        acting_hands: numbers of the hands that may be used; the others keep their joints.
-        first_arm: number of the hand that begins; the other of two hands is the second.
-        object_configs: thing -> its config.
-        rng: random numbers of the path searches. Its seed follows from the attempt's numbers.
+        world: the present state of the objects.
+        acting_arms: indices of the hands that may be used; the other hands keep their joints.
+        first_arm: index of the hand that begins; the other of two hands is the second.
+        object_configs: name of an object -> its config.
+        rng: random numbers of the path searches, seeded from the attempt's numbers.
         tick: length of a control tick, s.
     """
 
@@ -106,8 +106,8 @@ class PlanningContext:
         self.acting_hands = tuple(hands[k] for k in sorted(acting_arms))
         self._side_of_turn = {"first": hands[first_arm].side, "second": hands[len(hands) - 1 - first_arm].side}
         self.collision_checker, self._rng, self.tick = collision_checker, rng, tick
-        self._spans: dict[str, list[AntipodalPair]] = {}
-        self._steady_rotations: dict[str, list[Array]] = {}
+        self._antipodal_pairs: dict[str, list[AntipodalPair]] = {}
+        self._stable_rotations: dict[str, list[Array]] = {}
         self._cache: tuple[bytes, dict[Hashable, Any]] = (b"", {})
 
     # -- state
@@ -134,14 +134,14 @@ class PlanningContext:
         return self._side_of_turn.get(arm, arm)
 
     def free_hands(self, arm: str) -> list[Hand]:
-        """Return the acting hands that hold nothing and match an argument; "any" matches all."""
+        """Return the acting hands that hold nothing and match an `arm` argument; "any" matches all."""
         return [hand for hand in self.acting_hands if self.side_of(arm) in ("any", hand.side) and hand.held is None]
 
     def update_held(self, hand: Hand) -> HeldObject:
-        """Measure the pose of the thing in a hand, store it in `hand.held`, and return it.
+        """Measure the pose of the object in a hand, store it in `hand.held`, and return it.
 
         Raises:
-            SkillFailedError: the hand no longer holds the thing.
+            SkillFailedError: the hand no longer holds the object.
         """
         held = hand.held
         assert held is not None, "a hand that holds nothing is not asked what it holds"
@@ -153,12 +153,12 @@ class PlanningContext:
 
     @contextmanager
     def planning_limits(self, margin: float, allow_tilt: bool = False) -> Iterator[None]:
-        """Change what `Hand.reach` finds within the context.
+        """Change the limits of `Hand.solve_ik` for all hands, until the context manager exits.
 
         Args:
-            margin: least distance of every joint from its stops, rad.
-            allow_tilt: whether hands may lean at waypoints whose pose is out of reach. Straight motions to and from such
-                waypoints come nearer to the stops, so this is for what cannot be done otherwise.
+            margin: least distance of every joint from its limits, rad.
+            allow_tilt: whether hands may tilt at waypoints that are out of reach. Straight motions to and from them
+                come nearer to the joint limits, so set this only for motions that fail otherwise.
         """
         for hand in self.hands:
             hand.joint_margin, hand.allow_tilt = margin, allow_tilt
@@ -169,7 +169,7 @@ class PlanningContext:
                 hand.joint_margin, hand.allow_tilt = 0.0, False
 
     def cached(self, key: Hashable, make: Callable[[], V]) -> V:
-        """Return `make()`, computed once for each key as long as `qpos`, the reserve and the leaning stay the same."""
+        """Return `make()`, computed once for each key while `qpos` and the planning limits stay the same."""
         key, state = (self.hands[0].joint_margin, self.hands[0].allow_tilt, key), self.qpos.tobytes()
         if self._cache[0] != state:
             self._cache = (state, {})
@@ -179,65 +179,64 @@ class PlanningContext:
         return found
 
     def clear_cache(self) -> None:
-        """Drop what `cached` keeps. It refers to the bench, which would stay in memory until a cycle collection."""
+        """Empty the cache. Cached values refer to this context and would keep it in memory until a cycle collection."""
         self._cache = (b"", {})
 
     def grasp_candidates(self, thing: str, max_opening: float) -> Iterator[GraspCandidate]:
-        """Yield grips of a thing for fingers that open up to `max_opening` each (m), the most reliable first."""
+        """Yield grasp candidates of an object for fingers that open up to `max_opening` (m), most reliable first."""
         if self.hands[0].grasps_by_weld:
             yield from weld_candidates(self.object_configs[thing])
             return
         yield from friction_candidates(self.object_configs[thing])
-        if thing not in self._spans:
+        if thing not in self._antipodal_pairs:
             body = self.model.body(thing).id
-            self._spans[thing] = find_antipodal_pairs(
+            self._antipodal_pairs[thing] = find_antipodal_pairs(
                 self.model, self.world.data, body, 2 * (max_opening - CLEARANCE / 2)
             )
-        yield from antipodal_candidates(self.object_configs[thing], self._spans[thing])
+        yield from antipodal_candidates(self.object_configs[thing], self._antipodal_pairs[thing])
         yield from sideways_candidates(self.object_configs[thing])
         yield from fingertip_candidates(self.object_configs[thing])
 
     def half_footprint(self, thing: str, heading: float) -> Array:
-        """Return half the extents (2,) along x and y of a thing that stands upright, turned by `heading`, m."""
-        low, high = self._block(thing)
+        """Return half the extents (2,) along x and y of an upright object with a given heading (rad), m."""
+        low, high = self._local_box(thing)
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
         half: Array = np.abs(corners @ rotation_z(heading)[:2, :2].T).max(axis=0)
         return half
 
     def rest_height_over(self, thing: str, place: Array, onto: str, heading: float) -> float:
-        """Return the height in `world` at which an upright thing's origin comes to rest over a point (2,), m."""
+        """Return the height in `world` at which an upright object's origin comes to rest over a point (2,), m."""
         return self.rest_height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
 
     def rest_height_of(self, thing: str, T: Array, onto: str) -> float:
-        """Return the height in `world` at which a thing with the rotation of a pose (4, 4) comes to rest, m."""
+        """Return the height in `world` at which an object with the rotation of a pose (4, 4) comes to rest, m."""
         top = float(self.cached(("bounds", onto), lambda: self.world.aabb(onto))[1][2])
-        low, high = self._block(thing)
+        low, high = self._local_box(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
         table_low, table_high = self.world.aabb(TABLE)
         rest = self.collision_checker.rest_height(self.qpos, thing, T_over, float(table_low[2]))
-        # A thing that comes down passes through cloth: cloth is no obstacle, so that a hand may press on it. Add its
-        # height.
+        # The height of cloth is added: collision checks ignore cloth so that a hand may press on it.
         on_cloth = onto in self.object_configs and self.object_configs[onto].cloth is not None
         return rest + (top - float(table_high[2]) if on_cloth else 0.0)
 
     def stable_rotations(self, thing: str) -> list[Array]:
-        """Return the rotations (3, 3) in which a thing rests stably, without their headings; upright first."""
-        if thing not in self._steady_rotations:
+        """Return the rotations (3, 3) in which an object rests stably, without their headings; upright first."""
+        if thing not in self._stable_rotations:
             body, rotations = self.model.body(thing).id, [np.eye(3)]
             geoms = [g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] == body]
             points = [geom_corners(self.model, geom) for geom in geoms if self.model.geom_contype[geom]]
-            for attitude in placeable_poses(np.concatenate(points), self.model.body_ipos[body]):
-                if attitude.down[2] > -math.cos(_UPRIGHT_TILT):
-                    rotations.append(attitude.rotation)
-            self._steady_rotations[thing] = rotations
-        return self._steady_rotations[thing]
+            for stable_pose in placeable_poses(np.concatenate(points), self.model.body_ipos[body]):
+                if stable_pose.down[2] > -math.cos(_UPRIGHT_TILT):
+                    rotations.append(stable_pose.rotation)
+            self._stable_rotations[thing] = rotations
+        return self._stable_rotations[thing]
 
-    def _block(self, thing: str) -> Array:
+    def _local_box(self, thing: str) -> Array:
         return self.cached(("block", thing), lambda: self.world.local_box(thing))
 
     def is_place_free(self, thing: str, place: Array) -> bool:
-        """Return whether a thing that stands upright has room at a point (2,) on the table, m."""
+        """Return whether an upright object has room at a point (2,) on the table, m."""
         room = float(np.hypot(*self.half_footprint(thing, 0.0))) + _FREE_MARGIN
         low, high = self.world.aabb(TABLE)
         if (place - room < low[:2]).any() or (place + room > high[:2]).any():
@@ -257,11 +256,11 @@ class PlanningContext:
         return middle
 
     def central_places(self) -> list[Array]:
-        """Return points (2,) on the table that are about as near to all acting arms, in `world`, m."""
-        return [self.base_midpoint + np.array((x, y)) for x in _MIDDLE_X for y in _MIDDLE_Y]
+        """Return points (2,) on the table at about the same distance from all acting arms, in `world`, m."""
+        return [self.base_midpoint + np.array((x, y)) for x in _CENTRAL_X for y in _CENTRAL_Y]
 
     def release_clearance(self, thing: str) -> float:
-        """Return how far each finger opens beyond a thing's surface to release the thing, m."""
+        """Return how far each finger opens beyond an object's surface to release the object, m."""
         grasp = self.object_configs[thing].grasp
         return grasp.clearance if grasp is not None else CLEARANCE
 
@@ -274,11 +273,11 @@ class PlanningContext:
         between: str | None = None,
         beside: float | None = None,
     ) -> str | None:
-        """Return what a hand would touch at given joints; None if nothing. See `CollisionChecker.touched`."""
+        """Return the contact of a hand at given joints; None without one. See `CollisionChecker.find_contact`."""
         return self.collision_checker.find_contact(self.qpos, hand.number, joints, opening, load, between, beside)
 
     def qpos_with_hand(self, hand: Hand, joints: Array, opening: float, held: HeldObject | None) -> Array:
-        """Return MuJoCo's positions (nq,) with one hand, and what it holds, moved; everything else is unchanged."""
+        """Return MuJoCo's positions (nq,) with one hand and its held object moved; everything else is unchanged."""
         load = None if held is None else AttachedObject(held.thing, held.T_thing_in_pinch)
         return self.collision_checker.qpos_with_arm(self.qpos, hand.number, joints, opening, load)
 
@@ -287,13 +286,13 @@ class PlanningContext:
     def plan_free_path(
         self, hand: Hand, goal: Array, opening: float | None = None, load: AttachedObject | None = None
     ) -> Array:
-        """Return a collision-free motion (n + 1, dof) of a hand to joints `goal`, the simplest that was found.
+        """Return a collision-free motion (n + 1, dof) of a hand to joints `goal`, the simplest one found.
 
-        A hand that touches something at the start may first rise straight up.
+        A hand in contact at the start may first rise straight up.
 
         Args:
             opening: of each finger at the end, m. Collisions are checked with the larger opening of start and end.
-            load: what the hand holds.
+            load: the held object.
 
         Raises:
             SkillFailedError: no such motion was found.
@@ -323,7 +322,7 @@ class PlanningContext:
         return path
 
     def plan_curve(self, hand: Hand, pose_at: Callable[[float], Array], seconds: float) -> Array:
-        """Return a motion (n + 1, dof) that moves a hand's pinch frame along a curve, see `joint_motion.traced`.
+        """Return a motion (n + 1, dof) that moves a hand's pinch frame along a curve, see `cartesian_curve`.
 
         Raises:
             SkillFailedError: the curve leaves the arm's reach.
@@ -347,11 +346,11 @@ class PlanningContext:
     ) -> MotionSegment:
         """Return the segment in which some arms move, and update the commanded state of the hands.
 
-        The other arms keep their joints. Torques compensate gravity of the arms and of what they hold.
+        The other arms keep their joints. Feed-forward torques compensate the weight of the arms and of held objects.
 
         Args:
             motions: hand -> joints (n + 1, dof). A motion shorter than the longest waits at its end.
-            fingers: hand -> target of its fingers; the fingers of other hands keep theirs.
+            fingers: hand -> target of its fingers; the fingers of other hands keep their opening and force.
             wait_for_arrival: see `MotionSegment`.
         """
         ticks = max(len(motion) for motion in motions.values()) - 1
@@ -381,7 +380,7 @@ class PlanningContext:
         return self.make_segment({self.hands[0]: self.hold_still(self.hands[0], ticks)})
 
     def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
-        """Return the torques (dof,) in N m that hold an arm, and what it carries, still at joints (dof,), rad."""
+        """Return the torques (dof,), N m, that hold an arm and its held object still at joints (dof,), rad."""
         still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
         return still
 
@@ -400,7 +399,7 @@ def _padded(joints: Array, ticks: int) -> Array:
 
 
 class SkillFailedError(Exception):
-    """No motion was found, or a skill did not have its effect. An attempt's outcome records it.
+    """No motion was found, or a skill did not have its effect. The attempt's outcome records the error.
 
     Attributes:
         cause: as in `Outcome`.
@@ -415,7 +414,7 @@ T = TypeVar("T")
 
 
 class CachedIterable(Generic[T]):
-    """An iterable that takes elements from its source on demand, and keeps them for later iterations.
+    """Iterable that reads its source on demand, and keeps the elements for later iterations.
 
     Args:
         source: iterated once.
@@ -439,9 +438,9 @@ class CachedIterable(Generic[T]):
 _CROSSING_HEIGHT = 0.22  # m in `world`, least height of a hand that crosses the table
 _RAISE = 0.05  # m, least height by which a hand rises before it crosses the table
 
-_RETREAT_STEP, _MAX_RETREAT_STEPS = 0.02, 6  # m and count, the steps in which a hand rises from a contact
+_RETREAT_STEP, _MAX_RETREAT_STEPS = 0.02, 6  # m and count, steps in which a hand rises from a contact
 
-# Returns what an arm would touch at joints (dof,); None if nothing.
+# Returns the contact of an arm at joints (dof,); None without one.
 ContactQuery = Callable[[Array], str | None]
 
 
@@ -450,8 +449,8 @@ def plan_free_path(
 ) -> Array | None:
     """Return a collision-free motion (n + 1, dof) of a hand to joints `goal` (dof,); None if none was found.
 
-    Simple motions are tried before a search. A hand that touches something at the start first rises straight up if no
-    direct motion exists.
+    Simple motions are tried before RRT-Connect. A hand in contact at the start first rises straight up if no direct
+    motion exists.
 
     Args:
         tick: length of a control tick, s.
@@ -459,8 +458,8 @@ def plan_free_path(
     """
     path = _plan_from(hand, hand.joints, goal, touched, tick, rng)
     if path is None and touched(hand.joints) is not None and (retreat := _retreat_up(hand, touched, tick)) is not None:
-        onwards = _plan_from(hand, retreat[-1], goal, touched, tick, rng)
-        path = None if onwards is None else np.concatenate([retreat[:-1], onwards])
+        onward = _plan_from(hand, retreat[-1], goal, touched, tick, rng)
+        path = None if onward is None else np.concatenate([retreat[:-1], onward])
     return path
 
 
@@ -476,7 +475,7 @@ def _plan_from(
 
 
 def _retreat_up(hand: Hand, touched: ContactQuery, tick: float) -> Array | None:
-    """Return the shortest motion straight up after which a hand touches nothing; None without one."""
+    """Return the shortest motion straight up after which a hand has no contact; None without one."""
     T = hand.pinch_pose(hand.joints)
     for _ in range(_MAX_RETREAT_STEPS):
         T[2, 3] += _RETREAT_STEP

@@ -1,4 +1,4 @@
-"""Programs: a task's list of skills, read from its YAML, and its execution with retries."""
+"""Programs: a task's list of skills, parsed from its YAML and executed with retries."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, Turn
 from .skill import Skill, holding_hand
 
-# The skills of programs. A new skill is a module in this package, and an entry here.
+# The skills of programs. A new skill is a module in this package and an entry here.
 SKILLS: Mapping[str, type[Skill]] = {
     "pick": Pick,
     "place": Place,
@@ -49,11 +49,11 @@ SKILLS: Mapping[str, type[Skill]] = {
     "flatten": Flatten,
 }
 
-# The key of a loop over the things of a role: `each: {of: cup, do: [...]}`.
+# The key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _EACH = "each"
 
-# count, tries of a skill before the program fails; and tries after which a held thing is put down and grasped anew
-_MAX_TRIES, _TRIES_WITH_SAME_GRASP = 3, 2
+# attempts at a skill before the program fails; attempts after which a held object is put down and grasped anew
+_MAX_ATTEMPTS, _ATTEMPTS_WITH_SAME_GRASP = 3, 2
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class SkillRetry:
     """A skill that failed and was tried again.
 
     Attributes:
-        step: its number in the unrolled program.
-        skill: its name.
-        detail: why it failed.
+        step: index of the skill in the unrolled program.
+        skill: name of the skill.
+        detail: why the skill failed.
     """
 
     step: int
@@ -73,16 +73,16 @@ class SkillRetry:
 
 @dataclass
 class RecoveryLog:
-    """The skills that failed and were tried again while a program ran."""
+    """The retries of skills while a program runs."""
 
     recoveries: list[SkillRetry] = field(default_factory=list)
 
 
 def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
-    """Return the skills of a task's expert, with loops unrolled for a cast.
+    """Return the skills of a task's expert, with loops unrolled for a role assignment.
 
     Raises:
-        ConfigError: the program is not valid, which only an unchecked config such as a dataset's can be.
+        ConfigError: the program is not valid. Only unchecked configs, such as a dataset's, have such programs.
     """
     try:
         return parse_program(task.expert, roles)
@@ -93,14 +93,14 @@ def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
 def parse_program(
     steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> list[Skill]:
-    """Return the skills of a program, with loops unrolled for a cast.
+    """Return the skills of a program, with loops unrolled for a role assignment.
 
     Args:
-        steps: as in a task's YAML: each has one key, a skill's name or `each`.
-        path: of the steps in the config, for messages.
+        steps: as in a task's YAML: each step has one key, a skill's name or `each`.
+        path: of the steps in the config, for error messages.
 
     Raises:
-        ConflictError: a step is not valid; the path leads to the step.
+        ConflictError: a step is not valid; the error has the path of the step.
     """
     return [skill for _, skill in parse_steps(steps, roles, path)]
 
@@ -131,11 +131,11 @@ def _read_step(
 def _read_each(
     given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """Yield the steps of a loop, once for each thing of a role.
+    """Yield the steps of a loop, once for each object of a role.
 
-    Keys of `given`: `of` is a role. `do` is the steps, in which `it` is the present thing, `previous` the thing
-    before, and `number` how many things came before. `skip` is how many things to leave out at the start. `order` lists
-    kinds of things, in the order in which they are visited.
+    `given` has the keys `of`, a role, and `do`, the steps. In the steps, `it` is the present object, `previous` the
+    object before, and `number` the index of the object. The optional `skip` is the number of objects that are left out
+    at the start. The optional `order` lists the kinds of objects that are visited, in order.
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(
@@ -172,8 +172,7 @@ def _read_skill(
     try:
         skill = SKILLS[key].model_validate(filled)
     except ValidationError as error:
-        # A misspelt key is reported both as unknown and as missing. The unknown key comes first, because it has a
-        # place.
+        # A misspelt key is reported both as unknown and as missing. The unknown key comes first: it has a location.
         found = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing")
         first = found[0]
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
@@ -192,10 +191,10 @@ def _read_skill(
 def run_program(
     program: Sequence[Skill], context: PlanningContext, roles: RoleAssignment, log: RecoveryLog
 ) -> Iterator[MotionSegment]:
-    """Yield the segments of skills that run one after the other; a skill that fails is retried from the present state.
+    """Yield the segments of skills in order; a skill that fails is retried from the present state.
 
     Raises:
-        SkillFailedError: a skill failed `_MAX_TRIES` times.
+        SkillFailedError: a skill failed `_MAX_ATTEMPTS` times.
     """
     number = 0
     tries: dict[int, int] = {}
@@ -205,20 +204,20 @@ def run_program(
             yield from skill.run(context, roles, program[number + 1 :])
         except SkillFailedError as error:
             tries[number] = tries.get(number, 0) + 1
-            if tries[number] >= _MAX_TRIES:
+            if tries[number] >= _MAX_ATTEMPTS:
                 raise
             log.recoveries.append(SkillRetry(number, _skill_name(skill), str(error)))
             # Arms without a free path stay where they are.
             with suppress(SkillFailedError):
                 yield from open_and_park_hands(context)
             if (
-                tries[number] == _TRIES_WITH_SAME_GRASP
+                tries[number] == _ATTEMPTS_WITH_SAME_GRASP
                 and isinstance(skill, PlaceSkill)
                 and _last_picked(program[:number]) == skill.thing
             ):
                 with suppress(SkillFailedError):
                     yield from put_down_failed_object(context, roles, skill.thing)
-            number = _retry_from(program, number, context, roles)
+            number = _step_to_retry(program, number, context, roles)
         else:
             number += 1
 
@@ -228,15 +227,14 @@ def _skill_name(skill: Skill) -> str:
 
 
 def _last_picked(program: Sequence[Skill]) -> str | None:
-    """Return the role of the last `pick` of some steps; None without one."""
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
-def _retry_from(program: Sequence[Skill], number: int, context: PlanningContext, roles: RoleAssignment) -> int:
-    """Return the number of the step from which to continue after step `number` failed.
+def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningContext, roles: RoleAssignment) -> int:
+    """Return the index of the step from which to continue after step `number` failed.
 
-    If a step needs its thing in a hand and no hand holds the thing, the nearest earlier step that picks up the thing is
-    repeated. Any other step is retried by itself.
+    If a step needs its object in a hand and no hand holds it, continue from the last step before that picks it up. Any
+    other step is retried by itself.
     """
     if not program[number].NEEDS_HELD:
         return number
@@ -248,12 +246,12 @@ def _retry_from(program: Sequence[Skill], number: int, context: PlanningContext,
 
 
 def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
-    """Return the thing of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
+    """Return the object of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
     return roles.object_of(skill.roles()[0][1])
 
 
 # s, typical simulated duration of each skill. Source: means of successful attempts at the shipped tasks. No shipped
-# task has `push`, `turn` or `regrasp`; these are estimated from a reach and a motion, `place` and `handover`.
+# task has `push`, `turn` or `regrasp`; their values are estimated from a reach and a motion, `place` and `handover`.
 SKILL_SECONDS: Mapping[str, float] = {
     "pick": 2.7,
     "place": 3.0,
@@ -270,13 +268,13 @@ SKILL_SECONDS: Mapping[str, float] = {
     "fold": 6.8,
     "flatten": 7.0,
 }
-_THIRDS_FACTOR = 1.6  # factor on "fold": folding in thirds takes two folds in one reach; measured
+_THIRDS_FACTOR = 1.6  # factor on "fold", measured: folding in thirds takes two folds in one reach
 
 
 def typical_ticks(task: ProgramTask) -> int:
-    """Return how many control ticks a successful attempt at a task usually takes.
+    """Return the typical number of control ticks of a successful attempt at a task.
 
-    No hold time is added: most goals have held for it when the last skill ends.
+    No hold time is added: most goals have held long enough when the last skill ends.
 
     Raises:
         ConfigError: the task's program is not valid.

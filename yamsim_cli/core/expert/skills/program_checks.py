@@ -1,4 +1,4 @@
-"""Checks of a config's task: its program, and whether the places in it can be reached."""
+"""Checks of a task in a config: its program, and the reachability of its places."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from .program import parse_program, parse_steps
 from .push import Push
 from .skill import Skill
 
-# How a cloth's grid has to be divided for each fold that needs more than a grid.
+# How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
 _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
 
 
 def check_task_config(config: Config) -> None:
-    """Check that a config's task can be performed, if the config is a task or a recording.
+    """Check that the task of a config can be performed; do nothing if the config is neither a task nor a recording.
 
     Raises:
-        ConflictError: it cannot; the path leads from the config's root.
+        ConflictError: the task cannot be performed; the error's paths lead from the config's root.
     """
     if isinstance(config, ProgramTask):
         check_program(config)
     elif isinstance(config, RecordConfig):
         sides = [config.rig.arms[k].side for k in config.acting_indices]
-        # A fault that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
+        # An error that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
         for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
             try:
                 check_program(config.task, known_sides)
@@ -59,16 +59,16 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
     Args:
-        sides: of the arms that act; None if unknown.
+        sides: of the acting arms; None if unknown.
 
     Raises:
-        ConflictError: the program is impossible; the path leads from the task's root.
+        ConflictError: the program or the goal is impossible; the error's path leads from the task's root.
     """
-    cast = task.typical_roles
+    roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
-    for path, skill in parse_steps(task.expert, cast, ("expert",)):
-        thing = cast.object_of(skill.roles()[0][1])
+    for path, skill in parse_steps(task.expert, roles, ("expert",)):
+        thing = roles.object_of(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
         if skill.NEEDS_HELD and thing not in held:
             raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
@@ -78,9 +78,9 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         if skill.LEAVES_HELD is not None:
             held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Operate):
-            _check_part(task, cast, skill, path)
+            _check_part(task, roles, skill, path)
         if isinstance(skill, Hang):
-            _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
+            _check_hung(task, roles, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
             if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
                 problem = (
@@ -90,18 +90,17 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
                 )
                 raise ConflictError(f"the {role} {problem}", (*path, argument))
         if isinstance(skill, Place) and skill.on != TABLE:
-            _check_support(task, cast, skill, path)
+            _check_support(task, roles, skill, path)
         if isinstance(skill, Fold):
-            _check_fold(task, cast, skill, arms, path)
+            _check_fold(task, roles, skill, arms, path)
     if (found := find_contradiction(task.goal)) is not None:
         raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():
         if isinstance(predicate, Hung):
-            _check_hung(task, cast, predicate, ("goal", *path))
+            _check_hung(task, roles, predicate, ("goal", *path))
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    """Check that the arms exist that a step names or needs."""
     if isinstance(skill, Handover | Lift) and arms < 2:
         raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):
@@ -153,7 +152,7 @@ def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path:
 
 
 def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tuple[str | int, ...]) -> None:
-    """Check that each object that is to hang has an eye, and that each object that it hangs on has a peg."""
+    """Check that each object that is to hang has an eye, and that each object to hang it on has a peg."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _candidate_objects(task, roles, role):
             if handle not in (names := [known_handle.name for known_handle in item.handles]):
@@ -162,18 +161,18 @@ def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tupl
 
 
 def _candidate_objects(task: ProgramTask, roles: RoleAssignment, role: str) -> tuple[ObjectConfig, ...]:
-    """Return the objects that may play a role; `role` may also be the name of a thing."""
+    """Return the objects that may play a role; `role` may also be the name of an object."""
     return next(player.of for name, player in task.things.items() if role in (name, *roles.objects_of(name)))
 
 
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
     """Check that every picked object fits between the fingers of the acting arms."""
-    cast = task.typical_roles
-    picked = {skill.thing for _, skill in parse_steps(task.expert, cast) if isinstance(skill, Pick)}
+    roles = task.typical_roles
+    picked = {skill.thing for _, skill in parse_steps(task.expert, roles) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
         ("task", "things", role, "of", k): item
         for role, player in task.things.items()
-        if picked & {role, *cast.objects_of(role)}
+        if picked & {role, *roles.objects_of(role)}
         for k, item in enumerate(player.of)
     }
     check_fingers(config.rig, config.acting_arms, items)
@@ -214,14 +213,13 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
 
 
 def _named_place(skill: Skill) -> tuple[str, Array | None]:
-    """Return the argument by which a skill names a point on the table, and the point (2,); None if it names none."""
+    """Return the argument by which a skill names a point on the table, and the point (2,); None without a point."""
     if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
         return "at", np.array(skill.at) + skill.number * np.array(skill.step)
     return "to", np.array(skill.to) if isinstance(skill, Push) else None
 
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
-    """Return the base (2,) in `world` and the length of each acting arm, m."""
     return [
         (config.rig.T_base_in_world(k)[:2, 3], _arm_length(kinematic_model(config.rig.arms[k])))
         for k in config.acting_indices
@@ -239,13 +237,13 @@ def _arm_length(model: mujoco.MjModel) -> float:
 
 
 def program_contradiction(task: ProgramTask) -> str | None:
-    """Return how a task's program contradicts its goal; None if no step is known to."""
-    cast = task.typical_roles
-    program = parse_program(task.expert, cast)
+    """Return how a task's program contradicts its goal; None if no contradiction is known."""
+    roles = task.typical_roles
+    program = parse_program(task.expert, roles)
     held, moved, handed_over = set[str](), set[str](), set[str]()
     for skill in program:
-        things = {thing for _, role in skill.roles() for thing in cast.objects_of(role)}
-        thing = cast.object_of(skill.roles()[0][1])
+        things = {thing for _, role in skill.roles() for thing in roles.objects_of(role)}
+        thing = roles.object_of(skill.roles()[0][1])
         moved |= things
         if skill.LEAVES_HELD is not None:
             held = held | {thing} if skill.LEAVES_HELD else held - {thing}
@@ -253,7 +251,7 @@ def program_contradiction(task: ProgramTask) -> str | None:
             handed_over.add(thing)
 
     def impossible(predicate: Predicate) -> str | None:
-        things = set(cast.objects_of(predicate.roles()[0][1]))
+        things = set(roles.objects_of(predicate.roles()[0][1]))
         named = " and the ".join(sorted(things))
         if isinstance(predicate, HandedOver | WasHandedOver) and not things <= handed_over:
             return f"no step of the expert hands over the {named}; add `handover`"
@@ -275,6 +273,5 @@ def program_contradiction(task: ProgramTask) -> str | None:
 
 
 def _support_at_start(task: ProgramTask, name: str) -> str | None:
-    """Return what a role, or the thing of a role, starts on."""
-    cast = task.typical_roles
-    return next((start.on for role, start in task.starts.items() if name in (role, *cast.objects_of(role))), None)
+    roles = task.typical_roles
+    return next((start.on for role, start in task.starts.items() if name in (role, *roles.objects_of(role))), None)

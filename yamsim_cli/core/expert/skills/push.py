@@ -1,4 +1,4 @@
-"""Push a thing over the table with closed fingers."""
+"""Push an object over the table with closed fingers."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
 
-_START_GAP = 0.03  # m, between the thing and the fingers where they come down behind it
+_START_GAP = 0.03  # m, between the object and the fingers when they come down behind it
 _APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
-_PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
+_PUSH_HEIGHT = 0.02  # m, height of the fingertips over the table
 
 _PUSH_SPEED = 0.10  # m/s
 
-_MAX_PUSHES = 3  # count, pushes before the skill fails
+_MAX_PUSHES = 3  # pushes before the skill fails
 
-# rad, of the hand about the vertical, relative to fingers side by side
+# rad, turns of the hand about the vertical axis, relative to fingers side by side, in the order tried
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
-# rad, of the hand from straight down, in the order tried
-_LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
+# rad, tilts of the hand from straight down, in the order tried
+_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
-    """Push a low thing in a straight line to a point; the hand needs room behind the thing.
+    """Push a low object in a straight line to a point; the hand needs room behind the object.
 
     Attributes:
         thing: a role.
-        to: x and y in `world`, m.
+        to: x and y of the point in `world`, m.
         radius: largest distance from the point at which the push succeeds, m.
         arm: which arm.
     """
@@ -77,7 +77,7 @@ class Push(Skill):
         first, last = start - direction * (half + _START_GAP), np.array(self.to) - direction * half
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
-            for lean, turn in itertools.product(_LEANS, _TURNS):
+            for lean, turn in itertools.product(_TILTS, _TURNS):
                 found = self._reach(context, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue
@@ -101,7 +101,7 @@ class Push(Skill):
     ) -> tuple[Array, Array, Array] | None:
         """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at start and end; else None."""
         height = float(context.world.aabb(TABLE)[1][2]) + _PUSH_HEIGHT
-        # Fingers down, the closing axis across the push.
+        # The fingers point down; the closing axis lies across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         c, s = math.cos(lean), math.sin(lean)
         R = rotation_z(heading) @ down @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -1,4 +1,4 @@
-"""Put a held thing down where there is room."""
+"""Put a held object down where there is room."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from .skill import ArmSelector, Skill, require_holding_hand
 # rad, headings relative to the present heading, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
-# m and count; if there is no room between the arms: radii of rings around the present position, and places on each
-_RINGS, _DIRECTIONS = (0.0, 0.06, 0.12, 0.18), 8
+# m and count: rings around the present position, and places on each, for when there is no room between the arms
+_RING_RADII, _PLACES_PER_RING = (0.0, 0.06, 0.12, 0.18), 8
 
 
 class PutAside(PlaceSkill):
-    """Put a thing down on a free place of the table where no thing started: about as near to all acting arms, or if all
-    such places are taken, near to where the hand holds the thing.
+    """Put an object down on a free place of the table where no object started. The place is about as near to all acting
+    arms; if all such places are occupied, it is near to the present position of the object.
 
     Attributes:
-        thing: a role; it is in a hand.
+        thing: a role; its object is in a hand.
     """
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
@@ -54,7 +54,7 @@ class PutAside(PlaceSkill):
 
     @staticmethod
     def _blocks_a_start(context: PlanningContext, thing: str, place: Array) -> bool:
-        """Return whether a thing at a point (2,) would overlap a start, to which a thing may have to return."""
+        """Return whether an object at a point (2,) would overlap the start of an object, which may have to return."""
         radius = float(np.hypot(*context.half_footprint(thing, 0.0)))
         return any(
             float(np.linalg.norm(context.world.start_pose(other)[:2, 3] - place))
@@ -64,20 +64,19 @@ class PutAside(PlaceSkill):
 
 
 def _places_in_rings(place: Array) -> list[Array]:
-    """Return points (2,) in rings around a point, the nearest first, m."""
-    angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
+    angles = [2 * math.pi * k / _PLACES_PER_RING for k in range(_PLACES_PER_RING)]
     return [
         place + ring * np.array((math.cos(angle), math.sin(angle)))
-        for ring in _RINGS
+        for ring in _RING_RADII
         for angle in (angles if ring else angles[:1])
     ]
 
 
 def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
-    """Put a thing down where there is room, else straight below, and add its grasp to the hand's `failed_grasps`.
+    """Put an object down where there is room, else straight below; add its grasp to the hand's `failed_grasps`.
 
     Raises:
-        SkillFailedError: no hand holds the thing any more, or it cannot be lowered.
+        SkillFailedError: no hand holds the object any more, or it cannot be lowered.
     """
     hand = require_holding_hand(context, roles.object_of(role), "taken another way")
     hand.failed_grasps.append(context.update_held(hand))
@@ -98,11 +97,11 @@ def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterato
 
 
 class Regrasp(Skill):
-    """Put a thing down and pick it up again, with an arm and a grip that leave the skills ahead possible.
+    """Put an object down and pick it up again, with an arm and a grasp that leave the next skills possible.
 
     Attributes:
-        thing: a role; it is in a hand.
-        arm: the arm that picks the thing up.
+        thing: a role; its object is in a hand.
+        arm: the arm that picks the object up.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)

@@ -1,4 +1,4 @@
-"""Set a lying or inverted thing upright."""
+"""Set a lying or inverted object upright."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .place import PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, holding_hand
 
-_RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around where the thing lies
-_PLACES_PER_RING = 8  # count
+_RING_RADII = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around the object
+_PLACES_PER_RING = 8
 
-_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
+_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, headings that are tried at each place
 
-_MAX_TILT = math.radians(10)  # rad, a thing that leans more has fallen over again
+_MAX_TILT = math.radians(10)  # rad, an object that tilts more has fallen over again
 
 
 class SetUpright(PlaceSkill):
-    """Put a thing down upright, near to where it lies. A thing that is in no hand is picked up first. If no grasp
-    allows that, the thing is turned before.
+    """Put an object down upright, near its present place. An object that is in no hand is picked up first. If no grasp
+    allows an upright pose, the object is turned before.
 
     Attributes:
         thing: a role.
@@ -57,7 +57,7 @@ class SetUpright(PlaceSkill):
         low, high = context.world.aabb(thing)
         middle = (low[:2] + high[:2]) / 2
         found = []
-        for ring in _RINGS:
+        for ring in _RING_RADII:
             for k in range(_PLACES_PER_RING if ring else 1):
                 angle = 2 * math.pi * k / _PLACES_PER_RING
                 place = middle + ring * np.array((math.cos(angle), math.sin(angle)))
@@ -76,14 +76,14 @@ class SetUpright(PlaceSkill):
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
 _SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
 
-_DROP_FROM = 0.2  # m over the table, from which the resting height is searched
+_DROP_FROM = 0.2  # m over the table; the search for the resting height starts there
 
 
 class Turn(PlaceSkill):
-    """Put a lying thing down in the same attitude, with its z axis towards the arms.
+    """Put a lying object down in the same stable pose, with its z axis towards the arms.
 
     Attributes:
-        thing: a role; it is in a hand.
+        thing: a role; its object is in a hand.
     """
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:

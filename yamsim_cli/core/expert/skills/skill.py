@@ -1,4 +1,4 @@
-"""The base class of skills: arguments as a config, and motions that are planned while the skill runs."""
+"""Base class of skills: a skill's fields are its arguments, and its motions are planned while the skill runs."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Skill(Config):
     """Base class of the skills. A subclass's fields are its arguments; `ROLES` lists the fields that name a role.
 
     A skill plans from the present state. Between two yielded segments, the caller executes the motion and updates
-    the bench's world.
+    the planning context's world.
     """
 
     ROLES: ClassVar[tuple[str, ...]]
-    # Whether the skill's thing has to be in a hand before, and whether it is in a hand afterwards. None: either before,
-    # and unchanged afterwards.
+    # Whether the skill needs its object in a hand, and whether it leaves the object in a hand. None: either state is
+    # allowed before, and the skill does not change it.
     NEEDS_HELD: ClassVar[bool | None] = None
     LEAVES_HELD: ClassVar[bool | None] = None
-    # Whether the skill manipulates cloth. Other skills manipulate rigid things; roles in `ANY_MATERIAL` may be either.
+    # Whether the skill manipulates cloth. Other skills manipulate rigid objects; roles in `ANY_MATERIAL` may be either.
     OF_CLOTH: ClassVar[bool] = False
     ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
 
@@ -40,7 +40,7 @@ class Skill(Config):
         """Yield the segments of motion that perform the skill.
 
         Args:
-            next_skills: the skills that follow, the next first. Choices such as a grip have to suit them.
+            next_skills: the skills that follow, the next one first. Choices such as a grasp have to suit them.
 
         Raises:
             SkillFailedError: no motion was found, or the skill did not have its effect.
@@ -56,21 +56,21 @@ class Skill(Config):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """Return why this skill would fail with a thing held in a given pose; None if nothing is known to prevent it.
+        """Return why this skill would fail with an object held in a given pose; None if nothing is known to prevent it.
 
         Args:
-            T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
-            joints: joints (dof,) at which the arm would grasp the thing, rad.
-            next_skills: the skills after this one. A skill that hands the thing over has to leave them possible.
+            T_thing_in_pinch: the object's pose (4, 4) in the hand's pinch frame.
+            joints: joints (dof,) at which the arm would grasp the object, rad.
+            next_skills: the skills after this one. A skill that hands the object over has to leave them possible.
         """
         return None
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Skill:
-        """Return this skill without its preferences, for hands that cannot satisfy them; itself if there are none."""
+        """Return a copy of this skill without its preferences, for hands that cannot satisfy them; else the skill."""
         return self
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
-        """Return roughly where this skill would bring a thing: points (2,) in `world`, m; none if nowhere."""
+        """Return roughly where this skill would bring an object: points (2,) in `world`, m; empty if nowhere."""
         return ()
 
     def roles(self) -> tuple[tuple[str, str], ...]:
@@ -81,7 +81,7 @@ class Skill(Config):
 def preference_levels(
     next_skills: Sequence[Skill], context: PlanningContext, roles: RoleAssignment
 ) -> Iterator[Sequence[Skill]]:
-    """Yield the skills that follow with their preferences; then without, if that changes any of them."""
+    """Yield the next skills with their preferences, then without preferences if that changes any of them."""
     yield next_skills
     relaxed = [skill.without_preferences(context, roles) for skill in next_skills]
     if any(one is not other for one, other in zip(relaxed, next_skills, strict=True)):
@@ -89,13 +89,13 @@ def preference_levels(
 
 
 def require_holding_hand(context: PlanningContext, thing: str, action: str) -> Hand:
-    """Return the hand that holds a thing.
+    """Return the hand that holds an object.
 
     Args:
-        action: for the message, what is to be done with the thing, such as "put down".
+        action: participle for the error message, such as "put down".
 
     Raises:
-        SkillFailedError: no hand holds the thing.
+        SkillFailedError: no hand holds the object.
     """
     hand = holding_hand(context, thing)
     if hand is None:
@@ -104,5 +104,5 @@ def require_holding_hand(context: PlanningContext, thing: str, action: str) -> H
 
 
 def holding_hand(context: PlanningContext, thing: str) -> Hand | None:
-    """Return the hand that holds a thing, as of its last `Bench.update_held`; None if no hand does."""
+    """Return the hand that holds an object, as of the last `PlanningContext.update_held`; None if no hand does."""
     return next((hand for hand in context.hands if hand.held is not None and hand.held.thing == thing), None)

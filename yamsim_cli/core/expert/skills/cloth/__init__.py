@@ -1,1 +1,1 @@
-"""Skills for cloth: grasp points of a sheet, and fold, flatten or slide the sheet with them."""
+"""Skills for cloth: grasps of single points of a cloth, and folding, flattening and sliding with them."""

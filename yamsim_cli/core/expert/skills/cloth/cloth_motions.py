@@ -21,25 +21,25 @@ from .point_grasps import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp,
 SPEED = 0.12  # m/s, of a hand with cloth
 ARCH = 0.45  # height of the path of a fold, as a share of its length
 
-_FORCE = 20.0  # N, of closed fingers on cloth
+_FORCE = 20.0  # N, force of closed fingers on cloth
 
-# m; depths of further grasps after a miss, each in steps of `_DEPTH_STEP`.
+# m, how much lower a hand grasps on each retry after a miss, in steps of `_DEPTH_STEP`
 _DEPTH_STEP = 0.002
 _DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
-_OPEN_TICKS = 4  # control ticks in which fingers open before a further grasp
+_OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
-_STUCK_OPENING = 2 * APPROACH_OPENING  # m, of a finger commanded to `APPROACH_OPENING`, above which it counts as stuck
-_CLOSED_OPENING = 0.006  # m, of a closed finger: more than cloth is thick, and far less than `APPROACH_OPENING`
+_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, a finger commanded to `APPROACH_OPENING` is stuck if it is more open
+_MAX_CLOSED_OPENING = 0.006  # m, of a closed finger: more than cloth is thick, and far less than `APPROACH_OPENING`
 
-_WITHDRAWAL = 0.04  # m, of a hand out from under the cloth that it placed
-_DROP_HEIGHT = 0.002  # m, over the target, at which a folded point is released
-_PULL_HEIGHT = 0.006  # m, of a pull over the table: tips that rub on the table hold arms back by 2 to 4 cm
+_RETREAT_DISTANCE = 0.04  # m, motion of a hand out from under the cloth that it placed
+_DROP_HEIGHT = 0.002  # m, height over the target at which a folded point is released
+_PULL_HEIGHT = 0.006  # m, height of a pull over the table: tips that rub on the table hold arms back by 2 to 4 cm
 
 
 def predicted_points(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
 ) -> Array:
-    """A cloth's points (along y, along x, 3) in `world` after `carry` with the same arguments, m.
+    """Return a cloth's points (along y, along x, 3) in `world` after `carry_points` with the same arguments, m.
 
     The points come from a simulation of the cloth without hands, in which the grasped points move on prescribed paths.
     """
@@ -70,7 +70,7 @@ def carry_points(
     yield from _approach(context, grasps)
     _check_fingers(context, grasps)
     yield context.make_segment({grasp.hand: context.plan_line(grasp.hand, grasp.T_grasp) for grasp in grasps})
-    yield from _grasp(context, thing, grasps)
+    yield from _close_with_retries(context, thing, grasps)
     missed = [grasp.hand for grasp in grasps if grasp.hand.side not in context.world.holding_sides(thing)]
     if not missed:
         yield context.make_segment(_arches(context, thing, grasps, arch, speed))
@@ -78,7 +78,7 @@ def carry_points(
     yield context.make_segment(
         {hand: context.hold_still(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
     )
-    # A hand that pulled a single layer is above the cloth, unless a finger came to be under the edge.
+    # A hand that pulled a single layer is above the cloth, unless a finger slipped under the edge.
     beneath = context.world.hands_beneath(thing)
     under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in beneath]
     if under:
@@ -97,9 +97,7 @@ def carry_points(
 
 
 def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    """Move hands to the starts of their approaches, and idle hands out of the way: together, if their paths are clear
-    of each other.
-    """
+    """Move grasping hands to their approaches and idle hands away: at once if their paths are clear of each other."""
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     goals = {hand: hand.ready_joints for hand in unparked_hands(context) if hand not in opened}
     goals |= {grasp.hand: grasp.before for grasp in grasps}
@@ -115,17 +113,13 @@ def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterato
 
 
 def _check_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> None:
-    """Raise `SkillFailedError` if fingers are stuck open.
-
-    Open fingers would push through cloth that stands up beside a point, and grasp it too.
-    """
+    """Raise `SkillFailedError` if fingers are stuck open: they would also grasp cloth that stands up beside a point."""
     for grasp in grasps:
-        if context.opening(grasp.hand) > _STUCK_OPENING:
+        if context.opening(grasp.hand) > _MAX_OPEN_OPENING:
             raise SkillFailedError(FailureCause.SLIPPED, f"the {grasp.hand.side} hand's fingers do not close")
 
 
 def _free_together(context: PlanningContext, paths: Mapping[Hand, Array]) -> bool:
-    """Whether hands that move on their paths (n + 1, dof) at once do not touch each other."""
     ticks = max(len(path) for path in paths.values())
     for tick in range(ticks):
         there = [(hand, path[min(tick, len(path) - 1)]) for hand, path in paths.items()]
@@ -134,10 +128,10 @@ def _free_together(context: PlanningContext, paths: Mapping[Hand, Array]) -> boo
     return True
 
 
-def _grasp(context: PlanningContext, thing: str, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    """Close hands on their points; hands that miss try again at lower heights.
+def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+    """Close hands on their points; hands that miss retry at lower heights.
 
-    A hand misses because its arm comes to rest a little too high, or because hollow cloth gives way to its fingers.
+    A hand misses if its arm comes to rest a little too high, or if hollow cloth gives way to its fingers.
     """
     yield from _close(context, grasps)
     points = context.world.cloth_points(thing)
@@ -165,29 +159,27 @@ def _grasp(context: PlanningContext, thing: str, grasps: Sequence[PointGrasp]) -
 
 
 def _max_depth(points: Array, grasp: PointGrasp) -> float:
-    """The depth of a further grasp, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
+    """Return the depth of a retry, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
     hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.alone else 0.0
     return hollow + TIP_CLEARANCE
 
 
 def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    """Close hands on the cloth between their fingers."""
     closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
     yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest_segment(context)
 
 
 def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
-    """Whether commanded fingers did close; others only press cloth down."""
-    return context.opening(hand) < _CLOSED_OPENING
+    return context.opening(hand) < _MAX_CLOSED_OPENING
 
 
 def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
-    """A hand's motion (n + 1, dof) out from under the cloth, laterally or forward; at rest if neither is reachable."""
+    """Return a motion (n + 1, dof) out from under the cloth, lateral or forward; at rest if neither is reachable."""
     for direction in (grasp.lateral, grasp.forward):
         T = grasp.hand.pinch_pose(grasp.hand.joints)
-        T[:2, 3] += _WITHDRAWAL * direction
-        T[2, 3] += _WITHDRAWAL / 4
+        T[:2, 3] += _RETREAT_DISTANCE * direction
+        T[2, 3] += _RETREAT_DISTANCE / 4
         try:
             return context.plan_line(grasp.hand, T)
         except SkillFailedError:
@@ -198,7 +190,6 @@ def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
 def _arches(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float, speed: float
 ) -> dict[Hand, Array]:
-    """Every hand's motion (n + 1, dof) that carries its point from the present place to the target."""
     points = context.world.cloth_points(thing)
     low, high = context.world.local_box(thing)
     ends = {}
@@ -219,7 +210,7 @@ def _arches(
 
 
 def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
-    """The pose (4, 4) at a share, 0..1, of a path from one pose to another over an arch of a height in m."""
+    """Return the pose (4, 4) at a share, 0..1, of a path from one pose to another over an arch of a height in m."""
     path, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
     up = path[2] * share + height * math.sin(math.pi * share)
     R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)

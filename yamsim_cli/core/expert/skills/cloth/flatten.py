@@ -27,26 +27,26 @@ from ..skill import Skill
 from .cloth_motions import carry_points, predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
-FLAT_LAYERS = 3.5  # layers, largest height of cloth that counts as flat
+FLAT_LAYERS = 3.5  # layers, largest height of flat cloth
 FLAT_DISPLACEMENT = 0.06  # share of the side, largest distance of a point from its place in flat cloth
 
-_MAX_PULLS = 6
+_MAX_PULLS = 6  # pulls in one flattening
 _PULL_SPEED = 0.15  # m/s
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
 _RETRY_SCALE = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
 
-_PULL_SHARES = (1.0, 0.7, 0.45)  # shares of a pull's path, in order of trial, where hands do not reach the whole
+_PATH_SHARES = (1.0, 0.7, 0.45)  # shares of a pull's path, in the order tried, if hands do not reach all of it
 
-# Layers' thickness, horizontal distances: of points on which a pulled point is placed, and of points that follow it.
-_SAME_PLACE, _FOLLOWING = 4, 6
+# Horizontal distances in layer thicknesses: of points at the target of a pulled point, and of points that follow it.
+_TARGET_LAYERS, _FOLLOWING_LAYERS = 4, 6
 
 _MISSED_RADIUS = 0.02  # m, around a missed point, within which no further grasp is tried
 
 
 @dataclass(frozen=True, eq=False)
 class _PlannedPull:
-    """A pull within reach, with its grasps and the predicted unevenness after it."""
+    """A reachable pull, with its grasps and the predicted unevenness after it."""
 
     grasps: list[PointGrasp]
     pull: ClothPull
@@ -54,10 +54,10 @@ class _PlannedPull:
 
 
 class Flatten(Skill):
-    """Flatten cloth by pulls at its border until it lies flat; each is the one with the flattest simulated result.
+    """Flatten cloth by pulls at its border; each pull is the one with the flattest simulated result.
 
     Attributes:
-        thing: a role, which cloth plays.
+        thing: a role that cloth plays.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -85,10 +85,10 @@ def flatten_cloth(
     displacement: float = FLAT_DISPLACEMENT,
     max_pulls: int = _MAX_PULLS,
 ) -> Iterator[MotionSegment]:
-    """Pull a cloth until it lies flat, no pull makes it flatter, or `max_pulls` have been made.
+    """Pull a cloth until it lies flat, no pull makes it flatter, or `max_pulls` pulls have been made.
 
     Args:
-        layers: the largest height that counts as flat, in layers.
+        layers: the largest height of flat cloth, in layers.
         displacement: the largest distance of a point from its place in flat cloth, as a share of the side.
 
     Raises:
@@ -126,7 +126,6 @@ def flatten_cloth(
 
 
 def _is_flat(context: PlanningContext, thing: str, layers: float, displacement: float) -> bool:
-    """Whether a cloth lies flat; see `flatten_cloth`."""
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     level = height_range(points) + cloth.thickness <= layers * cloth.thickness
     return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * square_side(cloth.rest)
@@ -135,10 +134,10 @@ def _is_flat(context: PlanningContext, thing: str, layers: float, displacement: 
 def _best_pull(
     context: PlanningContext, thing: str, missed: Sequence[Array], scale: float = 1.0
 ) -> _PlannedPull | None:
-    """The pull with the flattest simulated result; None if no pull makes the cloth flatter.
+    """Return the pull with the flattest simulated result; None if no pull makes the cloth flatter.
 
     Args:
-        missed: places (3,) of missed points, near which no pull is tried.
+        missed: positions (3,) of missed points, near which no pull is tried.
         scale: see `candidate_pulls`.
     """
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
@@ -152,7 +151,7 @@ def _best_pull(
                 None,
                 (
                     reachable_grasps(context, thing, _point_placements(points, pull, share, thickness))
-                    for share in _PULL_SHARES
+                    for share in _PATH_SHARES
                 ),
             ),
             None,
@@ -168,7 +167,7 @@ def _best_pull(
 
 
 def _point_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
-    """The points of a pull, each with the target at a share of its path."""
+    """Return the points of a pull, each with the target at a share of its path."""
     placements = []
     for point, to in zip(pull.points, pull.targets, strict=True):
         place = _on_cloth(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
@@ -177,11 +176,11 @@ def _point_placements(points: Array, pull: ClothPull, share: float, thickness: f
 
 
 def _on_cloth(points: Array, point: Point, to: Array, thickness: float) -> Array:
-    """The place (3,) of a point moved to `to` (2,), seen from above: on the cloth that stays there, or on the table."""
+    """Return the position (3,) of a point moved to `to` (2,): on the cloth that stays there, or on the table."""
     flat, place = points.reshape(-1, 3), points[point]
-    there = np.linalg.norm(flat[:, :2] - to, axis=1) < _SAME_PLACE * thickness
-    follows = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _FOLLOWING * thickness
+    there = np.linalg.norm(flat[:, :2] - to, axis=1) < _TARGET_LAYERS * thickness
+    follows = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _FOLLOWING_LAYERS * thickness
     below = flat[there & ~follows, 2]
-    # A point is not raised to the target: one that is higher already comes down by itself.
+    # A point is not raised to its target: a higher point comes down by itself.
     high = min(float(below.max()) + thickness, float(place[2])) if len(below) else float(flat[:, 2].min())
     return np.array([*to, high])

@@ -19,16 +19,16 @@ from .cloth_motions import SPEED, carry_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_on_point
 
 _LAYERED_SPEED = 0.08  # m/s, of folds after the first: several layers come apart at a higher speed
-_PLACED = 0.02  # m, horizontal distance from its target below which a corner counts as placed already
+_MAX_CORNER_ERROR = 0.02  # m, horizontal distance from its target below which a corner is already placed
 
 
 class Fold(Skill):
-    """Fold flat cloth: in half or in thirds with two hands, along a diagonal with one.
+    """Fold flat cloth: in half or in thirds with two hands, or along a diagonal with one hand.
 
-    A cloth that is partly folded already is folded further.
+    A partly folded cloth is folded further.
 
     Attributes:
-        thing: a role, which cloth plays.
+        thing: a role that cloth plays.
         how: kind of fold.
     """
 
@@ -61,7 +61,7 @@ class Fold(Skill):
             plans = [moves for moves in plans if all(_is_folded(points, move) for move in moves[:number])]
             if number < last and any(_is_folded(points, moves[number]) for moves in plans):
                 continue
-            # Plans whose later moves are within reach too come first: later corners hardly move before.
+            # Plans whose later moves are also within reach come first: their corners hardly move before.
             plans.sort(key=lambda moves: not all(_grasps(context, thing, move) for move in moves[number + 1 :]))
             grasps = next(filter(None, (_grasps(context, thing, moves[number]) for moves in plans)), None)
             if grasps is None:
@@ -76,5 +76,4 @@ def _grasps(context: PlanningContext, thing: str, move: Move) -> list[PointGrasp
 
 
 def _is_folded(points: Array, move: Move) -> bool:
-    """Whether every corner of a move lies on its target already."""
-    return all(np.linalg.norm((points[one] - points[other])[:2]) < _PLACED for one, other in move)
+    return all(np.linalg.norm((points[one] - points[other])[:2]) < _MAX_CORNER_ERROR for one, other in move)

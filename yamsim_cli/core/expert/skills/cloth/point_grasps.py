@@ -1,4 +1,4 @@
-"""Grasps of single points of cloth: which hands reach a point and the place to put it, and at which poses."""
+"""Grasps of single points of cloth: which hands reach a point and its target, and at which poses."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from ..planning_context import PlanningContext
 
 APPROACH_OPENING = 0.012  # m, of each finger, before fingers close on cloth
 TIP_CLEARANCE = 0.001  # m, of tips over a grasped point: tips press on the cloth, and do not touch what is under it
-APPROACH = 0.08  # m, distance from the grasp where a hand's approach starts
+APPROACH = 0.08  # m, length of a hand's straight approach to the grasp
 
 _HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length of a pad, which ends at the tip, and half its width
-_INWARDS = 0.007  # m, of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
+_INSET = 0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
 
-# Cloth that stands up in the ring between the two sizes below ends up on a finger.
-_HAND_SIZE = 0.024  # m, half the side of the square that an open hand needs around its middle
-_GAP_SIZE = (0.009, 0.011)  # m, half the sides of the gap between open fingers, which cloth may fill
-_MAX_STANDING = 0.03  # m, largest height of cloth beside the fingers over their tips
+# Cloth that stands up between the two squares below ends up on a finger.
+_HALF_HAND_SIZE = 0.024  # m, half the side of the square that an open hand needs around its middle
+_HALF_GAP_SIZE = (0.009, 0.011)  # m, half the sides of the gap between open fingers, which cloth may fill
+_MAX_STANDING_HEIGHT = 0.03  # m, largest height of cloth beside the fingers over their tips
 
-_NEIGHBOURS = 2  # cells; the neighbours this near to a point of an upper layer say where the middle of that layer is
-_SAME_PLACE = 0.012  # m, horizontal distance below which points lie on each other
-_NEAR = 0.03  # m, height over the grasp at which the hand is checked for contacts
-_LEANS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand towards its arm, in order of trial
+_NEIGHBOURS = 2  # cells; neighbours this near to a point of an upper layer give the direction to the layer's middle
+_OVERLAP_DISTANCE = 0.012  # m, horizontal distance below which points lie on each other
+_NEAR_HEIGHT = 0.03  # m, height over the grasp at which contacts of the hand are checked
+_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, tilts of a hand to its arm, in the order tried
 
-#: Computes where a point is placed (3,) in `world`, m, from the cloth's points (along y, along x, 3) at the grasp.
+#: Returns the target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
 Target = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A point of cloth to grasp, and the place to put it.
+    """A point of cloth to grasp, and its target.
 
     Attributes:
-        point: its row and column.
+        point: row and column of the point.
         target: see `Target`.
         alone: whether the point is grasped without the layers below it.
     """
@@ -55,12 +55,12 @@ class PointGrasp:
     """A hand's grasp of a point of cloth.
 
     Attributes:
-        placement: the point, and the place to put it.
+        placement: the point and its target.
         T_grasp: pose (4, 4) of the pinch frame at the point.
         R_end: rotation (3, 3) of the pinch frame at the target.
         before: joints (dof,) before the approach, rad.
         end: joints (dof,) over the target, rad.
-        forward: direction (2,) of the motion, seen from above.
+        forward: horizontal direction (2,) of the motion.
         lateral: direction (2,) out from under the cloth, across the motion, or outwards for a point grasped alone.
     """
 
@@ -75,19 +75,19 @@ class PointGrasp:
 
 
 def target_at_place(place: Array) -> Target:
-    """The target at a fixed place (3,)."""
+    """Return the target at a fixed position (3,) in `world`, m."""
     return lambda points: place
 
 
 def target_on_point(point: tuple[int, int]) -> Target:
-    """The target on another point of the same cloth."""
+    """Return the target on another point of the same cloth."""
     return lambda points: points[point]
 
 
 def reachable_grasps(
     context: PlanningContext, thing: str, placements: Sequence[PointPlacement], points: Array | None = None
 ) -> list[PointGrasp] | None:
-    """Grasps of points of a cloth by free hands, one hand for each point; None if a point or a target is out of reach.
+    """Return grasps of a cloth's points by free hands, one for each point; None if a point or target is out of reach.
 
     Args:
         points: the cloth's points (along y, along x, 3) in `world`, m; the present ones by default.
@@ -95,7 +95,7 @@ def reachable_grasps(
     points = context.world.cloth_points(thing) if points is None else points
     free = context.free_hands("any")
     for hands in itertools.permutations(free, len(placements)):
-        # Arms do not cross: the hand of the left arm grasps the left point.
+        # Arms do not cross: the left arm's hand grasps the left point.
         sides = [hand.arm.T_base_in_world[1, 3] for hand in hands]
         places = [points[placement.point][1] for placement in placements]
         if len(placements) > 1 and (sides[0] - sides[1]) * (places[0] - places[1]) <= 0:
@@ -111,9 +111,7 @@ def reachable_grasps(
 
 
 def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement: PointPlacement) -> PointGrasp | None:
-    """A hand's grasp with the least lean with which the hand reaches the point and the target; None if it reaches
-    neither, or only one.
-    """
+    """Return a hand's grasp with the least tilt that reaches both the point and its target; None without one."""
     place = points[placement.point]
     path = placement.target(points) - place
     middle = place[:2] + path[:2] / 2
@@ -124,19 +122,19 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     )
     forward = path[:2] / max(float(np.linalg.norm(path[:2])), 1e-9)
     lateral = -inwards if placement.alone else (inwards @ forward) * forward - inwards
-    # Fingers point down, and close across the direction from the arm, so that a lean keeps both tips at one height.
+    # Fingers point down, and close across the direction from the arm, so that a tilt keeps both tips at one height.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
     turns = [
-        rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS
+        rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _TILTS
     ]
-    for lean, R in zip(_LEANS, turns, strict=True):
-        up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + TIP_CLEARANCE
+    for tilt, R in zip(_TILTS, turns, strict=True):
+        up = _HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
         up -= 0.0 if placement.alone else _height_over_lowest(points, place)
-        T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
+        T_at = pose((*(place[:2] + _INSET * inwards), place[2] + up), R)
         if placement.alone and _cloth_stands_beside(points, T_at):
             continue
         T_near = T_at.copy()
-        T_near[2, 3] += _NEAR
+        T_near[2, 3] += _NEAR_HEIGHT
         near = hand.solve_ik(T_near, (hand.ready_joints,), WAYPOINT_TOLERANCE)
         at = None if near is None else hand.solve_ik(T_at, (near,))
         if near is None or at is None or context.collision_checker.has_self_collision(hand.number, at):
@@ -156,29 +154,26 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
 
 
 def _cloth_stands_beside(points: Array, T_at: Array) -> bool:
-    """Whether cloth stands up beside the fingers of a hand that comes down on it to a pose (4, 4)."""
     seen = (points.reshape(-1, 3) - T_at[:3, 3]) @ T_at[:3, :3]
     across = np.abs(seen[:, :2])
-    beside = (across < _HAND_SIZE).all(axis=1) & ~(across < _GAP_SIZE).all(axis=1)
-    return bool((_HALF_PAD - seen[beside, 2] > _MAX_STANDING).any())
+    beside = (across < _HALF_HAND_SIZE).all(axis=1) & ~(across < _HALF_GAP_SIZE).all(axis=1)
+    return bool((_HALF_PAD - seen[beside, 2] > _MAX_STANDING_HEIGHT).any())
 
 
 def _height_over_lowest(points: Array, place: Array) -> float:
-    """Height of a place (3,) on a cloth over the lowest point of the cloth there, m."""
     flat = points.reshape(-1, 3)
-    there = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _SAME_PLACE
+    there = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _OVERLAP_DISTANCE
     return float(place[2] - flat[there, 2].min())
 
 
 def _direction_to_middle(place: Array, others: Array) -> Array:
-    """Direction (2,) from a place (3,) to the middle of points (n, 3), seen from above."""
     inwards: Array = others.mean(axis=0)[:2] - place[:2]
     inwards /= np.linalg.norm(inwards)
     return inwards
 
 
 def _neighbours(points: Array, point: tuple[int, int]) -> Array:
-    """The points (n, 3) of a cloth up to `_NEIGHBOURS` cells from a point in the grid."""
+    """Return the points (n, 3) of a cloth up to `_NEIGHBOURS` cells from a point in the grid."""
     row, column = point
     near = points[
         max(0, row - _NEIGHBOURS) : row + _NEIGHBOURS + 1, max(0, column - _NEIGHBOURS) : column + _NEIGHBOURS + 1
@@ -187,7 +182,7 @@ def _neighbours(points: Array, point: tuple[int, int]) -> Array:
 
 
 def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) -> bool:
-    """Whether two hands do not touch each other, both before the approach and both over their targets."""
+    """Return whether two hands do not touch each other, both before the approach and over their targets."""
     if len(grasps) < 2:
         return True
     ends = [[(grasp.hand, grasp.before) for grasp in grasps], [(grasp.hand, grasp.end) for grasp in grasps]]
@@ -195,7 +190,7 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
 
 
 def hands_clear(context: PlanningContext, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
-    """Whether two hands at given joints (dof,) do not touch each other, with fingers open for an approach or more."""
+    """Return whether hands at joints (dof,) do not touch each other, with fingers open for an approach or wider."""
     (hand, joints), (other_hand, other_joints) = one, other
     there = context.qpos_with_hand(hand, joints, max(APPROACH_OPENING, hand.opening), None)
     return (

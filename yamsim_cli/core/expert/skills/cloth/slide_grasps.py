@@ -14,21 +14,21 @@ from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_a
 
 SLIDE_SPEED = 0.2  # m/s, of hands that slide cloth
 
-# m, lengths of slides towards the arms, in order of trial: cloth that is pulled by its nearer side follows straight.
-_TOWARDS_ARMS = (0.1, 0.15, 0.05, 0.0, -0.05)
+# m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight.
+_SLIDE_LENGTHS = (0.1, 0.15, 0.05, 0.0, -0.05)
 
-_MAX_HEIGHT = 0.02  # m, of the highest point over the lowest one after a slide
-_MAX_TRIALS = 8  # slides that are tried in a simulation, each of which takes long
+_MAX_HEIGHT_RANGE = 0.02  # m, largest height of the highest point over the lowest after a slide
+_MAX_TRIALS = 8  # slides that are simulated; each simulation takes long
 
 
 def slide_grasps(
     context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
 ) -> list[PointGrasp] | None:
-    """Grasps with which two hands slide a flat cloth until `wanted` is true; None if no slide does that.
+    """Return grasps with which two hands slide a flat cloth until `wanted` is true; None if no slide achieves that.
 
     Args:
         turns: angles by which the cloth may be turned, rad.
-        wanted: whether points (along y, along x, 3) in `world`, m, are where the cloth is wanted.
+        wanted: whether the cloth is in place, given its points (along y, along x, 3) in `world`, m.
     """
     points, trials = context.world.cloth_points(thing), 0
     rows, columns = points.shape[:2]
@@ -42,7 +42,7 @@ def slide_grasps(
             if (grasps := reachable_grasps(context, thing, placements)) is None:
                 continue
             after = predicted_points(context, thing, grasps, 0.0, SLIDE_SPEED)
-            if height_range(after) < _MAX_HEIGHT and wanted(after):
+            if height_range(after) < _MAX_HEIGHT_RANGE and wanted(after):
                 return grasps
             trials += 1
             if trials == _MAX_TRIALS:
@@ -51,10 +51,10 @@ def slide_grasps(
 
 
 def _candidate_slides(points: Array, turns: Sequence[float]) -> list[Array]:
-    """The cloth's points (along y, along x, 3) after each slide, in order of preference, m."""
+    """Return the cloth's points (along y, along x, 3) after each slide, in the order tried, m."""
     middle = points.reshape(-1, 3).mean(axis=0)
     slides = []
-    for nearer, turn in itertools.product(_TOWARDS_ARMS, turns):
+    for nearer, turn in itertools.product(_SLIDE_LENGTHS, turns):
         for lateral in (0.0, -float(middle[1])):
             slides.append((points - middle) @ rotation_z(turn).T + middle + [-nearer, lateral, 0.0])
     return slides
