@@ -62,11 +62,11 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
         thickness: thickness of the sheet, m.
     """
     # Either side of the sheet may be up.
-    fits = [_fitted(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
+    fits = [_fit_side(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
     return min(fits, key=lambda fitted: float(np.linalg.norm(fitted - points[..., :2], axis=-1).mean()))
 
 
-def _fitted(points: Array, rest: Array, thickness: float) -> Array:
+def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
     """See `fit_flat_places`, for a known side up: a rigid fit in the plane, reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
@@ -120,7 +120,7 @@ def candidate_pulls(
     ]
     # Unfold: pull one or two displaced points to their flat positions.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
-    wrong = _spread(points, sorted(border, key=lambda point: -off[point]), side)
+    wrong = _select_spread(points, sorted(border, key=lambda point: -off[point]), side)
     wrong = [point for point in wrong if off[point] > _MIN_DISPLACEMENT * side]
     for count in (1, 2):
         for some in itertools.combinations(wrong, count):
@@ -132,13 +132,13 @@ def candidate_pulls(
     if len(high):
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
-        for point in _spread(points, beside, side):
+        for point in _select_spread(points, beside, side):
             yield ClothPull((point,), (_outward_direction(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
         to = tuple(_outward_direction(points[point][:2], middle, scale * side) for point in pair)
-        yield ClothPull(pair, _no_farther(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
+        yield ClothPull(pair, _limit_distance(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
 def square_side(rest: Array) -> float:
@@ -158,7 +158,7 @@ def _is_graspable_point(points: Array, point: Point, spacing: float, high: float
     return not (covered or hemmed) and float(place[2]) - lowest < _MAX_GRASP_HEIGHT * high
 
 
-def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
+def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
     """Return the first `_MAX_POINTS` points with at least `_MIN_SPACING` between them."""
     chosen: list[Point] = []
     for point in ordered:
@@ -174,7 +174,7 @@ def _outward_direction(place: Array, other: Array, side: float) -> Array:
     return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 
 
-def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+def _limit_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
     """Return two positions (2,), moved towards each other to a distance of at most `length`, m."""
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2

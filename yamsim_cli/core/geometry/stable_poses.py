@@ -52,55 +52,55 @@ def stable_poses(points: Array, centre: Array) -> list[StablePose]:
         points: collision points (n, 3) of the body, m.
         centre: centre of mass (3,), m.
     """
-    rest = _extreme(points - centre)
-    down, height = _resting_directions(rest)
+    offsets = _extreme_points(points - centre)
+    down, height = _resting_directions(offsets)
     order = np.argsort(height)
     groups = np.split(order, np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT) + 1)
     found = [StablePose(down[group[0]], float(height[group[0]]), len(group) / _STARTS) for group in groups]
-    kept = [pose for pose in found if pose.probability >= _MIN_SHARE and _is_face(rest, pose)]
+    kept = [pose for pose in found if pose.probability >= _MIN_SHARE and _is_face(offsets, pose)]
     return sorted(kept, key=lambda pose: -pose.probability)[:_MAX_POSES]
 
 
 def placeable_poses(points: Array, centre: Array) -> list[StablePose]:
     """Return a stable pose for each face on which a hand can place a body; see `stable_poses`. A cube has six."""
-    rest = _extreme(points - centre)
-    down, height = _resting_directions(rest)
+    offsets = _extreme_points(points - centre)
+    down, height = _resting_directions(offsets)
     found: list[StablePose] = []
     left = np.argsort(height)
     while len(left):
         near = down[left] @ down[left[0]] > np.cos(_SAME_FACE)
         found.append(StablePose(down[left[0]], float(height[left[0]]), float(near.sum()) / _STARTS))
         left = left[~near]
-    kept = [face for face in found if face.probability >= _MIN_SHARE and _is_face(rest, face, _STEADY * face.height)]
+    kept = [face for face in found if face.probability >= _MIN_SHARE and _is_face(offsets, face, _STEADY * face.height)]
     return sorted(kept, key=lambda pose: -pose.probability)
 
 
-def _resting_directions(rest: Array) -> tuple[Array, Array]:
+def _resting_directions(offsets: Array) -> tuple[Array, Array]:
     """Return `down` (n, 3) and `height` (n,), m, of the orientations to which a body rolls from each start."""
     down = sphere_directions(_STARTS)
-    scale = float(np.linalg.norm(rest, axis=1).max())
+    scale = float(np.linalg.norm(offsets, axis=1).max())
     for k in range(_STEPS):
-        lowest = rest[(down @ rest.T).argmax(axis=1)]
+        lowest = offsets[(down @ offsets.T).argmax(axis=1)]
         # The body rolls about its lowest point until this point is below the centre of mass.
         lever = lowest - np.einsum("ij,ij->i", lowest, down)[:, None] * down
         length = np.linalg.norm(lever, axis=1, keepdims=True)
         step = 0.35 * 0.972**k
         down = down - step * lever / np.maximum(length, 1e-12) * np.minimum(1.0, length / (0.2 * scale) + 0.05)
         down /= np.linalg.norm(down, axis=1, keepdims=True)
-    return down, (down @ rest.T).max(axis=1)
+    return down, (down @ offsets.T).max(axis=1)
 
 
-def _is_face(rest: Array, pose: StablePose, reach: float = _MIN_REACH) -> bool:
+def _is_face(offsets: Array, pose: StablePose, reach: float = _MIN_REACH) -> bool:
     """Return whether each small tilt lifts the centre of mass, so that the face reaches `reach` (m) beyond it."""
     across = np.linalg.svd(pose.down[None])[2][1:]
     angle = 2 * np.pi * np.arange(12) / 12
     tilts = np.column_stack([np.cos(angle), np.sin(angle)]) @ across
     tipped = np.cos(_TILT) * pose.down + np.sin(_TILT) * tilts
-    lift = (tipped @ rest.T).max(axis=1) - pose.height
+    lift = (tipped @ offsets.T).max(axis=1) - pose.height
     return bool(lift.min() > reach * np.sin(_TILT))
 
 
-def _extreme(points: Array) -> Array:
+def _extreme_points(points: Array) -> Array:
     """Return the points that are extreme in some direction. No other point can touch a plane."""
     far = np.unique((sphere_directions(4000) @ points.T).argmax(axis=1))
     found: Array = points[far]

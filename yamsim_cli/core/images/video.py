@@ -82,7 +82,7 @@ def _yuv_from_rgb(matrix: ColorMatrix) -> NDArray[np.float64]:
 _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
-def _av() -> Any:
+def _import_av() -> Any:
     try:
         import av
     except ModuleNotFoundError as error:
@@ -104,7 +104,7 @@ def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Itera
         DatasetError: the video cannot be read.
         ResourceError: PyAV is not installed.
     """
-    av = _av()
+    av = _import_av()
     try:
         with av.open(str(file)) as container:
             stream = container.streams.video[0]
@@ -128,7 +128,7 @@ def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator
         DatasetError: the packets cannot be decoded, or the codec is not H.264 or H.265.
         ResourceError: PyAV is not installed.
     """
-    av = _av()
+    av = _import_av()
     name = _CODECS.get(codec.lower())
     if name is None:
         raise DatasetError(f"{source}: its pictures are {codec!r}; valid: {', '.join(_CODECS)}")
@@ -302,7 +302,7 @@ def require_encoder() -> None:
     Raises:
         ResourceError: PyAV is not installed, or has no H.264 encoder.
     """
-    if "libx264" not in _av().codecs_available:
+    if "libx264" not in _import_av().codecs_available:
         raise ResourceError(
             "this PyAV was built without an H.264 encoder (libx264): install its wheel by pip install 'yamsim[video]'"
         )

@@ -31,20 +31,20 @@ class PictureAugmenter:
 
     def apply(self, image: Image, frame: int, camera: int) -> None:
         """Augment an image (height, width, 3) in place."""
-        self._tone(image, random_generator(self._job, Stream.TONE, frame, camera))
+        self._apply_tone(image, random_generator(self._job, Stream.TONE, frame, camera))
         if self._variation.noise:
-            self._noise(image, random_generator(self._job, Stream.NOISE, frame, camera))
+            self._apply_noise(image, random_generator(self._job, Stream.NOISE, frame, camera))
         if self._variation.salt_pepper:
-            self._salt_pepper(image, random_generator(self._job, Stream.SALT_PEPPER, frame, camera))
+            self._apply_salt_pepper(image, random_generator(self._job, Stream.SALT_PEPPER, frame, camera))
 
-    def _tone(self, image: Image, rng: np.random.Generator) -> None:
+    def _apply_tone(self, image: Image, rng: np.random.Generator) -> None:
         brightness = 255.0 * float(rng.uniform(*self._ranges.brightness))
         contrast = float(rng.uniform(*self._ranges.contrast))
         if brightness == 0.0 and contrast == 1.0:
             return
         cv2.addWeighted(image, contrast, image, 0.0, _GREY * (1.0 - contrast) + brightness, image)
 
-    def _noise(self, image: Image, rng: np.random.Generator) -> None:
+    def _apply_noise(self, image: Image, rng: np.random.Generator) -> None:
         if self._noise_parts is None:
             sigma = np.float32(self._variation.noise)
             normal = random_generator(self._job, Stream.NOISE, 0).standard_normal(
@@ -58,7 +58,7 @@ class PictureAugmenter:
         cv2.add(image, raised, image)
         cv2.subtract(image, lowered, image)
 
-    def _salt_pepper(self, image: Image, rng: np.random.Generator) -> None:
+    def _apply_salt_pepper(self, image: Image, rng: np.random.Generator) -> None:
         pixels = image.reshape(-1, 3)
         assert self._variation.salt_pepper is not None
         count = int(rng.binomial(len(pixels), self._variation.salt_pepper))

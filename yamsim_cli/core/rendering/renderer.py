@@ -113,8 +113,8 @@ class SceneRenderer(Closable):
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
         _enter_opengl()
-        self._held = _Contexts()
-        self._free = weakref.finalize(self, self._held.free)
+        self._contexts = _Contexts()
+        self._free = weakref.finalize(self, self._contexts.free)
         self._free.atexit = False
         self._model = model
         self._width, self._height = size
@@ -137,11 +137,11 @@ class SceneRenderer(Closable):
         self.description = _opengl_name()
 
     def _open(self, size: tuple[int, int]) -> None:
-        self._held.gl = mujoco.GLContext(*size)
+        self._contexts.gl = mujoco.GLContext(*size)
         # MuJoCo has already registered the closing of its display. Exit handlers run in reverse order.
-        atexit.register(self._held.free)
-        self._held.gl.make_current()
-        context = self._held.context = mujoco.MjrContext(self._model, _FONT)
+        atexit.register(self._contexts.free)
+        self._contexts.gl.make_current()
+        context = self._contexts.context = mujoco.MjrContext(self._model, _FONT)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
         if context.offWidth < size[0] or context.offHeight < size[1]:
             raise ValueError(f"the model's offscreen buffer is smaller than {size[0]} x {size[1]} pixels")
@@ -251,10 +251,10 @@ class SceneRenderer(Closable):
             self._scene.flags[:] = flags
 
     def _current(self) -> mujoco.MjrContext:
-        assert self._held.context is not None, "closed"
+        assert self._contexts.context is not None, "closed"
         _enter_opengl()
-        self._held.gl.make_current()
-        return self._held.context
+        self._contexts.gl.make_current()
+        return self._contexts.context
 
     def close(self) -> None:
         """Free the OpenGL context. Repeated calls have no effect."""

@@ -22,7 +22,7 @@ from .compilation import compile_spec
 _SEEN_GROUP = 2  # highest geom group that viewers show by default; collision geoms are in group 3
 
 
-def _load(arm: ArmConfig) -> mujoco.MjSpec:
+def _load_spec(arm: ArmConfig) -> mujoco.MjSpec:
     _require_compiles(arm.robot.xml, arm.model, arm.gripper)
     spec = mujoco.MjSpec.from_string(arm.robot.xml)
     if arm.grasp_offset is not None:
@@ -37,16 +37,16 @@ def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
         try:
             mujoco.MjSpec.from_string(mjcf.text)
         except ValueError as error:
-            raise ConfigError(f"{mjcf.file} does not compile: {_reason(error, lines=not mjcf.includes)}") from error
+            raise ConfigError(f"{mjcf.file} does not compile: {_error_text(error, lines=not mjcf.includes)}") from error
     both = f"{arm.mjcf.file} with {gripper.mjcf.file}"
     try:
         spec = mujoco.MjSpec.from_string(xml)
     except ValueError as error:
-        raise ConfigError(f"{both} does not compile: {_reason(error, lines=False)}") from error
+        raise ConfigError(f"{both} does not compile: {_error_text(error, lines=False)}") from error
     compile_spec(show_meshes_or_primitives(spec, (*arm.mesh_sets, *gripper.mesh_sets), None), both, ConfigError)
 
 
-def _reason(error: ValueError, *, lines: bool) -> str:
+def _error_text(error: ValueError, *, lines: bool) -> str:
     """Return MuJoCo's message in one line; without `lines`, strip line numbers, which do not refer to one file."""
     reason = " ".join(str(error).split())
     return reason if lines else re.sub(r",? line \d+", "", reason)
@@ -54,7 +54,7 @@ def _reason(error: ValueError, *, lines: bool) -> str:
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
     """Return the complete arm; its collision primitives are visible unless `meshes` has all of its mesh sets."""
-    return show_meshes_or_primitives(_load(arm), arm.robot.mesh_sets, meshes)
+    return show_meshes_or_primitives(_load_spec(arm), arm.robot.mesh_sets, meshes)
 
 
 def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
@@ -105,7 +105,7 @@ def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
     The model has all sites and another site `tool` on the flange, which inverse kinematics moves.
     """
     robot = arm.robot
-    spec = _load(arm)
+    spec = _load_spec(arm)
     for parts in (spec.equalities, spec.actuators, spec.sensors, spec.tendons, spec.excludes):
         for part in list(parts):
             spec.delete(part)

@@ -83,7 +83,7 @@ class RandomizedModel:
         self._extras = {item.name: model.body(item.name).id for item in config.extras}
         self._materials = {model.material(k).name: k for k in range(model.nmat)}
         of_body = model.body_rootid[model.geom_bodyid]
-        self._seen = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
+        self._distractor_geoms = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
         self._saved = {key: getattr(model, key).copy() for key in _SAVED}
         self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
         self.textures: list[int] = []
@@ -100,19 +100,19 @@ class RandomizedModel:
         if variation.mass:
             scale_masses(model, variation.mass)
         for number, light in zip(self._lights, variation.lights, strict=False):
-            self._light(number, light)
+            self._apply_light(number, light)
         if variation.headlight:
             model.vis.headlight.diffuse *= variation.headlight[0]
             model.vis.headlight.ambient *= variation.headlight[1]
         for name, factor in variation.friction.items():
-            self._friction(name, factor)
+            self._apply_friction(name, factor)
         if variation.lens_deg is not None:
             model.cam_fovy[self._camera] += variation.lens_deg
         if variation.camera:
             self._move_camera(np.array(variation.camera))
         for part, surface in (("table", variation.table), ("floor", variation.floor)):
             if surface:
-                self._surface(part, surface)
+                self._apply_surface(part, surface)
         for name, look in variation.looks.items():
             material = self._materials[name]
             model.mat_rgba[material, :3] = look.rgb
@@ -123,7 +123,7 @@ class RandomizedModel:
     def place_distractor(self, name: str, where: UprightPose | None) -> None:
         """Place a distractor at `[x, y, z, yaw]` in `world`, m and rad, or remove it if None."""
         model, body = self._model, self._extras[name]
-        geoms = self._seen[body]
+        geoms = self._distractor_geoms[body]
         if where is None:
             model.body_pos[body] = _ABSENT_POSITION
             model.geom_group[geoms] = _ABSENT_GROUP
@@ -135,7 +135,7 @@ class RandomizedModel:
         for key in ("geom_group", "geom_contype", "geom_conaffinity"):
             getattr(model, key)[geoms] = self._saved[key][geoms]
 
-    def _light(self, number: int, light: LightVariation) -> None:
+    def _apply_light(self, number: int, light: LightVariation) -> None:
         model = self._model
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
@@ -144,7 +144,7 @@ class RandomizedModel:
         model.light_pos[number] = centre - direction
         model.light_diffuse[number] *= light.colour
 
-    def _friction(self, name: str, factor: float) -> None:
+    def _apply_friction(self, name: str, factor: float) -> None:
         model = self._model
         if name in _SURFACES:
             geoms = [model.geom(_SURFACES[name]).id]
@@ -158,7 +158,7 @@ class RandomizedModel:
         model.cam_pos[camera] += moved[:3]
         model.cam_quat[camera] = quat_from_rotation(rotation_from_vector(moved[3:]) @ R)
 
-    def _surface(self, part: str, surface: SurfaceVariation) -> None:
+    def _apply_surface(self, part: str, surface: SurfaceVariation) -> None:
         model = self._model
         tiles = part == "floor" and surface.texture in ("plain", "checker")
         if tiles or surface.texture == "plain":

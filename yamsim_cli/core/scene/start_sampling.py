@@ -67,8 +67,8 @@ def sample_placements(
         number: index of the sample; samples are repeated if earlier ones are not usable.
 
     Returns:
-        Object -> placement, in the order in which objects settle; or the name of an object for which no free place was
-        found in 20 rounds of 60 tries.
+        Object -> placement, in the order in which objects settle. If 20 rounds of 60 tries find no free placement for
+        an object, the function returns this object's name.
     """
     if task.arrangements:
         return _arranged_placements(task, roles, job, number)

@@ -52,10 +52,10 @@ def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, 
     centre = model.body_ipos[body]
     found = []
     for point, direction in itertools.product((centre, *points), _DIRECTIONS):
-        span = _measure_pair(model, data, geoms, T, point, direction)
-        if span is not None and span.width <= widest and span.steepness <= _MAX_SLOPE:
-            found.append(span)
-    return sorted(found, key=lambda span: float(np.linalg.norm(span.middle - centre)) + 0.05 * span.steepness)
+        pair = _measure_pair(model, data, geoms, T, point, direction)
+        if pair is not None and pair.width <= widest and pair.steepness <= _MAX_SLOPE:
+            found.append(pair)
+    return sorted(found, key=lambda pair: float(np.linalg.norm(pair.middle - centre)) + 0.05 * pair.steepness)
 
 
 def _measure_pair(
@@ -65,16 +65,16 @@ def _measure_pair(
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
     offsets = [np.zeros(3), _SLOPE_OFFSET * side, -_SLOPE_OFFSET * side, _SLOPE_OFFSET * other, -_SLOPE_OFFSET * other]
-    reached = []
+    distances = []
     for sign in (1.0, -1.0):
         depths = [_surface_distance(model, data, geoms, T, point + offset, sign * direction) for offset in offsets]
         if any(depth is None for depth in depths):
             return None
-        reached.append(np.array(depths, float))
-    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_OFFSET) for d in reached] + [
-        abs(d[3] - d[4]) / (2 * _SLOPE_OFFSET) for d in reached
+        distances.append(np.array(depths, float))
+    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_OFFSET) for d in distances] + [
+        abs(d[3] - d[4]) / (2 * _SLOPE_OFFSET) for d in distances
     ]
-    high, low = float(reached[0][0]), -float(reached[1][0])
+    high, low = float(distances[0][0]), -float(distances[1][0])
     middle: Array = point + direction * (high + low) / 2
     return AntipodalPair(middle, direction, high - low, max(slopes))
 

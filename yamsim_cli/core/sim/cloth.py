@@ -210,9 +210,9 @@ def crumple(
 ) -> Array:
     """Crumple a cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
 
-    The function lifts a point of the cloth's outer half, moves it roughly towards the middle, lowers it to half the
-    height, and drops the cloth. Up to 40 drops are tried, until the cloth is at least 4 layers high and passes neither
-    through itself nor through the table.
+    The function lifts a point of the cloth's outer half and moves it roughly towards the middle. Then it lowers the
+    point to half the height and drops the cloth. Up to 40 drops are tried, until the cloth is at least 4 layers high
+    and passes neither through itself nor through the table.
 
     Args:
         start: MuJoCo's positions (nq,) with the cloth flat.

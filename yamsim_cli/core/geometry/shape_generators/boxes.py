@@ -58,15 +58,15 @@ def make_container(size: Container) -> GeneratedShape:
     thick, flat = round(wall + size.lip, 4), not size.lip
     # Half-sizes to the middle of the collision walls.
     x, y = (round(half - size.taper / 2 - wall / 2, 4) for half in (x, y))
-    holds = [
+    grasps = [
         ShapeGrasp("rim", (0.0, y, z), 90.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (0.0, -y, z), 90.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (-x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
     ]
     if size.cells % 2 == 0:
-        holds = holds[2:]
-    return GeneratedShape(tuple(pieces), tuple(collision), tuple(holds), "in", wall)
+        grasps = grasps[2:]
+    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), "in", wall)
 
 
 def _open_box(size: Container, x: float, y: float) -> Surface:
@@ -211,8 +211,8 @@ def make_block(
     collision = [box_data((0, 0, size[2] / 2), size)]
     height = max(size[2] / 2, size[2] - _MAX_DEPTH)
     axes = sorted(((size[0], 0.0), (size[1], 90.0)))
-    holds = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
-    return GeneratedShape(tuple(pieces), tuple(collision), tuple(holds), support=size[2])
+    grasps = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
+    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), support=size[2])
 
 
 def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape:
@@ -287,11 +287,11 @@ def make_rack(size: Rack) -> GeneratedShape:
     for along in (*rows, -_BETWEEN * y, _BETWEEN * y):
         wire(np.array([[-x, along, _RACK_FLOOR], [x, along, _RACK_FLOOR]]))
     z = round(height - r, 4)
-    holds = (
+    grasps = (
         ShapeGrasp("edge", (round(x, 4), 0.0, z), 0.0, size.wire),
         ShapeGrasp("edge", (round(-x, 4), 0.0, z), 0.0, size.wire),
     )
-    return GeneratedShape(tuple(pieces), tuple(collision), holds)
+    return GeneratedShape(tuple(pieces), tuple(collision), grasps)
 
 
 def _end_handle_path(x: float, half: float, foot: float, top: float) -> Array:

@@ -37,8 +37,8 @@ class ShapeGrasp:
         axis_deg: closing direction of the fingers, degrees from +x.
         width: thickness of the object between the pads, m.
         has_flat_contact: whether both pads touch with their faces. On a line contact, the object pivots.
-        tilt_deg: tilt of the hand from vertical towards `axis_deg`, degrees, at which the pads are parallel to a wall;
-            None if the grasp is not on a wall.
+        tilt_deg: tilt of the hand from vertical towards `axis_deg`, degrees. With this tilt, the pads are parallel to
+            the grasped wall. None for other grasps.
         depth: length of the object between the fingers, along the fingers, m. A longer lever resists rotation better.
     """
 

@@ -24,8 +24,8 @@ def make_pasta(diameter: float, length: float, wall: float, slant_deg: float, ri
     surface = _pipe(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
     half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
     hull = capsule_data((0, -half, radius), (0, half, radius), radius)
-    hold = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
-    return GeneratedShape((ShapePiece("body", surface),), (hull,), (hold,), rolls=radius)
+    grasp = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
+    return GeneratedShape((ShapePiece("body", surface),), (hull,), (grasp,), rolls=radius)
 
 
 def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:

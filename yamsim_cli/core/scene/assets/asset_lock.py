@@ -34,7 +34,7 @@ def is_contained(path: str) -> bool:
     return bool(path) and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
 
 
-def _member(path: str) -> str:
+def _check_member(path: str) -> str:
     if not is_contained(path):
         raise ValueError("must be a relative path without '..'")
     return path
@@ -43,7 +43,7 @@ def _member(path: str) -> str:
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 # A name without folders, leading dots, or characters that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
-Member = Annotated[str, AfterValidator(_member)]
+Member = Annotated[str, AfterValidator(_check_member)]
 
 
 class _Frozen(BaseModel):
@@ -207,14 +207,14 @@ def load_lock(locations: Locations) -> AssetLock:
     made = {gripper.name: finger_mesh_files(gripper.finray) for gripper in grippers if gripper.finray is not None}
     if not made:
         return lock
-    sets = {name: _locked(name, files) for name, files in made.items()}
+    sets = {name: _generated_set(name, files) for name, files in made.items()}
     notice = locations.file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
     return lock.model_copy(
         update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
     )
 
 
-def _locked(name: str, files: Mapping[str, bytes]) -> AssetSet:
+def _generated_set(name: str, files: Mapping[str, bytes]) -> AssetSet:
     return AssetSet(
         name=name,
         license="MIT",

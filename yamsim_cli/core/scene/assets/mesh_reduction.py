@@ -152,7 +152,7 @@ def make_reduced(
             content = files | {assets.notice: notice.encode(), REPORT: text.encode()}
             return _reduced_set(store.publish_folder(_folder_name(assets), content), report)
     except ImportError as error:
-        raise ResourceError(_missing(error)) from error
+        raise ResourceError(_missing_message(error)) from error
 
 
 def _reduce_all(
@@ -168,14 +168,14 @@ def _reduce_all(
             raise ResourceError(f"{name}: {error}") from error
         report[name] = {
             "sha256": sha256_bytes(files[name]),
-            "source_faces": _faces(data),
-            "faces": _faces(files[name]),
+            "source_faces": _face_count(data),
+            "faces": _face_count(files[name]),
         }
         progress(number, len(assets.files))
     return files, report
 
 
-def _faces(stl: bytes) -> int:
+def _face_count(stl: bytes) -> int:
     return int.from_bytes(stl[80:84], "little")
 
 
@@ -191,9 +191,9 @@ def _folder_name(assets: AssetSet) -> str:
             f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())
         ]
     except ImportError as error:
-        raise ResourceError(_missing(error)) from error
+        raise ResourceError(_missing_message(error)) from error
     return f"{assets.directory_name}-reduced-{sha256_bytes(chr(10).join(how).encode())[:12]}"
 
 
-def _missing(error: ImportError) -> str:
+def _missing_message(error: ImportError) -> str:
     return f"meshes are reduced by packages that are not all installed ({error}); install yamsim's requirements"

@@ -53,7 +53,7 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
             name=f"{name}_thread",
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            # The rotation follows the lift. The softness of an equality depends on the inertias of its joints: in the
+            # The rotation follows the lift. The softness of an equality depends on the inertias of its joints. In the
             # opposite direction, a cap with its small rotational inertia would sag by centimetres.
             name1=name,
             name2=f"{name}_thread",
