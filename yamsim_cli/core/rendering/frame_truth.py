@@ -145,10 +145,7 @@ def is_visible(
     visible if its pixel shows its body at the depth of the tangent plane. A corner lies on the edge of the print, where
     half of the pixels show another surface. For a corner, each neighbouring pixel counts too.
 
-    Args:
-        normal: outward normal (3,) in the camera's frame; None for a point inside the arm.
-        K: camera matrix (3, 3).
-        pixel: column and row of the point's pixel.
+    `normal` (3,) is outward in the camera's frame, or None for a point inside. `pixel` is (column, row).
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
@@ -208,10 +205,7 @@ def measure_cloth(
 def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
     """Return the points (n, 3) of the two sides of a sheet as MuJoCo draws them, m.
 
-    Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles.
-
-    Args:
-        corners: indices (m, 3) of the corners of the triangles.
+    Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles (m, 3).
     """
     a, b, c = (points[corners[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)

@@ -77,7 +77,7 @@ class ArmAddresses:
         joint_range: joint limits (dof, 2), rad.
         motor_speed, max_torque: largest speed (dof,), rad/s, and torque (dof,), N m, of the joints.
         fingers: addresses of the fingers; None for an arm without fingers.
-        gravity: error of the gravity compensation as a fraction of it (dof,); None if exact.
+        gravity: relative error of each joint's gravity compensation (dof,); None if exact.
         offset: encoder reading of each joint at position 0 (dof,), rad, or 0 for all.
         sensors: ids of the delayed sensors of the joints and the left finger (drives,); None without delay.
         command_delay, sensor_delay: delay of commands and of readings, s.
@@ -186,7 +186,7 @@ class CompiledScene:
     """A compiled model with the addresses for stepping and recording.
 
     Attributes:
-        model: the model. It is constant between attempts; attempts write the targets of welds into it.
+        model: compiled model, constant between attempts. Attempts write the targets of welds into the model.
         arms: arms in the order of recordings, the left one first.
         object_qpos, object_dof: name of a rigid object -> address of its free joint in `qpos` and in `qvel`.
         cameras: names of the recorded cameras, in order.

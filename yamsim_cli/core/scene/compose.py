@@ -83,7 +83,6 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
 
 
 def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence[Array]) -> None:
-    """Add background, lights and table, and set MuJoCo's visual options."""
     scene = blueprint.scene
     centre = np.mean([T[:3, 3] for T in bases], axis=0)
     middle = np.mean([centre, scene.table.position], axis=0) if scene.table else centre
@@ -136,7 +135,6 @@ def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: Ar
 
 
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, ranges: ArmRanges | None) -> None:
-    """Set time step and friction, and add delays and inactive welds."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         set_friction_cones(spec, physics.impratio)

@@ -117,7 +117,6 @@ def _sample_placement(
     table: Table,
     rng: np.random.Generator,
 ) -> ObjectPlacement | None:
-    """Sample a free placement of an object; return None if all tries fail."""
     T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
     neighbours = [
         footprint_corners(box_of(other, there.open), there.T) for other, there in placed.items() if there.on == on

@@ -165,7 +165,6 @@ class AssetLock(_Frozen):
 
 
 def _read_lock(locations: Locations) -> AssetLock:
-    """Read `assets/assets.lock.json` with its notices."""
     path = locations.file(LOCK_FILE)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))

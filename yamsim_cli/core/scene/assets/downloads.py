@@ -222,7 +222,6 @@ def _size(path: Path) -> int:
 
 
 def _failure_reason(archive: Archive, result: ChildResult) -> str:
-    """Return in one line why pip failed."""
     if "DO NOT MATCH THE HASHES" in result.stderr:
         return f"what the package index serves as {archive.file} is not the pinned archive"
     errors = [line.removeprefix("ERROR: ") for line in result.stderr.splitlines() if line.startswith("ERROR: ")]

@@ -113,7 +113,6 @@ def _obtain(
 
 
 def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-    """Return the files from a source; convert an OSError to a SourceError."""
     try:
         scratch.mkdir()
         return source.read(assets, scratch, progress)
