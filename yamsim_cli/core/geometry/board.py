@@ -1,7 +1,7 @@
-"""A flat board of ArUco markers: its dimensions, and its two frames.
+"""A flat board of ArUco markers: its dimensions and its two frames.
 
-`board` has its origin at the centre, x right, y up, z out of the paper. Poses are given in this frame.
-`board_cv` is the frame of OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
+The frame `board` has its origin at the centre, x right, y up, z out of the paper. All poses use this frame.
+The frame `board_cv` is that of OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ class Board:
     """A grid of square markers, numbered row by row from the top left.
 
     Attributes:
-        name: in messages and on prints.
-        first_id: id of the top-left marker; the others count up.
-        columns, rows: size of the grid.
+        name: name in messages and on prints.
+        first_id: id of the top-left marker; the ids of the other markers follow.
+        columns, rows: number of markers along x and along y.
         dictionary: name of OpenCV's predefined dictionary, such as "DICT_6X6_250".
         marker_length: edge of a marker, m.
-        gap: distance between two neighbouring markers, m.
+        gap: distance between the edges of neighbouring markers, m.
     """
 
     name: str
@@ -41,12 +41,12 @@ class Board:
 
     @property
     def width(self) -> float:
-        """Distance from the left edge of the leftmost marker to the right edge of the rightmost one, m."""
+        """Width over all markers, without a border, m."""
         return self.columns * self.marker_length + (self.columns - 1) * self.gap
 
     @property
     def height(self) -> float:
-        """Distance from the top edge of the topmost marker to the bottom edge of the lowest one, m."""
+        """Height over all markers, without a border, m."""
         return self.rows * self.marker_length + (self.rows - 1) * self.gap
 
     @property
@@ -55,7 +55,7 @@ class Board:
         return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
 
     def corners(self) -> Array:
-        """Marker corners (n, 4, 3) in the `board` frame, m: markers as in `ids`, each clockwise from its top left."""
+        """Return marker corners (n, 4, 3) in `board`, m, in the order of `ids`, each clockwise from the top left."""
         step = self.marker_length + self.gap
         length = self.marker_length
         corners = np.zeros((self.columns * self.rows, 4, 3))
@@ -67,6 +67,6 @@ class Board:
         return corners
 
     def outer_corners(self) -> Array:
-        """Corners (4, 3) of the whole board in the `board` frame, m, clockwise from the top left."""
+        """Return the corners (4, 3) of the whole board in `board`, m, clockwise from the top left."""
         x, y = self.width / 2, self.height / 2
         return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])

@@ -1,7 +1,7 @@
 """A simplified mesh of the printed mount that carries a board beside an arm's base.
 
-The mount is a plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip
-over the foot. Nothing beyond the step is higher than the board, so the mount hides no marker.
+The mount is a plate with the board in its middle, and a tongue. The tongue is a low bridge to the base's foot, a step
+up, and a strip over the foot. No part beyond the step is higher than the board, so the mount hides no marker.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from .se3 import Array
 from .stl import Faces
 
-# x of the end and z of the top of the base's foot, mm. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
+# mm, x of the end and z of the top of the base's foot. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END, _FOOT_TOP = 100.0, 0.6
 _STEP = 5.0  # mm, thickness of the step in front of the foot
 _PAPER = 0.1  # mm, thickness of the board
@@ -29,12 +29,12 @@ def mount_mesh(
     board_size_mm: tuple[float, float],
     mirror_x: bool = False,
 ) -> tuple[Array, Faces]:
-    """A closed surface of a mount in the base mesh's frame.
+    """Return a closed surface of a mount in the frame of the base's mesh.
 
     Args:
-        x_mm, y_mm, z_mm: the mount's extent, before mirroring.
-        board_centre_mm: the board's centre (x, y, z), after mirroring.
-        board_size_mm: the board's width and height.
+        x_mm, y_mm, z_mm: lower and upper end of the mount along each axis, before mirroring, mm.
+        board_centre_mm: centre (x, y, z) of the board, after mirroring, mm.
+        board_size_mm: width and height of the board, mm.
         mirror_x: whether the mount is mirrored at x = 0.
 
     Returns:
@@ -63,7 +63,7 @@ def mount_mesh(
             f"z {z0:g}..{z1:g}); correct the board's position_mm, or the mount's x_mm, y_mm, z_mm or mirror_x"
         )
 
-    # The tongue is centred on y = 0, as the foot is, and always ends where the plate begins.
+    # The tongue is centred on y = 0, like the foot, and always ends at the plate.
     reach = max(0.0, min(-y0, y1))
     foot_end = min(max(x0, _FOOT_END), plate_x0)
     step_end = min(foot_end + _STEP, plate_x0)
@@ -79,12 +79,12 @@ def mount_mesh(
 
 
 def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
-    """The closed surface of the union of axis-aligned boxes; boxes without volume are left out.
+    """Return the closed surface of the union of axis-aligned boxes; boxes without volume are ignored.
 
-    The faces of all boxes cut space into cells. The surface has a quad wherever a full cell meets an empty one.
+    The faces of all boxes divide space into cells. The surface has a quad between each full and empty neighbour.
 
     Args:
-        boxes: (k, 2, 3), the low and the high corner of each box.
+        boxes: low and high corner of each box (k, 2, 3).
 
     Returns:
         Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside.

@@ -1,6 +1,6 @@
 """Closed triangle surfaces: merged vertices, mass properties, open edges, and the convex hull.
 
-A surface is vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
+A surface consists of vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import numpy as np
 from .se3 import Array
 from .stl import Faces
 
-_MERGED = 1e-6  # distance below which vertices are merged, as a share of the surface's length
-_PLANES = 800  # tangent planes that stand for a convex hull
+_MERGE_DISTANCE = 1e-6  # distance within which vertices are merged, as a fraction of the surface's longest side
+_PLANES = 800  # tangent planes that approximate a convex hull
 
 
 @dataclass(frozen=True)
 class UniformMassProperties:
-    """Mass properties of a body of density 1.
+    """Mass properties of a body of density 1 kg/m3.
 
     Attributes:
-        volume: m3; negative where the surface is inside out.
-        centre: of mass (3,), m.
-        inertia: (3, 3) about the centre of mass, kg m2.
+        volume: volume, m3; negative if the surface is inside out.
+        centre: centre of mass (3,), m.
+        inertia: inertia matrix (3, 3) about the centre of mass, kg m2.
     """
 
     volume: float
@@ -33,10 +33,10 @@ class UniformMassProperties:
 
 
 def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
-    """The mass properties of an evenly filled surface; overlapping volumes count twice.
+    """Return the mass properties of a uniformly filled surface; overlapping volumes count twice.
 
-    Source: the divergence theorem over tetrahedra from the centroid; their second moments are those of A. Mirtich,
-    "Fast and Accurate Computation of Polyhedral Mass Properties", 1996.
+    Method: sum over tetrahedra from the mean vertex. Source of their second moments: A. Mirtich, "Fast and Accurate
+    Computation of Polyhedral Mass Properties", 1996.
     """
     middle = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)
@@ -51,9 +51,9 @@ def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassPropert
 
 
 def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """The surface with equal vertices merged, without the triangles that lose a corner by that."""
+    """Merge equal vertices, and remove the triangles that thereby lose a corner."""
     length = float(np.ptp(vertices, axis=0).max()) or 1.0
-    keys = np.round(vertices / (length * _MERGED)).astype(np.int64)
+    keys = np.round(vertices / (length * _MERGE_DISTANCE)).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     merged = index.reshape(-1)[faces].astype(np.int32)
     whole = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
@@ -61,7 +61,7 @@ def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: Faces) -> int:
-    """The number of edges that are not shared by two triangles of the same orientation."""
+    """Return the number of edges that two consistently oriented triangles do not share."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(edges.max()) + 1
     forth, back = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
@@ -73,21 +73,21 @@ def open_edges(faces: Faces) -> int:
 
 
 def is_closed(faces: Faces) -> bool:
-    """Whether there are triangles and none of their edges is open."""
+    """Return whether there are triangles and no edge is open, see `open_edges`."""
     return bool(len(faces)) and open_edges(faces) == 0
 
 
 def sphere_directions(count: int = _PLANES) -> Array:
-    """Unit vectors (count, 3) that are spread evenly over the sphere (a Fibonacci lattice)."""
+    """Return unit vectors (count, 3) spread evenly over the sphere, on a Fibonacci lattice."""
     k = np.arange(count) + 0.5
     down, round_ = np.arccos(1 - 2 * k / count), np.pi * (1 + math.sqrt(5)) * k
     return np.column_stack([np.cos(round_) * np.sin(down), np.sin(round_) * np.sin(down), np.cos(down)])
 
 
 def depth_in_hull(points: Array, of: Array) -> Array:
-    """The depth (n,) of points (n, 3) in the convex hull of other points, m; negative outside.
+    """Return the depth (n,) of points (n, 3) in the convex hull of the points `of`, m; negative outside.
 
-    The hull is approximated by tangent planes in evenly spread directions.
+    Tangent planes in evenly spread directions approximate the hull.
     """
     normals = np.concatenate([sphere_directions(), np.eye(3), -np.eye(3)])
     depth = np.full(len(points), np.inf)
@@ -98,7 +98,7 @@ def depth_in_hull(points: Array, of: Array) -> Array:
 
 
 def spread_points(low: Array, high: Array, count: int) -> Array:
-    """Points (count, 3) that fill a block evenly, the same at each call.
+    """Return points (count, 3) that fill an axis-aligned box evenly; equal arguments give equal points.
 
     Source: M. Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018: the R3 sequence.
     """

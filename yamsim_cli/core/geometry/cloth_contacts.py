@@ -1,4 +1,4 @@
-"""Contacts of cloth: the points of a sheet that closed pads hold, and self-intersections."""
+"""Contacts of cloth: points of a sheet between closed pads, and self-intersections."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from .se3 import Array
 
 
 def mask_between_pads(points: Array, width: float, deep: tuple[float, float]) -> NDArray[np.bool_]:
-    """Whether each point (n, 3), in the pinch frame, lies between the closed pads (n,).
+    """Return whether each point (n, 3), in the pinch frame, m, lies between the closed pads, as (n,).
 
     Args:
-        width: half the pads' extent along x and along y, m.
-        deep: the pads' extent along z, m.
+        width: half the extent of the pads along x and along y, m.
+        deep: lower and upper end of the pads along z, m.
     """
     inside = np.abs(points[:, :2]).max(axis=1) < width
     found: NDArray[np.bool_] = inside & (points[:, 2] > deep[0]) & (points[:, 2] < deep[1])
@@ -23,21 +23,21 @@ def mask_between_pads(points: Array, width: float, deep: tuple[float, float]) ->
 def nearest_per_layer(
     points: Array, corners: NDArray[np.int_], lines: Array, deep: tuple[float, float]
 ) -> NDArray[np.int_]:
-    """The sorted numbers of the points that a pinch holds: the nearest point of each layer between its pads.
+    """Return the sorted indices of the points that pads grasp: the nearest point of each layer between the pads.
 
-    Each layer is held by one point only: a layer held by two points would not turn, as fabric does beside pads.
+    Pads grasp only one point per layer. Two points would keep the layer from turning, as fabric does beside pads.
 
     Args:
-        points: of the sheet, in the pinch frame (n, 3), m.
-        corners: numbers of the points at the corners of each triangle of the sheet (k, 3).
-        lines: lines along z through the pads (m, 2), m; a layer that one of them crosses is held.
-        deep: the pads' extent along z, m.
+        points: points (n, 3) of the sheet in the pinch frame, m.
+        corners: point indices (k, 3) at the corners of each triangle of the sheet.
+        lines: x and y (m, 2) of lines along z through the pads, m. Each layer that a line crosses is grasped.
+        deep: lower and upper end of the pads along z, m.
     """
     flat = points[corners][..., :2]
     found: set[int] = set()
     for line in lines:
         a, b, c = (flat[:, k] - line for k in range(3))
-        # Barycentric coordinates of the line, not normalized.
+        # Unnormalized barycentric coordinates of the line.
         shares = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
         whole = shares.sum(axis=1)
         through = np.flatnonzero((shares * whole[:, None] >= 0.0).all(axis=1) & (np.abs(whole) > 0.0))
@@ -54,12 +54,12 @@ def _cross(one: Array, other: Array) -> Array:
 
 
 def count_self_intersections(points: Array, ends: NDArray[np.int_], corners: NDArray[np.int_]) -> int:
-    """The number of edges of a sheet that cross triangles with which they share no point.
+    """Count the pairs of an edge and a triangle of a sheet that cross and share no point.
 
     Args:
-        points: of the sheet (n, 3), m.
-        ends: numbers of the points at the ends of each edge (m, 2).
-        corners: numbers of the points at the corners of each triangle (k, 3).
+        points: points (n, 3) of the sheet, m.
+        ends: point indices (m, 2) at the ends of each edge.
+        corners: point indices (k, 3) at the corners of each triangle.
     """
     p, q = points[ends[:, 0]], points[ends[:, 1]]
     a, b, c = (points[corners[:, k]] for k in range(3))

@@ -1,4 +1,4 @@
-"""Pulls that flatten a sheet of cloth, and measures of its unevenness."""
+"""Candidate pulls that flatten a sheet of cloth, and measures of the sheet's unevenness."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from .se3 import Array
 
 Point = tuple[int, int]
 
-_ON_TABLE = 0.8  # height over the lowest point below which a point lies on the table, as a share of a layer's thickness
-_FIT_SCALE = 0.03  # distance from the fit at which a point counts a quarter, as a share of the sheet's side
-_FIT_ROUNDS = 10  # reweighted fits
+_ON_TABLE = 0.8  # layer thicknesses over the lowest point, height below which a point lies on the table
+_FIT_SCALE = 0.03  # fraction of the sheet's side, distance from the fit at which the weight of a point is 1/4
+_FIT_ROUNDS = 10  # iterations of the reweighted fit
 
-# Distances as shares of the sheet's side.
-_MIN_DISPLACEMENT = 0.05  # least distance of a point from its place that is worth a pull
-_MIN_SPACING = 0.15  # least distance between points that are tried
-_STRAIGHTENING = 0.13  # length of a pull that straightens
+# Distances as fractions of the sheet's side.
+_MIN_DISPLACEMENT = 0.05  # least displacement of a point that is pulled to its flat position
+_MIN_SPACING = 0.15  # least distance between candidate points
+_STRAIGHTENING = 0.13  # length of a straightening pull
 
-_FOOTPRINT = 0.028  # m, room that a hand with open fingers needs around a point
+_FOOTPRINT = 0.028  # m, radius around a point that a hand with open fingers occupies
 _MAX_SURROUNDINGS = 2.2  # layers, largest height of the surroundings over a grasped point
 _MAX_GRASP_HEIGHT = 4.5  # layers, largest height of a grasped point
 
-# A layer covers a point if it is this share of a thickness higher, and more than this many cells away.
+# A point covers another if it is more than this many thicknesses higher and more than this many grid cells away.
 _COVERING, _ADJACENT = 0.3, 2
 
-# A point belongs to a ridge above this many layers, and above this share of the sheet's height.
+# A point belongs to a ridge above this many layers, and above this fraction of the sheet's height.
 _RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
 
-_TAUT = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
-_MAX_POINTS = 3  # points tried of each kind
-_ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
-_HEIGHT_SCALE = 0.2  # m, height that counts as much as a whole side of displacement
+_TAUT = 1.05  # largest distance of two pulled points, as a fraction of their distance in the flat sheet
+_MAX_POINTS = 3  # candidate points of each kind
+_ARCH = 0.25  # height of the path of an unfolding pull, as a fraction of its length
+_HEIGHT_SCALE = 0.2  # m, height that has the same weight as a mean displacement of one side
 
 
 @dataclass(frozen=True, eq=False)
 class ClothPull:
-    """Points to grasp, and the places to put them.
+    """A pull of grasped points of a sheet to targets.
 
     Attributes:
-        points: by row and column.
-        targets: the place (2,) of each point, seen from above, m.
-        arch_ratio: height of the path, as a share of its length.
+        points: row and column of each grasped point.
+        targets: horizontal target position (2,) of each point, m.
+        arch_ratio: height of the path as a fraction of its length.
     """
 
     points: tuple[Point, ...]
@@ -54,20 +54,20 @@ class ClothPull:
 
 
 def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
-    """The places (rows, columns, 2) of a sheet's points if the sheet were flat, fitted to the part on the table, m.
+    """Return the horizontal positions (rows, columns, 2) of a flat sheet, m, fitted to the part on the table.
 
     Args:
-        points: of the sheet (rows, columns, 3), m.
-        rest: of the flat sheet (n, 3), in the sheet's frame, m.
-        thickness: of the sheet, m.
+        points: points (rows, columns, 3) of the sheet, m.
+        rest: points (n, 3) of the flat sheet in the sheet's frame, m.
+        thickness: thickness of the sheet, m.
     """
     # Either side of the sheet may be up.
-    fits = [_fitted(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
+    fits = [_fit_side(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
     return min(fits, key=lambda fitted: float(np.linalg.norm(fitted - points[..., :2], axis=-1).mean()))
 
 
-def _fitted(points: Array, rest: Array, thickness: float) -> Array:
-    """`fit_flat_places` for a known side up: a rigid fit in the plane, reweighted for outliers."""
+def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
+    """See `fit_flat_places`, for a known side up: a rigid fit in the plane, reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)
@@ -85,29 +85,29 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """The unevenness of a sheet, from 0 for flat to 1; see `fit_flat_places`."""
+    """Return the unevenness of a sheet, from 0 for flat to about 1; see `fit_flat_places` for the arguments."""
     away = np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / square_side(rest) + height_range(points) / _HEIGHT_SCALE) / 2
 
 
 def height_range(points: Array) -> float:
-    """The height of the highest point over the lowest one, m."""
+    """Return the height of the highest point over the lowest point, m."""
     return float(np.ptp(points[..., 2]))
 
 
 def max_displacement(points: Array, rest: Array, thickness: float) -> float:
-    """The largest horizontal distance of a point from its place in the flat sheet, m; see `fit_flat_places`."""
+    """Return the largest horizontal distance of a point from its position in the flat sheet, m."""
     return float(np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
 def candidate_pulls(
     points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0
 ) -> Iterator[ClothPull]:
-    """Pulls at the border of a sheet that may make the sheet flatter; see `fit_flat_places`.
+    """Yield pulls at the border of a sheet that may flatten the sheet; see `fit_flat_places` for the arguments.
 
     Args:
-        spacing: the larger of the distances between neighbouring points, m.
-        scale: factor of the length of straightening pulls, and of the height limits of grasped points.
+        spacing: larger of the distances between neighbouring points along x and along y, m.
+        scale: factor of the length of straightening pulls and of the height limits for grasped points.
     """
     side, rows, columns = square_side(rest), *points.shape[:2]
     fitted = fit_flat_places(points, rest, thickness)
@@ -118,38 +118,36 @@ def candidate_pulls(
         if (row in (0, rows - 1) or column in (0, columns - 1))
         and _is_graspable_point(points, (row, column), spacing, scale * thickness, thickness)
     ]
-    # Unfold: one or two displaced points are brought to their places.
+    # Unfold: pull one or two displaced points to their flat positions.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
-    wrong = _spread(points, sorted(border, key=lambda point: -off[point]), side)
+    wrong = _select_spread(points, sorted(border, key=lambda point: -off[point]), side)
     wrong = [point for point in wrong if off[point] > _MIN_DISPLACEMENT * side]
     for count in (1, 2):
         for some in itertools.combinations(wrong, count):
             yield ClothPull(some, tuple(fitted[point] for point in some), _ARCH)
-    # Straighten: a point beside a ridge is pulled away from the ridge, or two corners away from the middle.
+    # Straighten: pull a point beside a ridge away from the ridge, or two corners away from the middle.
     high = points[
         points[..., 2] - points[..., 2].min() > max(_RIDGE_LAYERS * thickness, _RIDGE_SHARE * height_range(points))
     ]
     if len(high):
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
-        for point in _spread(points, beside, side):
+        for point in _select_spread(points, beside, side):
             yield ClothPull((point,), (_outward_direction(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
         to = tuple(_outward_direction(points[point][:2], middle, scale * side) for point in pair)
-        yield ClothPull(pair, _no_farther(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
+        yield ClothPull(pair, _limit_distance(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
 def square_side(rest: Array) -> float:
-    """The side, m, of a square with the area of a flat sheet of points (n, 3)."""
+    """Return the side of a square with the area of a flat sheet of points (n, 3), m."""
     return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
 
 
 def _is_graspable_point(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
-    """Whether a hand can grasp a point: no layer covers the point, and neither the point nor its surroundings are too
-    high, in layers of `high` (m).
-    """
+    """Return whether no layer covers a point, and neither point nor surroundings are too high in layers of `high` m."""
     place, lowest = points[point], float(points[..., 2].min())
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
     over = points[..., 2] - place[2]
@@ -160,8 +158,8 @@ def _is_graspable_point(points: Array, point: Point, spacing: float, high: float
     return not (covered or hemmed) and float(place[2]) - lowest < _MAX_GRASP_HEIGHT * high
 
 
-def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
-    """The first few points that are apart from each other."""
+def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
+    """Return the first `_MAX_POINTS` points with at least `_MIN_SPACING` between them."""
     chosen: list[Point] = []
     for point in ordered:
         if all(np.linalg.norm(points[point] - points[other]) > _MIN_SPACING * side for other in chosen):
@@ -176,8 +174,8 @@ def _outward_direction(place: Array, other: Array, side: float) -> Array:
     return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 
 
-def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
-    """Two places (2,), moved towards each other until at most `length` apart."""
+def _limit_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+    """Return two positions (2,), moved towards each other to a distance of at most `length`, m."""
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
     return one + share * (other - one), other + share * (one - other)

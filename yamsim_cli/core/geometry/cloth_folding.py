@@ -1,4 +1,4 @@
-"""Folds of a sheet: the points that are placed onto others, and the layers that result."""
+"""Folds of a sheet: grasped points with their targets, and the resulting layers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .se3 import Array
 
 Fold = Literal["half", "diagonal", "thirds"]
 
-# Row and column of the points (n, 2) of two layers of a folded sheet; the k-th points lie on each other.
+# Rows and columns (n, 2) of the points of two layers of a folded sheet. The k-th points lie on each other.
 Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
-# Points, by row and column, that are grasped together, each with the point onto which it is placed.
+# Points (row, column) that are grasped together, each paired with the point onto which it is placed.
 Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
 
@@ -26,9 +26,9 @@ class FoldPlan:
     """The moves and the resulting layers of one fold of a grid of points.
 
     Attributes:
-        moves: in their order.
-        layers: pairs of layers of the folded sheet, the upper one first, without the points on creases.
-        covered: area of the folded sheet, as a share of the flat one.
+        moves: moves in the order of execution.
+        layers: pairs of adjacent layers of the folded sheet, the upper layer first, without points on creases.
+        covered: area of the folded sheet as a fraction of the flat sheet's area.
     """
 
     moves: tuple[Move, ...]
@@ -37,9 +37,9 @@ class FoldPlan:
 
 
 def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
-    """All folds of one kind of a grid of points: from each side or corner; empty if the grid does not allow the kind.
+    """Return all folds of one kind of a grid of points, from each side or corner; empty if the grid is unsuitable.
 
-    `diagonal` needs a square grid. `thirds` needs a side of 3 n + 2 cells: the inner third is one cell shorter.
+    `diagonal` requires a square grid. `thirds` requires a side of 3 n + 2 cells: the inner third is one cell shorter.
     """
     diagonal = kind == "diagonal"
     found = []
@@ -53,7 +53,7 @@ def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
 
 
 def _mapped(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
-    """The fold with its rows reversed (`low`), its columns reversed (`left`), or both exchanged."""
+    """Return the fold with its rows reversed (`low`), its columns reversed (`left`), or rows and columns exchanged."""
 
     def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
         rows = size[0] - 1 - given[:, 0] if low else given[:, 0]
@@ -93,7 +93,7 @@ def _thirds(rows: int, columns: int) -> FoldPlan | None:
     over = tuple(((cells, column), (first, column)) for column in (0, last))
     lowest = _grid(range(first), range(columns))
     highest = _grid(range(first + third + 1, rows), range(columns))
-    # The middle third, which the first third lies on and the last third covers.
+    # Part of the middle third, on which the first third lies and which the last third covers.
     under = _mirrored(lowest, 2 * first)
     return FoldPlan(
         (inside, over),
@@ -114,25 +114,25 @@ def _grid(rows: range, columns: range) -> NDArray[np.int_]:
 
 
 def _mirrored(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
-    """Points (n, 2) whose rows are mirrored: each row and its mirror image add up to `both`."""
+    """Mirror the rows of points (n, 2); each row and its mirror image add up to `both`."""
     return np.column_stack([both - points[:, 0], points[:, 1]])
 
 
 def sheet_area(points: Array) -> float:
-    """The area of a sheet of points (rows, columns, 3), folded or not, m2."""
+    """Return the area of a sheet of points (rows, columns, 3), folded or not, m2."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
 
     def triangle(o: Array, p: Array, q: Array) -> Array:
         area: Array = np.linalg.norm(np.cross(p - o, q - o), axis=-1) / 2
         return area
 
-    # A cell that is folded along a diagonal keeps its area only in the two triangles beside that diagonal.
+    # A cell that is folded along a diagonal keeps its area only in the triangles beside this diagonal.
     cells = np.maximum(triangle(a, b, c) + triangle(d, b, c), triangle(b, a, d) + triangle(c, a, d))
     return float(cells.sum())
 
 
 def outline_area(places: Array) -> float:
-    """The area of the convex hull of places (n, 2), m2 (Andrew's monotone chain)."""
+    """Return the area of the convex hull of positions (n, 2), m2, by Andrew's monotone chain."""
     ordered = places[np.lexsort(places.T[::-1])]
     outline: list[Array] = []
     for points in (ordered, ordered[::-1]):

@@ -1,4 +1,4 @@
-"""Surfaces seen along z: height maps, the water that stands on them, and crossings of vertical lines."""
+"""Surfaces seen along z: height maps, water levels on height maps, and crossings of vertical lines."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .stl import Faces
 
 @dataclass(frozen=True)
 class HeightMap:
-    """A height map.
+    """A height map of a surface on a square grid.
 
     Attributes:
-        x, y: middles of the columns (nx,), (ny,), m.
-        top: height of the surface's highest point in each column (nx, ny), m; -inf where a column misses the surface.
+        x, y: coordinates of the columns (nx,), (ny,), m.
+        top: highest point of the surface in each column (nx, ny), m; -inf where a column misses the surface.
     """
 
     x: Array
@@ -27,16 +27,16 @@ class HeightMap:
 
     @property
     def cell(self) -> float:
-        """The distance between columns, m."""
+        """Distance between columns, m."""
         return float(self.x[1] - self.x[0])
 
 
 def compute_height_map(surface: Surface, cells: int) -> HeightMap:
-    """The height map of a surface: `cells` columns along its longer side, and an empty rim around it."""
+    """Return the height map of a surface with `cells` columns along its longer side and an empty rim around it."""
     triangles = surface[0][surface[1]]
     low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
     cell = float((high - low)[:2].max()) / cells
-    # The grid is displaced by odd shares of a cell, so that no column runs along an edge.
+    # Shift the grid by odd fractions of a cell, so that no column runs along an edge.
     nx, ny = (int(np.ceil((high - low)[k] / cell)) + 4 for k in (0, 1))
     x = low[0] + cell * (np.arange(nx) - 1.5 + 0.0137)
     y = low[1] + cell * (np.arange(ny) - 1.5 + 0.0171)
@@ -64,19 +64,19 @@ def compute_height_map(surface: Surface, cells: int) -> HeightMap:
 
 
 def _double_area(a: Array, b: Array, c: Array) -> Array:
-    """Twice the area (n,) of triangles seen from above, negative where they are clockwise."""
+    """Return twice the area (n,) of triangles seen from above, negative for clockwise triangles."""
     twice: Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     return twice
 
 
 def water_level(top: Array) -> Array:
-    """The height of the water in each column (nx, ny) of a height map after rain, m (priority flood)."""
+    """Return the water level in each column (nx, ny) of a height map filled by rain, m, by priority flood."""
     level = np.full_like(top, np.inf)
     queue: list[tuple[float, int, int]] = []
     nx, ny = top.shape
     for i in range(nx):
         for j in range(ny):
-            # Water runs through columns without a surface.
+            # Water drains through columns without a surface.
             if i in (0, nx - 1) or j in (0, ny - 1) or top[i, j] == -np.inf:
                 level[i, j] = top[i, j]
                 heapq.heappush(queue, (float(top[i, j]), i, j))
@@ -90,7 +90,7 @@ def water_level(top: Array) -> Array:
 
 
 def crossings_along_z(vertices: Array, faces: Faces, xy: Array) -> list[Array]:
-    """The sorted heights, m, at which the vertical line through each place (n, 2) crosses a surface."""
+    """Return the sorted heights, m, at which the vertical line through each position (n, 2) crosses a surface."""
     found: list[list[float]] = [[] for _ in range(len(xy))]
     order = np.argsort(xy[:, 0], kind="stable")
     xs = xy[order, 0]

@@ -1,4 +1,4 @@
-"""Closed surfaces through loops of points: lofts, tubes, and bodies of revolution."""
+"""Closed triangle surfaces through loops of points: lofts, tubes and bodies of revolution."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .stl import Faces
 
 Surface = tuple[Array, Faces]
 
-_POINT = 1e-9  # m, distance below which points are merged
+_RESOLUTION = 1e-9  # m, grid to which vertices are rounded before equal ones are merged
 
 
 def loft(loops: Sequence[Array]) -> Surface:
-    """A closed surface through loops of points, with a fan of triangles at each end.
+    """Return a closed surface through loops of points, with a fan of triangles at each end.
 
     Args:
-        loops: each (k, 3) with the same k, m, anticlockwise seen from outside the first loop. A loop of equal points is
-            one point. The loops of a hollow body go up its outside and down its inside.
+        loops: loops (k, 3) of equal length, m, anticlockwise seen from outside the last loop. Equal points of a loop
+            become one vertex. For a hollow body, the loops go up the outside and down the inside.
 
     Returns:
         Vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
@@ -40,14 +40,14 @@ def loft(loops: Sequence[Array]) -> Surface:
 
 
 def loft_closed(loops: Sequence[Array]) -> Surface:
-    """A closed surface through loops of points (k, 3), the last one joined to the first."""
+    """Return a closed surface through loops of points (k, 3), m, with the last loop joined to the first."""
     count, size = len(loops), len(loops[0])
     faces = [strip for k in range(count) for strip in _strip(k * size, (k + 1) % count * size, size)]
     return weld_vertices(np.concatenate(loops), np.concatenate(faces))
 
 
 def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
-    """Triangles between two loops of `count` points, whose first points have these numbers."""
+    """Return the triangles between two loops of `count` points with the first indices `low` and `high`."""
     around = np.arange(count)
     following = (around + 1) % count
     return [
@@ -57,15 +57,15 @@ def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
 
 
 def weld_vertices(vertices: Array, faces: ArrayLike) -> Surface:
-    """The surface with equal points merged, without the triangles that lose a corner by that."""
-    _, kept, index = np.unique(np.round(vertices / _POINT), axis=0, return_index=True, return_inverse=True)
+    """Merge equal vertices, and remove the triangles that thereby lose a corner."""
+    _, kept, index = np.unique(np.round(vertices / _RESOLUTION), axis=0, return_index=True, return_inverse=True)
     whole = index.reshape(-1)[np.asarray(faces)]
     left = (whole != np.roll(whole, 1, axis=1)).all(axis=1)
     return vertices[kept], whole[left].astype(np.int32)
 
 
 def concatenate_surfaces(surfaces: Iterable[Surface]) -> Surface:
-    """Several surfaces as one; vertices are not merged."""
+    """Combine several surfaces into one without merging vertices."""
     vertices, faces, count = list[Array](), list[Faces](), 0
     for points, triangles in surfaces:
         vertices.append(points)
@@ -75,18 +75,18 @@ def concatenate_surfaces(surfaces: Iterable[Surface]) -> Surface:
 
 
 def transform_surface(surface: Surface, by: ArrayLike, turn: ArrayLike | None = None) -> Surface:
-    """The surface rotated by (3, 3), then translated by (3,), m."""
+    """Return a surface rotated by `turn` (3, 3), then translated by `by` (3,), m."""
     vertices = surface[0] if turn is None else surface[0] @ np.asarray(turn).T
     return vertices + np.asarray(by), surface[1]
 
 
 def revolve(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.0) -> Surface:
-    """The surface of revolution of a profile about the z axis.
+    """Return the surface of revolution of a profile about the z axis.
 
     Args:
-        profile: (n, 2) radius and height, m, from the axis at the bottom, up the outside, and back to the axis.
+        profile: radius and height (n, 2), m, from the axis at the bottom, up the outside, and back to the axis.
         segments: number of faces around the axis.
-        lobes, depth: number of swellings around the axis, and their height as a share of the radius.
+        lobes, depth: number of bulges around the axis, and their height as a fraction of the radius.
     """
     angle = 2 * np.pi * np.arange(segments) / segments
     swell = 1.0 + depth * np.cos(lobes * angle)
@@ -95,7 +95,7 @@ def revolve(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.
 
 
 def rounded_rectangle(half_x: float, half_y: float, corner: float, z: float, per_corner: int = 6) -> Array:
-    """A rectangle with round corners at height z: points (4 * per_corner, 3), m, anticlockwise from above."""
+    """Return a rounded rectangle at height z: points (4 * per_corner, 3), m, anticlockwise seen from above."""
     corner = max(min(corner, half_x, half_y), 0.0)
     angle = np.linspace(0, np.pi / 2, per_corner)
     quarter = corner * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -108,13 +108,13 @@ def rounded_rectangle(half_x: float, half_y: float, corner: float, z: float, per
 
 
 def tube(path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, side: ArrayLike, points: int = 12) -> Surface:
-    """A rod along a path, with round ends and a section between an ellipse and a rectangle.
+    """Return a rod along a path, with rounded ends and a superelliptic cross section.
 
     Args:
-        path: (n, 3), m.
-        half_width: (n,) or one number, of the section along `side`, m.
-        half_height: (n,) or one number, of the section across the path and `side`, m.
-        side: direction (3,) of the section's width; only its part across the path counts.
+        path: centre line (n, 3), m.
+        half_width: half the width of the section along `side`, (n,) or one number, m.
+        half_height: half the height of the section, normal to the path and `side`, (n,) or one number, m.
+        side: direction (3,) of the section's width; only its component normal to the path is used.
         points: number of points around a section.
     """
     line = np.asarray(path, float)
@@ -126,7 +126,7 @@ def tube(path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, side: A
     width, height = (np.broadcast_to(np.asarray(size, float), len(line)) for size in (half_width, half_height))
     angle = 2 * np.pi * np.arange(points) / points
     c, s = np.cos(angle), np.sin(angle)
-    # A superellipse: its corners are fuller than those of an ellipse.
+    # A superellipse of exponent 3 has fuller corners than an ellipse.
     full = 1.0 / (np.abs(c) ** 3 + np.abs(s) ** 3) ** (1 / 3)
     loops = [
         line[k] + width[k] * np.outer(full * c, across[k]) + height[k] * np.outer(full * s, up[k])
@@ -136,7 +136,7 @@ def tube(path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, side: A
 
 
 def _rounded_ends(loops: list[Array], line: Array, along: Array, reach: Array) -> list[Array]:
-    """The loops of a tube, and those of a round cap at each end."""
+    """Return the loops of a tube, extended by those of a rounded cap at each end."""
     first, last = list[Array](), list[Array]()
     for turn in (0.35, 0.7):
         share, step = math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)
@@ -146,16 +146,16 @@ def _rounded_ends(loops: list[Array], line: Array, along: Array, reach: Array) -
 
 
 def arc(centre: tuple[float, float], radius: float, start_deg: float, end_deg: float, steps: int = 6) -> Array:
-    """Points (steps, 2) on a circular arc in the plane of radius and height, m."""
+    """Return points (steps, 2) on a circular arc in the plane of radius and height, m."""
     angle = np.radians(np.linspace(start_deg, end_deg, steps))
     return np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def shell_profile(inside: ArrayLike, wall: float) -> Array:
-    """The profile (2 n + k, 2) of a shell with a round rim, for `turned`.
+    """Return the profile (2 n + k, 2) of a shell with a round rim, m, for `revolve`.
 
     Args:
-        inside: (n, 2) radius and height of the inner surface, m, from the axis to the rim.
+        inside: radius and height (n, 2) of the inner surface, m, from the axis to the rim.
         wall: thickness of the shell, m.
     """
     inner = np.asarray(inside, float)

@@ -1,7 +1,7 @@
 """Rigid transforms as 4 x 4 matrices.
 
 `T_a_in_b` is the pose of frame a in frame b: `p_b = T_a_in_b @ p_a`, so `T_a_in_c = T_b_in_c @ T_a_in_b`. Quaternions
-are wxyz, lengths metres, angles radians.
+have the order wxyz. Lengths are in metres, angles in radians.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# An upright pose: x, y and z, m, and the heading about +z, rad.
+# x, y and z, m, and the yaw about +z, rad.
 UprightPose = tuple[float, float, float, float]
 
 _IDENTITY = np.eye(4)
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
-    """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), by default the identity."""
+    """Return a pose (4, 4) from a position (3,) and a rotation matrix (3, 3), which defaults to the identity."""
     T = _IDENTITY.copy()
     T[:3, 3] = position
     if rotation is not None:
@@ -30,13 +30,13 @@ def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = Non
 
 
 def rotation_z(angle: float) -> Array:
-    """The rotation (3, 3) by `angle` about +z."""
+    """Return the rotation (3, 3) by `angle` about +z."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
-    """A pose (4, 4) from a position (3,) and a quaternion (4,), which need not be normalized.
+    """Return a pose (4, 4) from a position (3,) and a quaternion (4,), which need not be normalized.
 
     Raises:
         ValueError: the quaternion is zero.
@@ -57,9 +57,9 @@ def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
 
 
 def quat_from_rotation(rotation: ArrayLike) -> Array:
-    """The unit quaternion (4,) of a rotation (3, 3), with w >= 0.
+    """Return the unit quaternion (4,) of a rotation (3, 3), with w >= 0.
 
-    Shepperd's method: the quaternion follows from its largest component, and is also exact near 180 degrees.
+    Shepperd's method computes the quaternion from its largest component and is accurate near 180 degrees too.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=np.float64).tolist()
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -75,14 +75,14 @@ def quat_from_rotation(rotation: ArrayLike) -> Array:
 
 
 def inverse(T: ArrayLike) -> Array:
-    """The inverse pose: `T_b_in_a` of `T_a_in_b`."""
+    """Return the inverse pose: `T_b_in_a` of `T_a_in_b`."""
     matrix = np.asarray(T, dtype=np.float64)
     R = matrix[:3, :3].T
     return pose(-R @ matrix[:3, 3], R)
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
-    """The rotation vector (3,) of a rotation (3, 3): its axis times its angle in radians, 0..pi."""
+    """Return the rotation vector (3,) of a rotation (3, 3): the axis times the angle, 0..pi rad."""
     w, *xyz = quat_from_rotation(rotation)
     vector = np.asarray(xyz)
     length = float(np.linalg.norm(vector))
@@ -92,7 +92,7 @@ def rotation_vector(rotation: ArrayLike) -> Array:
 
 
 def rotation_from_vector(vector: Sequence[float] | Array) -> Array:
-    """The rotation (3, 3) of a rotation vector (3,)."""
+    """Return the rotation (3, 3) of a rotation vector (3,), rad."""
     v = np.asarray(vector, dtype=np.float64)
     angle = float(np.linalg.norm(v))
     if angle < 1e-12:
@@ -102,17 +102,17 @@ def rotation_from_vector(vector: Sequence[float] | Array) -> Array:
 
 
 def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
-    """The rotation a `fraction` of the way from `start` to `end` along the shortest arc."""
+    """Return the rotation (3, 3) at a `fraction` of the shortest arc from `start` to `end`."""
     R0, R1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     return R0 @ rotation_from_vector(fraction * rotation_vector(R0.T @ R1))
 
 
 def tilt(rotation: ArrayLike) -> float:
-    """The angle in radians between a frame's z axis and the reference's z axis."""
+    """Return the angle between the z axis of a frame and that of the reference frame, rad."""
     return math.acos(min(1.0, max(-1.0, float(np.asarray(rotation)[2, 2]))))
 
 
 def yaw(T: ArrayLike) -> float:
-    """The heading in radians of a pose's x axis in the reference's xy plane."""
+    """Return the heading of a pose's x axis in the xy plane of the reference frame, rad."""
     matrix = np.asarray(T)
     return math.atan2(float(matrix[1, 0]), float(matrix[0, 0]))

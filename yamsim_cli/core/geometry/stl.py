@@ -1,4 +1,4 @@
-"""Binary STL, whose triangles do not share vertices; reading merges them again."""
+"""Reading and writing of binary STL. STL triangles do not share vertices; reading merges equal vertices."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from .se3 import Array
 Faces = NDArray[np.int32]
 
 _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
-_HEADER = 80
+_HEADER = 80  # bytes
 
 
 def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
-    """A binary STL of triangles (m, 3) over vertices (n, 3), in the vertices' unit; equal meshes give equal bytes."""
+    """Return a binary STL of vertices (n, 3), in any unit, and triangles (m, 3); equal meshes give equal bytes."""
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     records = np.zeros(len(corners), dtype=_FACE)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    # A triangle without area gets a normal of zeros.
+    # The normal of a triangle without area is zero.
     records["normal"] = normals / np.where(lengths > 0, lengths, 1.0)
     records["corners"] = corners
     return bytes(_HEADER) + len(records).to_bytes(4, "little") + records.tobytes()
 
 
 def is_binary_stl(data: bytes) -> bool:
-    """Whether the length of the data fits its face count, and that count is not 0."""
+    """Return whether the data's length matches its number of triangles, which must not be 0."""
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     return count > 0 and len(data) == _HEADER + 4 + count * _FACE.itemsize
 
 
 def read_stl(data: bytes) -> tuple[Array, Faces]:
-    """Vertices (n, 3) of a binary STL, in the file's unit, and triangles (m, 3).
+    """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3).
 
-    Equal corners become one vertex. Triangles that lose a corner by that are left out.
+    Equal corners become one vertex. Triangles that thereby lose a corner are omitted.
 
     Raises:
-        ResourceError: the data is no binary STL.
+        ResourceError: the data is not a binary STL or has coordinates that are not finite.
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     if not is_binary_stl(data):

@@ -1,4 +1,4 @@
-"""Distances between surfaces, and points sampled from them."""
+"""Distances between triangle surfaces, and points sampled from surfaces."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from .se3 import Array
 from .stl import Faces
 
-_BATCH = 200  # points compared with the same selection of triangles at once
-_CELLS = 16  # cells that group points, along the longest side of their bounding box
+_BATCH = 200  # points that are compared with one selection of triangles at once
+_CELLS = 16  # cells for grouping points, along the longest side of their bounding box
 
 
 def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
-    """The largest distance between two surfaces, measured at sampled points and vertices of both (Hausdorff distance).
+    """Return the Hausdorff distance of two surfaces, measured at sampled points and vertices of both.
 
     Args:
-        surface, other: vertices (n, 3) and triangles (m, 3), in one unit.
+        surface, other: vertices (n, 3) and triangles (m, 3), in the same unit of length.
         limit: distances above this limit count as infinite.
-        samples: number of points, and of vertices at most, on each surface; the same points at each call.
+        samples: number of points, and largest number of vertices, on each surface. All calls use the same points.
     """
     rng = np.random.default_rng(0)
     farthest = 0.0
@@ -32,7 +32,7 @@ def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces],
 def sample_surface(
     surface: tuple[Array, Faces], count: int, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Points (count, 3) sampled from a surface, evenly by area, and the triangle of each (count,)."""
+    """Sample points (count, 3) from a surface, uniformly by area, and return the triangle (count,) of each point."""
     vertices, faces = surface
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -42,11 +42,11 @@ def sample_surface(
 
 
 def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: float) -> Array:
-    """The distance (n,) of each point (n, 3) from a surface; infinite above `limit`."""
+    """Return the distance (n,) of each point (n, 3) from a surface; infinite above `limit`."""
     vertices, faces = surface
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit
-    # Points of one cell are compared only with the triangles near that cell.
+    # Compare the points of a cell only with the triangles near this cell.
     cell = np.floor((points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()) / _CELLS, limit))
     order = np.lexsort(cell.T)
     starts = np.flatnonzero(np.diff(cell[order], axis=0).any(axis=1)) + 1
@@ -62,7 +62,7 @@ def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: flo
 
 
 def _squared(points: Array, triangles: Array) -> Array:
-    """Squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3): from the plane, or from an edge."""
+    """Return the squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3), from the plane or an edge."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     length = _dot(normal, normal)

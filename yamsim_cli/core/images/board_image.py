@@ -1,4 +1,4 @@
-"""Images of boards, for textures, tests and printed pages."""
+"""Images of ArUco boards, for textures, tests and printed pages."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ WHITE = 255
 
 
 def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """OpenCV's predefined dictionary by its name, such as "DICT_6X6_250".
+    """Return OpenCV's predefined ArUco dictionary of a name such as "DICT_6X6_250".
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: OpenCV has no dictionary of that name.
     """
     names = {known: value for known, value in vars(cv2.aruco).items() if known.startswith("DICT_")}
     if name not in names:
@@ -25,12 +25,12 @@ def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def marker_cells(board: Board) -> Image:
-    """The cells (n, k, k) of a board's markers, 0 black and 255 white, in the order of its ids.
+    """Return the cells (n, k, k) of a board's markers in the order of `board.ids`: 0 is black, 255 is white.
 
-    A marker is `k` cells wide: the dictionary's bits and a black border of one cell around them.
+    A marker is `k` cells wide: the dictionary's bits, with a black border of one cell around them.
 
     Raises:
-        ConfigError: OpenCV has no such dictionary, or the dictionary has no such ids.
+        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
     """
     try:
         dictionary = aruco_dictionary(board.dictionary)
@@ -51,17 +51,17 @@ def marker_cells(board: Board) -> Image:
 
 
 def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
-    """A board on white, as a grey image (height, width) with exactly `cell_px` pixels to a marker's cell.
+    """Return a grey image (height, width) of a board on white, with exactly `cell_px` pixels per marker cell.
 
-    Markers are whole pixels. If gaps are not, each marker stands within half a pixel of its place, and errors do not
-    add up.
+    The size of a marker is a whole number of pixels. If a gap is not, each marker is drawn within half a pixel of its
+    true position. These errors do not accumulate.
 
     Args:
-        cell_px: edge of a marker's cell, px.
-        quiet_cells: width of the white border in cells. Detectors need at least one cell, or a light surface around.
+        cell_px: edge of a marker cell, px.
+        quiet_cells: width of the white border, cells. Detectors need at least one cell or a light background.
 
     Raises:
-        ConfigError: as `marker_cells`.
+        ConfigError: see `marker_cells`.
     """
     markers = marker_cells(board)
     marker_px = markers.shape[1] * cell_px
@@ -78,12 +78,12 @@ def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
 
 
 def board_texture(board: Board, cell_px: int = 20) -> Image:
-    """A board without a border, as a grey image (height, width) that covers `board.width` x `board.height` metres.
+    """Return a grey image (height, width) of a board without a border: `board.width` x `board.height` metres.
 
-    Its first row is the board's upper edge (+y), and its first column the left edge (-x). The default gives 512 x 512
-    pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
+    The first row is the board's upper edge (+y), the first column the left edge (-x). The default `cell_px` gives
+    512 x 512 pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
 
     Raises:
-        ConfigError: as `marker_cells`.
+        ConfigError: see `marker_cells`.
     """
     return board_image(board, cell_px, quiet_cells=0)

@@ -1,4 +1,4 @@
-"""Images in memory, and measures of an image before and after decoding."""
+"""Types of images in memory, of image headers and of image statistics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """An image's size and number of channels, from the file's header."""
+    """Size (px) and number of channels of an image, as its file header states them."""
 
     width: int
     height: int
@@ -22,12 +22,12 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageStats:
-    """Measures of a decoded image.
+    """Statistics of a decoded image.
 
     Attributes:
-        brightness, contrast: mean and standard deviation of a smaller grey version, 0..255.
-        fingerprint: a number that is equal for equal pictures.
-        decoder_warning: the decoder's message; "" for a whole image.
+        brightness, contrast: mean and standard deviation of the image after conversion to grey and reduction, 0..255.
+        fingerprint: checksum of the grey pixels; equal images have equal checksums.
+        decoder_warning: first line of the decoder's message; "" for an undamaged image.
     """
 
     brightness: float

@@ -14,14 +14,14 @@ from .png import is_complete_png
 
 Mask = NDArray[np.bool_]
 
-_MAX_BYTES = 200_000_000  # largest file that is read, larger than any camera's photo
+_MAX_BYTES = 200_000_000  # bytes, largest file that is read; photos of all cameras are smaller
 
 
 def read_image(path: Path) -> Image:
-    """An image as RGB (height, width, 3), turned upright by its EXIF data.
+    """Read a PNG or JPEG file as an RGB image (height, width, 3), rotated upright according to its EXIF data.
 
     Raises:
-        ResourceError: the file is unreadable, or no whole PNG or JPEG.
+        ResourceError: the file cannot be read, is larger than 200 MB, or is not a complete PNG or JPEG.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -36,7 +36,7 @@ def read_image(path: Path) -> Image:
 
 
 def decode_image(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) of a PNG or JPEG, turned upright by its EXIF data; None for damaged data."""
+    """Decode a PNG or JPEG to an RGB image (height, width, 3), upright by its EXIF data; None for damaged data."""
     if not _is_complete(data):
         return None
     try:
@@ -47,10 +47,10 @@ def decode_image(data: bytes) -> Image | None:
 
 
 def read_mask(path: Path) -> Mask:
-    """A user's mask (height, width): True where a PNG is not 0. In a JPEG, which blurs edges, True above 127.
+    """Read a mask (height, width): True where a PNG is not 0, or where a JPEG, which blurs edges, is above 127.
 
     Raises:
-        ResourceError: as `read_image`.
+        ResourceError: see `read_image`.
     """
     lossy = path.suffix.lower() != ".png"
     inside: Mask = read_image(path).max(axis=2) > (127 if lossy else 0)
@@ -58,13 +58,13 @@ def read_mask(path: Path) -> Mask:
 
 
 def to_grey(image: Image) -> Image:
-    """The brightness (height, width) of an RGB image."""
+    """Return the grey image (height, width) of an RGB image (height, width, 3)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def _is_complete(data: bytes) -> bool:
-    """Whether an image's file is complete: decoders would fill in missing parts with grey."""
+    """Return whether an image file is complete. Decoders fill missing parts with grey."""
     if data.startswith(b"\xff\xd8"):
-        # Cameras append previews and notes after the end marker.
+        # Cameras append previews and metadata after the end marker.
         return data.rfind(b"\xff\xd9") > len(data) // 2
     return is_complete_png(data)

@@ -1,4 +1,4 @@
-"""JPEG in memory. OpenCV's functions for files are not used: they report a full disk only by a return value."""
+"""JPEG data in memory. OpenCV's file functions are not used: they report a full disk only by a return value."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ..errors import SimulationError
 from .image import Image, ImageHeader, ImageStats
 from .png import decode_labels
 
-# Brightness and contrast are measured on a reduced image, in which noise is averaged away.
-_MOST_REDUCTION = 8
-_SMALL_SIDE = 16  # px that the short side keeps
+# Brightness and contrast are measured in a reduced image, where noise is averaged away.
+_MAX_REDUCTION = 8  # largest factor by which both sides are reduced
+_MIN_SIDE = 16  # px, least length of the shorter side after the reduction
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
-# Start-of-frame markers, C0 to CF without those that define tables (C4, CC) and the reserved C8.
+# Start-of-frame markers: C0 to CF without the table definitions (C4, CC) and the reserved C8.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
-    """The JPEG of an RGB image (height, width, 3), with a quality of 1..100.
+    """Encode an RGB image (height, width, 3) as JPEG with a quality of 1..100.
 
     Raises:
-        SimulationError: the encoder refused the image.
+        SimulationError: the encoder rejected the image.
     """
     done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
@@ -37,8 +37,8 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 
 def decode_jpeg(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) in a JPEG; None if the data is no whole JPEG."""
-    # Decoders would fill in the missing part of a cut file with grey.
+    """Decode a JPEG to an RGB image (height, width, 3); return None if the data is not a complete JPEG."""
+    # Decoders fill the missing part of a truncated file with grey.
     if not data.startswith(_SOI) or not data.endswith(_EOI):
         return None
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -48,11 +48,11 @@ def decode_jpeg(data: bytes) -> Image | None:
 
 
 def jpeg_header(data: bytes) -> ImageHeader | None:
-    """Size and channels from the header alone; None when the data is no JPEG, or lacks its end.
+    """Return size and number of channels from the header alone; None for a truncated JPEG or other data.
 
-    Source: ITU-T T.81, B.1.1.4 and B.2.2: marker segments, and the frame header's fields.
+    Source: ITU-T T.81, B.1.1.4 (marker segments) and B.2.2 (fields of the frame header).
     """
-    # Some cameras fill up with zeros behind the end.
+    # Some cameras append zeros to the end marker.
     if not data.startswith(_SOI) or not data.rstrip(b"\0").endswith(_EOI):
         return None
     position = 2
@@ -61,16 +61,16 @@ def jpeg_header(data: bytes) -> ImageHeader | None:
         if marker in _FRAME_MARKERS:
             height, width = (int.from_bytes(data[position + k : position + k + 2], "big") for k in (5, 7))
             return ImageHeader(width, height, data[position + 9]) if width and height else None
-        # A marker may be preceded by any number of fill bytes.
+        # Any number of fill bytes may precede a marker.
         position += 1 if marker == 0xFF else 2 + int.from_bytes(data[position + 2 : position + 4], "big")
     return None
 
 
 class JpegReader:
-    """Measures JPEGs; as a context manager, the reader also catches the decoder's complaints.
+    """Computes statistics of JPEGs. As a context manager, the reader also captures the decoder's warnings.
 
-    libjpeg decodes damaged JPEGs too, and complains only on the process's stderr. So stderr is a file while the context
-    is open, for the whole process: use the reader in a separate process.
+    libjpeg decodes damaged JPEGs and writes its warnings only to stderr. While the context is open, the stderr of the
+    whole process is therefore a temporary file. Use the reader in a separate process.
     """
 
     def __init__(self) -> None:
@@ -82,24 +82,24 @@ class JpegReader:
         return jpeg_header(data)
 
     def measure(self, data: bytes) -> ImageStats | None:
-        """Measures of the image; None if it cannot be decoded."""
+        """Return statistics of a JPEG; None if it cannot be decoded."""
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        complaint = self._complaint()
+        warning = self._take_warning()
         if grey is None:
             return None
-        reduction = max(1, min(_MOST_REDUCTION, min(grey.shape) // _SMALL_SIDE))
+        reduction = max(1, min(_MAX_REDUCTION, min(grey.shape) // _MIN_SIDE))
         size = (max(1, grey.shape[1] // reduction), max(1, grey.shape[0] // reduction))
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         mean, deviation = cv2.meanStdDev(small)
-        return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), complaint)
+        return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), warning)
 
     def labels(self, data: bytes) -> Image | None:
         """See `decode_labels`."""
         return decode_labels(data)
 
-    def _complaint(self) -> str:
-        # Both descriptors share one position in the file, which has moved if the decoder has written.
+    def _take_warning(self) -> str:
+        # Both descriptors share one file position, which has advanced if the decoder has written a warning.
         if self._messages is None or not self._messages.tell():
             return ""
         self._messages.seek(0)
@@ -125,7 +125,7 @@ class JpegReader:
 
 
 def thumbnail(data: bytes, width: int, quality: int = 80) -> bytes | None:
-    """A JPEG of at most `width` pixels across; None if the data cannot be decoded."""
+    """Return a JPEG of the image with a width of at most `width` px; None if the data cannot be decoded."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_2)
     if image is None:
         return None

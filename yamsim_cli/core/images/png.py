@@ -1,4 +1,4 @@
-"""PNG in memory, of colours and of segmentation labels."""
+"""Encoding, decoding and checking of PNG data in memory, for images and segmentation labels."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
-    """The PNG of a grey image (height, width) or an RGB one (height, width, 3).
+    """Encode a grey image (height, width) or an RGB image (height, width, 3) as PNG.
 
     Args:
-        px_per_metre: resolution for printing. PNG holds a whole number: at 600 dpi, that is off by 0.003 % at most.
+        px_per_metre: resolution for printing. PNG stores a whole number, with an error of at most 0.003 % at 600 dpi.
 
     Raises:
-        ValueError: the encoder refused the image.
+        ValueError: the encoder rejected the image.
     """
     data = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
     done, encoded = cv2.imencode(".png", data)
@@ -32,7 +32,7 @@ def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
 
 
 def decode_png(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) of a PNG; None for other data."""
+    """Decode a PNG to an RGB image (height, width, 3); return None for other data."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
@@ -40,30 +40,30 @@ def decode_png(data: bytes) -> Image | None:
     return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-_AFTER_HEADER = 8 + 25  # bytes of the signature and of the chunk IHDR
-_UNIT_METRE = 1
+_AFTER_HEADER = 8 + 25  # bytes, lengths of the signature and of the chunk IHDR
+_UNIT_METRE = 1  # code of the unit in the chunk pHYs
 
 
 def _with_scale(png: bytes, px_per_metre: int) -> bytes:
-    """The PNG with the chunk `pHYs`, which OpenCV does not write. Source: PNG specification, 11.3.4.3."""
+    """Insert the chunk `pHYs`, which OpenCV does not write. Source: PNG specification, 11.3.4.3."""
     body = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, _UNIT_METRE)
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
     return png[:_AFTER_HEADER] + chunk + png[_AFTER_HEADER:]
 
 
-# Run-length encoding is the fastest for labels, and the second smallest. Source: measured with OpenCV 5.
+# For labels, run-length encoding is fastest and gives the second smallest files. Source: measured with OpenCV 5.
 _LABEL_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_MOST_PIXELS = 2**26  # of a label image that is decoded: a header can announce gigabytes
+_MAX_PIXELS = 2**26  # largest label image that is decoded; a damaged header can announce gigabytes
 # Width, height, bits per sample and colour type (0 for grey). Source: PNG specification, 11.2.2.
 _HEADER = struct.Struct(">IIBB")
-_HEADER_OFFSET = 16  # bytes
+_HEADER_OFFSET = 16  # bytes before the header's fields
 
 
 def encode_labels(labels: Image) -> bytes:
-    """A segmentation image (height, width) as a PNG of one channel.
+    """Encode a segmentation image (height, width) as a PNG with one channel.
 
     Raises:
-        SimulationError: the encoder refused the image.
+        SimulationError: the encoder rejected the image.
     """
     done, data = cv2.imencode(".png", labels, _LABEL_OPTIONS)
     if not done:
@@ -72,11 +72,11 @@ def encode_labels(labels: Image) -> bytes:
 
 
 def decode_labels(data: bytes) -> Image | None:
-    """A segmentation image (height, width) of uint8 from its PNG; None for other or damaged data."""
+    """Decode a PNG to a segmentation image (height, width) of uint8; return None for other or damaged data."""
     if not is_complete_png(data) or len(data) < _HEADER_OFFSET + _HEADER.size:
         return None
     width, height, bits, colour = _HEADER.unpack_from(data, _HEADER_OFFSET)
-    if not 0 < width * height <= _MOST_PIXELS or (bits, colour) != (8, 0):
+    if not 0 < width * height <= _MAX_PIXELS or (bits, colour) != (8, 0):
         return None
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -86,9 +86,9 @@ def decode_labels(data: bytes) -> Image | None:
 
 
 def is_complete_png(data: bytes) -> bool:
-    """Whether the data is a PNG whose chunks all have the right checksum. Source: PNG specification, 5.3.
+    """Return whether the data is a PNG with an end chunk and valid checksums. Source: PNG specification, 5.3.
 
-    The decoder reports damage on the process's stderr only.
+    This check is needed because the decoder reports damage only on stderr.
     """
     if not data.startswith(_SIGNATURE):
         return False

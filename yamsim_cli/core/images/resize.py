@@ -1,4 +1,4 @@
-"""Scales pictures to a given size."""
+"""Scaling of images to a given size."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from .image import Image
 
 
 def resize_image(image: Image, size: tuple[int, int], *, pad: bool) -> Image:
-    """A picture (height, width, 3) in another size.
+    """Return an image (height, width, 3) scaled to another size.
 
     Args:
-        size: width and height, px.
-        pad: keep the aspect ratio, with black borders; otherwise the picture is stretched.
+        size: width and height of the result, px.
+        pad: whether to keep the aspect ratio and add black borders. Otherwise the image is stretched.
     """
     height, width = image.shape[:2]
     if (width, height) == size:
         return image
     ratio = min(size[0] / width, size[1] / height)
     inner = (max(1, round(width * ratio)), max(1, round(height * ratio))) if pad else size
-    # Averaging areas keeps thin things when a picture shrinks.
+    # Averaging over areas keeps thin objects visible when an image shrinks.
     how = cv2.INTER_AREA if inner[0] < width or inner[1] < height else cv2.INTER_LINEAR
     scaled = np.asarray(cv2.resize(image, inner, interpolation=how), dtype=np.uint8)
     if inner == size:

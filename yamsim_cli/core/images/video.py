@@ -1,6 +1,6 @@
-"""Writes H.264 in MP4 for any player and browser, with exact times, and reads the pictures of films.
+"""Writing of H.264 videos in MP4 files with exact frame times, and reading of video frames.
 
-A written file appears whole or not at all.
+A video file is published in one step, when it is complete.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ColorMatrix:
-    """A conversion of RGB to luma and two colour differences, in limited range.
+    """A conversion of RGB to luma and two colour differences in limited range.
 
     Attributes:
-        red, blue: their shares of luma; green has the rest.
-        tag: the matrix's number in a stream. Source: ITU-T H.273, table 4.
+        red, blue: weights of red and blue in luma; the weight of green is the rest to 1.
+        tag: code of the matrix in a video stream. Source: ITU-T H.273, table 4.
     """
 
     red: float
@@ -41,33 +41,34 @@ class ColorMatrix:
     tag: int
 
 
-# The matrix that players assume for an untagged H.264 stream. Source: ITU-R BT.709, 3.2.
+# Players assume BT.709 for an untagged H.264 stream. Source: ITU-R BT.709, 3.2.
 BT709 = ColorMatrix(0.2126, 0.0722, 1)
-# The matrix that decoders for training assume if they ignore the tag. Source: ITU-R BT.601, 2.5.1.
+# Decoders for training that ignore the tag assume BT.601. Source: ITU-R BT.601, 2.5.1.
 BT601 = ColorMatrix(0.299, 0.114, 6)
 
-# Y, Cb and Cr of black, and the ranges of luma and colours. Source: ITU-R BT.709, 3.4 and 3.5; BT.601 has the same.
+# Y, Cb and Cr of black, and the ranges of luma and colour. Source: ITU-R BT.709, 3.4 and 3.5; the same in BT.601.
 _OFFSET = np.array([16.0, 128.0, 128.0])
 _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 
 
 def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
-    """The planes Y, Cb and Cr of an RGB image, (3 / 2 height, width); an odd side gets its last row or column twice.
+    """Convert an RGB image to its planes Y, Cb and Cr, stacked as (3 / 2 height, width).
 
-    FFmpeg's own conversion is not used: its result depends on how the memory happens to be aligned.
+    If a side is odd, the last row or column is repeated. FFmpeg's own conversion is not used, because its result
+    depends on the alignment of the memory.
     """
     height, width = image.shape[:2]
-    # Colours have half the resolution, so both sides have to be even.
+    # Colours have half the resolution, so both sides must be even.
     even = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    full = cv2.transform(even.astype(np.float32), np.column_stack([_rows(matrix) / 255, _OFFSET]))
+    full = cv2.transform(even.astype(np.float32), np.column_stack([_yuv_from_rgb(matrix) / 255, _OFFSET]))
     half = cv2.resize(full, (even.shape[1] // 2, even.shape[0] // 2), interpolation=cv2.INTER_AREA)
     planes = [full[..., 0].ravel(), half[..., 1].ravel(), half[..., 2].ravel()]
     rounded: NDArray[np.uint8] = np.round(np.concatenate(planes)).astype(np.uint8).reshape(-1, even.shape[1])
     return rounded
 
 
-def _rows(matrix: ColorMatrix) -> NDArray[np.float64]:
-    """The matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
+def _yuv_from_rgb(matrix: ColorMatrix) -> NDArray[np.float64]:
+    """Return the matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
     luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
     return np.array(
         [
@@ -81,7 +82,7 @@ def _rows(matrix: ColorMatrix) -> NDArray[np.float64]:
 _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
-def _av() -> Any:
+def _import_av() -> Any:
     try:
         import av
     except ModuleNotFoundError as error:
@@ -92,18 +93,18 @@ def _av() -> Any:
 
 
 def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
-    """The pictures (height, width, 3) of a film from a time on, as RGB.
+    """Yield RGB frames (height, width, 3) of a video file from a given time on.
 
     Args:
-        begin: time of the first picture, s.
-        count: largest number of pictures.
-        tolerance: how much earlier than `begin` the first picture may be, s.
+        begin: time of the first frame, s.
+        count: largest number of frames.
+        tolerance: time by which the first frame may precede `begin`, s.
 
     Raises:
-        DatasetError: the film cannot be read.
+        DatasetError: the video cannot be read.
         ResourceError: PyAV is not installed.
     """
-    av = _av()
+    av = _import_av()
     try:
         with av.open(str(file)) as container:
             stream = container.streams.video[0]
@@ -121,13 +122,13 @@ def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Itera
 
 
 def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
-    """The pictures (height, width, 3) of a stream of packets with one picture each, as RGB.
+    """Yield the RGB frames (height, width, 3) of encoded packets, each of which holds one frame.
 
     Raises:
         DatasetError: the packets cannot be decoded, or the codec is not H.264 or H.265.
         ResourceError: PyAV is not installed.
     """
-    av = _av()
+    av = _import_av()
     name = _CODECS.get(codec.lower())
     if name is None:
         raise DatasetError(f"{source}: its pictures are {codec!r}; valid: {', '.join(_CODECS)}")
@@ -142,40 +143,40 @@ def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator
         raise DatasetError(f"{source}: its pictures cannot be decoded: {error}") from error
 
 
-# 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree the same images sometimes
-# give different bytes (3 of 60 encodings at 224 x 224, and 20 of 100 at 24 x 16); without mbtree never.
+# These options give 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree, equal
+# images sometimes give different bytes: 3 of 60 encodings at 224 x 224, 20 of 100 at 24 x 16. Without mbtree, never.
 ENCODER = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
-# sRGB pictures have BT.709's primaries and nearly its transfer curve. Source: ITU-T H.273, tables 2 and 3.
+# sRGB has the primaries of BT.709 and nearly its transfer curve. Source of the codes: ITU-T H.273, tables 2 and 3.
 _BT709 = 1
 _LIMITED = 1
 
-_SECONDS_BETWEEN_KEY_FRAMES = 1  # players can jump only to key frames
-_FINEST_PERIOD = 1_000_000  # largest denominator of a period, s: 1/30 s is not exact as a float
+_KEY_FRAME_SECONDS = 1  # s between key frames, the only frames to which players can jump
+_MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of seconds: 1/30 s is not exact as a float
 
 
 class VideoWriter:
-    """Writes images into one MP4; frame k is at exactly k periods. Use it as a context manager.
+    """Writes images into one MP4 file, with frame k at exactly k periods. Use the writer as a context manager.
 
-    The file is built under a hidden name beside its own. At the block's end it is flushed to the disk and renamed; an
-    exception removes it. The same images give the same bytes with the same version of the encoder.
+    The writer builds the file under a hidden name in the same directory, and renames it at the end of the block. After
+    an exception, the writer deletes the file. Equal images give equal bytes with the same version of the encoder.
 
     Attributes:
-        path: the file.
-        frames: how many images were written.
-        moved_aside: the new place of an older file of that name; None without one, or if no new file was written.
+        path: path of the video file.
+        frames: number of images written so far.
+        moved_aside: path to which an existing file was moved; None if no file was replaced.
 
     Args:
-        path: ends in `.mp4`; its directory has to exist.
-        frame_period: time from one image to the next, s.
-        overwrite: move an existing file aside instead of refusing to start.
-        key_frame_interval: frames from one key frame to the next; by default those of one second.
-        matrix: how colours are stored; the stream has the matrix's tag.
+        path: ends in `.mp4`; the directory must exist.
+        frame_period: time between two images, s.
+        overwrite: whether to move an existing file to a backup. Otherwise an existing file is an error.
+        key_frame_interval: number of frames between key frames; the default corresponds to one second.
+        matrix: conversion of colours; the stream is tagged with it.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
-        UsageError: the name does not end in `.mp4`, there is no such directory, or the file exists.
-        SimulationError: the encoder refused the images.
+        UsageError: the name does not end in `.mp4`, the directory does not exist, or the file exists.
+        SimulationError: the encoder rejected an image.
     """
 
     def __init__(
@@ -192,9 +193,9 @@ class VideoWriter:
         self.path = path
         self.frames = 0
         self.moved_aside: Path | None = None
-        self._period = Fraction(frame_period).limit_denominator(_FINEST_PERIOD)
+        self._period = Fraction(frame_period).limit_denominator(_MAX_DENOMINATOR)
         self._overwrite, self._matrix = overwrite, matrix
-        self._interval = key_frame_interval or max(1, round(_SECONDS_BETWEEN_KEY_FRAMES / self._period))
+        self._interval = key_frame_interval or max(1, round(_KEY_FRAME_SECONDS / self._period))
         require_encoder()
         self._check_path()
         self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
@@ -203,7 +204,7 @@ class VideoWriter:
         self._size = (0, 0)
 
     def write(self, image: Image) -> None:
-        """Add an RGB image (height, width, 3). All have one size; an odd side gets its last row or column twice."""
+        """Append an RGB image (height, width, 3) of the same size as all others; odd sides are padded by one pixel."""
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise ValueError(f"an image has to be (height, width, 3) of uint8, not {image.shape} of {image.dtype}")
         import av
@@ -234,13 +235,13 @@ class VideoWriter:
     def _open(self, width: int, height: int) -> tuple[OutputContainer, VideoStream]:
         import av
 
-        # With faststart the index comes first, so that a browser can play the file while it loads.
+        # With faststart, the index comes first, and a browser can play the file while it loads.
         container = av.open(str(self._part), "w", format="mp4", options={"movflags": "+faststart"})
         stream = container.add_stream("libx264", rate=1 / self._period, options=ENCODER | {"g": str(self._interval)})
         stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         context = stream.codec_context
         context.time_base = self._period
-        # Several threads would split frames, and that changes the bytes.
+        # Several threads would split frames, which changes the bytes.
         context.thread_count = 1
         context.color_primaries = context.color_trc = _BT709
         context.colorspace, context.color_range = self._matrix.tag, _LIMITED
@@ -261,7 +262,7 @@ class VideoWriter:
 
     def _discard(self) -> None:
         if self._container is not None:
-            # On a full disk closing fails too, and the file is removed.
+            # On a full disk, closing fails too. The file is deleted anyway.
             with contextlib.suppress(OSError):
                 self._container.close()
         self._part.unlink(missing_ok=True)
@@ -278,7 +279,7 @@ class VideoWriter:
         return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; mend it, or write elsewhere")
 
     def __enter__(self) -> VideoWriter:
-        # The encoder writes nothing for its first frames. This shows whether the directory can be written.
+        # The encoder writes nothing for its first frames. Creating the file tests whether the directory is writable.
         try:
             self._part.touch(exist_ok=False)
         except OSError as error:
@@ -296,12 +297,12 @@ class VideoWriter:
 
 
 def require_encoder() -> None:
-    """Refuse, before any work, to write videos without an encoder.
+    """Check that an H.264 encoder is installed. Call this function before a job that writes videos.
 
     Raises:
         ResourceError: PyAV is not installed, or has no H.264 encoder.
     """
-    if "libx264" not in _av().codecs_available:
+    if "libx264" not in _import_av().codecs_available:
         raise ResourceError(
             "this PyAV was built without an H.264 encoder (libx264): install its wheel by pip install 'yamsim[video]'"
         )

@@ -1,4 +1,4 @@
-"""Ground truth of one picture: depth, segmentation, poses, keypoints and boxes, from one rendering without light."""
+"""Ground truth of one image: depth, segmentation, poses, keypoints and boxes, from one segmentation rendering."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from .scene_labels import LabelledCloth, LabelledKeypoint, SceneLabels
 
 Depth = NDArray[np.uint16]
 
-_FARTHEST_MM = 65535  # largest distance of a uint16 of millimetres; anything farther counts as nothing
-_NEAREST = 0.01  # m from the camera's plane, below which a point has no useful place in the image
+_MAX_DEPTH_MM = 65535  # mm, largest depth that fits into uint16; larger depths are stored as 0
+_MIN_DEPTH = 0.01  # m, depth below which a point counts as behind the camera
 
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """The ground truth of one picture.
+    """The ground truth of one image.
 
     Attributes:
-        depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
-        labels: the label seen at each pixel (height, width), see `SceneLabels`.
-        arrays: all other arrays by key, see `dataset.truth_files.array_specs`, without the axis of frames.
+        depth_mm: depth z along the camera's axis (height, width), mm; 0 for no surface or beyond 65 m.
+        labels: visible label at each pixel (height, width), see `SceneLabels`.
+        arrays: all other arrays by key, see `dataset.ground_truth_files.array_specs`, without the axis of frames.
     """
 
     depth_mm: Depth
@@ -42,7 +42,7 @@ class FrameTruth:
 def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
-    """The ground truth of a camera's picture; `data` holds all positions, as for rendering it."""
+    """Return the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
     labels, distance = renderer.label(data, camera, scene.of_geom, scene.of_flex)
     depth = depth_in_mm(distance)
     K = renderer.intrinsics(camera).K
@@ -72,9 +72,9 @@ def measure_frame(
 
 
 def depth_in_mm(distance: NDArray[np.float32]) -> Depth:
-    """Distances z (height, width) of a renderer, m, as whole mm; 0 for nothing, or beyond 65 m."""
+    """Convert depths z (height, width) from m to whole mm; depths beyond 65 m become 0."""
     millimetres = np.rint(distance * 1000.0)
-    return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
+    return np.where(millimetres <= _MAX_DEPTH_MM, millimetres, 0).astype(np.uint16)
 
 
 def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
@@ -87,9 +87,9 @@ def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array
 def instance_boxes(
     labels: Image, instance_of: NDArray[np.int64], instances: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The smallest box (n, 4) around the visible pixels of each instance, and the number (n,) of these pixels.
+    """Return the smallest box (n, 4) around the visible pixels of each instance, and their number (n,).
 
-    A box is `[x0, y0, x1, y1]`, and x1 - x0 is its width. The box of an invisible instance is all zeros.
+    A box is `[x0, y0, x1, y1]`, where x1 - x0 is the width. The box of an invisible instance is all zeros.
     """
     counts = np.bincount(labels.ravel(), minlength=len(instance_of))[: len(instance_of)]
     boxes, pixels = np.zeros((instances, 4), np.int32), np.zeros(instances, np.int32)
@@ -112,14 +112,14 @@ def _keypoints(
     labels: Image,
     depth_mm: Depth,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Pixel (n, 2), distance z (n,) and visibility (n,) of each point; zeros for points behind the camera."""
+    """Return pixel (n, 2), depth z (n,) and visibility (n,) of each keypoint; zeros behind the camera."""
     places, depths = np.zeros((len(points), 2)), np.zeros(len(points))
     visibility = np.full(len(points), Visibility.OUTSIDE, np.uint8)
     height, width = labels.shape
     for k, point in enumerate(points):
         T = T_world_in_cam @ pose(data.xpos[point.body], data.xmat[point.body].reshape(3, 3))
         p = T[:3, :3] @ point.position + T[:3, 3]
-        if p[2] < _NEAREST:
+        if p[2] < _MIN_DEPTH:
             continue
         places[k], depths[k] = project(K, p)[0], p[2]
         u, v = np.rint(places[k])
@@ -139,11 +139,13 @@ def is_visible(
     labels: Image,
     depth_mm: Depth,
 ) -> bool:
-    """Whether nothing hides a point, at `p` (3,) in the camera's frame, from the camera.
+    """Return whether a keypoint at `p` (3,) in the camera's frame, m, is visible to the camera.
 
-    A point inside the arm is visible if its pixel shows one of the links around it, at nearly its depth. A point on a
-    surface is visible if its pixel shows its own body, at the depth of the surface's tangent plane there. A corner lies
-    on the edge of the print, so that half the time its own pixel shows something else: any neighbouring pixel counts.
+    A point inside the arm is visible if its pixel shows one of its links at nearly its depth. A point on a surface is
+    visible if its pixel shows its body at the depth of the tangent plane. A corner lies on the edge of the print, where
+    half of the pixels show another surface. For a corner, each neighbouring pixel counts too.
+
+    `normal` (3,) is outward in the camera's frame, or None for a point inside. `pixel` is (column, row).
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
@@ -163,17 +165,17 @@ def is_visible(
     return False
 
 
-_AROUND = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))
+_NEIGHBOURS = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))  # px, a pixel and its eight neighbours
 
 
 @dataclass(frozen=True)
 class ClothVisibility:
-    """A cloth in a picture.
+    """The visibility of a cloth in an image.
 
     Attributes:
-        visible: whether each point (n,) is seen.
-        places: pixels of the corners (4, 2), zeros behind the camera.
-        depths: distances z of the corners (4,), m; 0 behind the camera.
+        visible: whether each point (n,) is visible.
+        places: pixel coordinates of the corners (4, 2); 0 behind the camera.
+        depths: depths z of the corners (4,), m; 0 behind the camera.
         visibility: `Visibility` of the corners (4,).
     """
 
@@ -186,12 +188,12 @@ class ClothVisibility:
 def measure_cloth(
     cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> ClothVisibility:
-    """The cloth in a picture with labels and distances (height, width), at MuJoCo's positions `qpos` (nq,)."""
+    """Return the visibility of a cloth at MuJoCo's positions `qpos` (nq,), in labels and depths (height, width)."""
     points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
     visible = _visible_points(points, cloth, K, labels, depth_mm)
     numbers = np.array(list(cloth.corners.values()))
     corners = points[numbers]
-    before = corners[:, 2] >= _NEAREST
+    before = corners[:, 2] >= _MIN_DEPTH
     places, depths = np.zeros((len(corners), 2)), np.zeros(len(corners))
     places[before], depths[before] = project(K, corners[before]), corners[before, 2]
     height, width = labels.shape
@@ -201,9 +203,9 @@ def measure_cloth(
 
 
 def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
-    """The points (n, 3) of the two sides of a sheet as MuJoCo draws them.
+    """Return the points (n, 3) of the two sides of a sheet as MuJoCo draws them, m.
 
-    Each point is moved by half the thickness along the mean of the unit normals of its triangles (m, 3).
+    Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles (m, 3).
     """
     a, b, c = (points[corners[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
@@ -217,10 +219,10 @@ def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tupl
 def _visible_points(
     points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
-    """Which points (n, 3), in the camera's frame, are visible.
+    """Return which points (n, 3), in the camera's frame, are visible, as (n,).
 
-    The pixel of a visible point shows the cloth at the depth of a triangle that has the point and faces the camera. At
-    the rim, where half the pixels show the background, a neighbouring pixel counts too.
+    The pixel of a visible point shows the cloth at the depth of a triangle that faces the camera and has this corner.
+    At the rim, where half of the pixels show the background, each neighbouring pixel counts too.
     """
     (columns, rows), corners = cloth.scene.grid, grid_triangles(*cloth.scene.grid)
     number = np.arange(len(points))
@@ -229,13 +231,13 @@ def _visible_points(
     for side, facing in zip(drawn_sides(points, corners, cloth.scene.radius), (1.0, -1.0), strict=True):
         a, b, c = (side[corners[:, k]] for k in range(3))
         normals = facing * np.cross(b - a, c - a)
-        # How far each plane is from the camera, against its normal: below 0 where it faces the camera.
+        # Scaled distance of each triangle's plane from the camera, below 0 for a triangle that faces the camera.
         offsets = np.einsum("ij,ij->i", normals, a)
         faces, ends = np.repeat(np.flatnonzero(offsets < 0), 3), corners[offsets < 0].ravel()
-        before = side[ends, 2] >= _NEAREST
+        before = side[ends, 2] >= _MIN_DEPTH
         faces, ends = faces[before], ends[before]
         at = np.rint(project(K, side[ends])).astype(np.int64)
-        for beside in _AROUND:
+        for beside in _NEIGHBOURS:
             u, v = (at + beside).T
             counts = (u >= 0) & (v >= 0) & (u < labels.shape[1]) & (v < labels.shape[0])
             if any(beside):

@@ -11,15 +11,15 @@ from ..config.variation import Variation
 from ..images.image import Image
 from ..scene.random_streams import Stream, random_generator
 
-_GREY = 127.5  # grey level that contrast leaves unchanged
-_MORE = 4  # the stock of noise is longer than a picture by a fourth, so that each picture starts at another place
+_GREY = 127.5  # grey level that a change of contrast leaves unchanged
+_EXTRA = 4  # the noise is longer than an image by 1/4, so that each image uses another part
 
 
 class PictureAugmenter:
-    """Changes the pictures of one attempt, each by random numbers that depend on its frame and camera alone.
+    """Augments the images of one attempt. The random numbers of an image depend only on its job, frame and camera.
 
-    Normal numbers are sampled once for all pictures, and each picture takes a part of them: sampling them for each
-    picture would take a third of the time of rendering.
+    Gaussian noise is sampled once per attempt, and each image uses a random part of it. Sampling new noise for each
+    image would take a third of the rendering time.
     """
 
     def __init__(self, ranges: PictureRanges, variation: Variation, job: AttemptJob, size: tuple[int, int]) -> None:
@@ -27,38 +27,38 @@ class PictureAugmenter:
         self._variation = variation
         self._job = job
         self._values = size[0] * size[1] * 3
-        self._stock: tuple[Image, Image] | None = None
+        self._noise_parts: tuple[Image, Image] | None = None
 
     def apply(self, image: Image, frame: int, camera: int) -> None:
-        """Change an image (height, width, 3) in place."""
-        self._tone(image, random_generator(self._job, Stream.TONE, frame, camera))
+        """Augment an image (height, width, 3) in place."""
+        self._apply_tone(image, random_generator(self._job, Stream.TONE, frame, camera))
         if self._variation.noise:
-            self._noise(image, random_generator(self._job, Stream.NOISE, frame, camera))
+            self._apply_noise(image, random_generator(self._job, Stream.NOISE, frame, camera))
         if self._variation.salt_pepper:
-            self._salt_pepper(image, random_generator(self._job, Stream.SALT_PEPPER, frame, camera))
+            self._apply_salt_pepper(image, random_generator(self._job, Stream.SALT_PEPPER, frame, camera))
 
-    def _tone(self, image: Image, rng: np.random.Generator) -> None:
+    def _apply_tone(self, image: Image, rng: np.random.Generator) -> None:
         brightness = 255.0 * float(rng.uniform(*self._ranges.brightness))
         contrast = float(rng.uniform(*self._ranges.contrast))
         if brightness == 0.0 and contrast == 1.0:
             return
         cv2.addWeighted(image, contrast, image, 0.0, _GREY * (1.0 - contrast) + brightness, image)
 
-    def _noise(self, image: Image, rng: np.random.Generator) -> None:
-        if self._stock is None:
+    def _apply_noise(self, image: Image, rng: np.random.Generator) -> None:
+        if self._noise_parts is None:
             sigma = np.float32(self._variation.noise)
             normal = random_generator(self._job, Stream.NOISE, 0).standard_normal(
-                self._values + self._values // _MORE, np.float32
+                self._values + self._values // _EXTRA, np.float32
             )
             noise = np.clip(np.rint(normal * sigma), -127, 127).astype(np.int16)
-            # Split in two: adding and subtracting arrays of the image's own type is six times as fast.
-            self._stock = np.maximum(noise, 0).astype(np.uint8), np.maximum(-noise, 0).astype(np.uint8)
-        start = int(rng.integers(self._values // _MORE))
-        more, less = (part[start : start + self._values].reshape(image.shape) for part in self._stock)
-        cv2.add(image, more, image)
-        cv2.subtract(image, less, image)
+            # Positive and negative parts: adding and subtracting uint8 arrays is six times as fast.
+            self._noise_parts = np.maximum(noise, 0).astype(np.uint8), np.maximum(-noise, 0).astype(np.uint8)
+        start = int(rng.integers(self._values // _EXTRA))
+        raised, lowered = (part[start : start + self._values].reshape(image.shape) for part in self._noise_parts)
+        cv2.add(image, raised, image)
+        cv2.subtract(image, lowered, image)
 
-    def _salt_pepper(self, image: Image, rng: np.random.Generator) -> None:
+    def _apply_salt_pepper(self, image: Image, rng: np.random.Generator) -> None:
         pixels = image.reshape(-1, 3)
         assert self._variation.salt_pepper is not None
         count = int(rng.binomial(len(pixels), self._variation.salt_pepper))

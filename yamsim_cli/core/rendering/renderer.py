@@ -1,4 +1,4 @@
-"""Renders a scene without a screen. One renderer per process serves all cameras in turn."""
+"""Offscreen rendering of a scene. One renderer per process serves all cameras in turn."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
 
-# The process in which OpenGL was first used. A forked process inherits the number, a spawned one starts with None.
+# Process that first used OpenGL. A forked process inherits the number; a spawned process starts with None.
 _opengl_pid: int | None = None
 
 
@@ -30,7 +30,7 @@ def _note_opengl() -> None:
 
 
 def _note_mujoco_renderer() -> None:
-    """Before a fork, note OpenGL that MuJoCo's own renderer has used, which its open display shows."""
+    """Before a fork, check whether MuJoCo's own renderer has used OpenGL: it then has an open EGL display."""
     if getattr(sys.modules.get("mujoco.egl"), "EGL_DISPLAY", None) is not None:
         _note_opengl()
 
@@ -39,12 +39,12 @@ os.register_at_fork(before=_note_mujoco_renderer)
 
 
 def _enter_opengl() -> None:
-    """Note that this process is about to use OpenGL.
+    """Record that this process uses OpenGL.
 
-    OpenGL's drivers keep threads and locks. A fork does not copy the threads, and rendering there would hang.
+    OpenGL drivers keep threads and locks. A fork does not copy the threads, so rendering in the fork would hang.
 
     Raises:
-        ResourceError: a process from which this one was forked has used OpenGL before.
+        ResourceError: this process was forked from a process that had used OpenGL.
     """
     if _opengl_pid not in (None, os.getpid()):
         raise ResourceError(
@@ -60,16 +60,16 @@ def _enter_opengl() -> None:
 
 GeomIds = NDArray[np.int32]
 
-_MAX_GEOMS = 10_000  # geoms that can be rendered, more than any scene has
+_MAX_GEOMS = 10_000  # geoms that can be rendered; no scene has as many
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
-# Plain numbers, since numpy takes no enum for an index.
+# Plain integers, because NumPy does not accept enums as indices.
 _GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
-_BY_NUMBER = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
+_SEGMENTATION_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
 def _opengl_name() -> str:
-    """Name of the OpenGL implementation behind the current context, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-    # PyOpenGL binds itself to the platform of the context that exists when it is imported.
+    """Return the name of the current OpenGL implementation, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+    # On import, PyOpenGL binds to the platform of the existing context.
     from OpenGL import GL
 
     name = GL.glGetString(GL.GL_RENDERER)
@@ -77,7 +77,7 @@ def _opengl_name() -> str:
 
 
 class _Contexts:
-    """The contexts to free. OpenGL's has to be current then, or MuJoCo would free objects of another one."""
+    """The contexts of a renderer. `free` makes the OpenGL context current; otherwise MuJoCo frees foreign objects."""
 
     def __init__(self) -> None:
         self.gl: Any = None
@@ -96,32 +96,32 @@ class _Contexts:
 class SceneRenderer(Closable):
     """Renders images of a scene's cameras. Close the renderer, or use it as a context manager.
 
-    All memory but that of returned images is allocated once.
+    Except for the returned images, all memory is allocated once.
 
     Attributes:
-        description: name of the OpenGL implementation that renders.
+        description: name of the OpenGL implementation.
 
     Args:
-        model: the scene, with a large enough offscreen buffer, see `scene.surroundings.apply_quality`.
+        model: the scene, with a sufficient offscreen buffer, see `scene.environment.apply_quality`.
         size: width and height of images, px.
-        fine: size in which colour images are rendered before they are averaged to `size`; `size` unless given.
+        fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
 
     Raises:
-        ResourceError: no OpenGL context can be made, or this process was forked from one that had used OpenGL.
-            Rendering raises the latter too.
+        ResourceError: OpenGL cannot create a context, or this process was forked from one that had used OpenGL. The
+            rendering methods raise the second error too.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
         _enter_opengl()
-        self._held = _Contexts()
-        self._free = weakref.finalize(self, self._held.free)
+        self._contexts = _Contexts()
+        self._free = weakref.finalize(self, self._contexts.free)
         self._free.atexit = False
         self._model = model
         self._width, self._height = size
         fine = fine or size
         try:
             self._open(fine)
-        # The errors of PyOpenGL and MuJoCo depend on the backend, the driver and what is missing.
+        # The errors of PyOpenGL and MuJoCo depend on the backend, the driver and the missing part.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             self.close()
             raise ResourceError(
@@ -137,36 +137,36 @@ class SceneRenderer(Closable):
         self.description = _opengl_name()
 
     def _open(self, size: tuple[int, int]) -> None:
-        self._held.gl = mujoco.GLContext(*size)
-        # MuJoCo has registered the closing of its display before, and functions run in reverse order.
-        atexit.register(self._held.free)
-        self._held.gl.make_current()
-        context = self._held.context = mujoco.MjrContext(self._model, _FONT)
+        self._contexts.gl = mujoco.GLContext(*size)
+        # MuJoCo has already registered the closing of its display. Exit handlers run in reverse order.
+        atexit.register(self._contexts.free)
+        self._contexts.gl.make_current()
+        context = self._contexts.context = mujoco.MjrContext(self._model, _FONT)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
         if context.offWidth < size[0] or context.offHeight < size[1]:
             raise ValueError(f"the model's offscreen buffer is smaller than {size[0]} x {size[1]} pixels")
         context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
-        """The intrinsics of a camera's images."""
+        """Return the intrinsics of a camera's images."""
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def upload_texture(self, texture: int) -> None:
-        """Upload a texture whose pixels have changed in the model."""
+        """Upload the texture of this id after its pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
-        """An RGB image (height, width, 3) of the scene in the state of `data`, written into `out` if given."""
+        """Render an RGB image (height, width, 3) of the scene in the state `data`, into `out` if given."""
         self._update(data, camera)
         return self._colours(out)
 
     def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
-        """The id of the geom at each pixel, (height, width) of int32; -1 where there is none."""
+        """Return the id of the geom at each pixel, as int32 (height, width); -1 for no geom."""
         self._update(data, camera)
         colours = np.empty((self._height, self._width, 3), np.uint8)
         self._render_ids(colours, None)
-        # Each geom is rendered in a colour that is its number plus one; 0 is nothing.
+        # The colour of each geom is its number plus one; 0 is the background.
         number = colours.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         ids = np.full(self._scene.ngeom + 1, -1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:
@@ -176,7 +176,7 @@ class SceneRenderer(Closable):
         return seen
 
     def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
-        """The distance z (height, width) along the camera's axis of the surface at each pixel, m."""
+        """Return the depth z (height, width) at each pixel along the camera's axis, m."""
         self._update(data, camera)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(None, buffer)
@@ -185,31 +185,31 @@ class SceneRenderer(Closable):
     def label(
         self, data: mujoco.MjData, camera: str, label_of_geom: Image, label_of_flex: Image
     ) -> tuple[Image, NDArray[np.float32]]:
-        """The label and the distance z of the geom or cloth at each pixel, both (height, width), from one rendering.
+        """Render the label and the depth z of the geom or cloth at each pixel, both (height, width), in one pass.
 
         Args:
-            label_of_geom: geom -> label (ngeom,), 0 to 254.
-            label_of_flex: number of a cloth in MuJoCo -> label (nflex,), 0 to 254.
+            label_of_geom: label of each geom (ngeom,), 0 to 254.
+            label_of_flex: label of each flex, which is a cloth, (nflex,), 0 to 254.
 
         Returns:
-            Labels, 0 where there is nothing; and z in m, 0 where there is nothing.
+            Labels and z in m. Both are 0 where the camera sees no surface.
         """
         self._update(data, camera)
         label_of = {_GEOM: label_of_geom, _FLEX: label_of_flex}
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            # Anything else gets 0 and is not rendered, and so hides nothing.
+            # Objects of other types get 0 and are not rendered, so they hide nothing.
             geom.segid = label_of[geom.objtype][geom.objid] if geom.objtype in label_of else 0
         colours = np.empty((self._height, self._width, 3), np.uint8)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(colours, buffer)
-        # A label is rendered as a colour that is one larger. Nothing is 0 and stays 0.
+        # The colour of a label is the label plus one. The background is 0 and stays 0.
         labels: Image = np.maximum(colours[::-1, :, 0], 1) - np.uint8(1)
         z = self._distance(buffer)
         z[buffer[::-1] == 0.0] = 0.0
         return labels, z
 
     def _distance(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Distances z in m, top row first, from OpenGL's depth buffer."""
+        """Return depths z in m, top row first, from OpenGL's depth buffer."""
         extent = self._model.stat.extent
         near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
         # The buffer holds 1 at the near plane and 0 at the far one, and is linear in 1 / z.
@@ -222,7 +222,7 @@ class SceneRenderer(Closable):
         self._camera.fixedcamid = self._model.cam(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
-        # The fine picture's size is rounded, which must not change its field of view.
+        # The fine size is rounded. Keep the field of view of the final size.
         for view in self._scene.camera:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
@@ -240,10 +240,10 @@ class SceneRenderer(Closable):
         return image
 
     def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
-        """Render each geom in the colour of its number, without light or smoothing, into the arrays that are given."""
+        """Render each geom in the colour of its number, without light or smoothing, into the given arrays."""
         context = self._current()
         flags = self._scene.flags.copy()
-        self._scene.flags[_BY_NUMBER] = 1
+        self._scene.flags[_SEGMENTATION_FLAGS] = 1
         try:
             mujoco.mjr_render(self._rect, self._scene, context)
             mujoco.mjr_readPixels(colours, depth, self._rect, context)
@@ -251,11 +251,11 @@ class SceneRenderer(Closable):
             self._scene.flags[:] = flags
 
     def _current(self) -> mujoco.MjrContext:
-        assert self._held.context is not None, "closed"
+        assert self._contexts.context is not None, "closed"
         _enter_opengl()
-        self._held.gl.make_current()
-        return self._held.context
+        self._contexts.gl.make_current()
+        return self._contexts.context
 
     def close(self) -> None:
-        """Free the OpenGL context; safe to call twice."""
+        """Free the OpenGL context. Repeated calls have no effect."""
         self._free()

@@ -1,4 +1,4 @@
-"""What a scene's ground truth names: a label for every visible body, and keypoints on arms, boards and cloths."""
+"""Labels and keypoints of a scene's ground truth: a label per visible body; keypoints on arms, boards and cloths."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 
 TABLE, POSTS = "table", "posts"
 
-_OUTSIDE = 0.3  # m from a joint, start of the ray back along its axis to the arm's surface; no link is as wide
-_SEEN_GROUPS = 3  # geoms of lower groups are visible, see `scene.things.looks`
-_MOST_LABELS = 254  # labels are rendered as one byte of a colour, in which 0 stands for nothing
+_RAY_START = 0.3  # m, distance from a joint at which rays towards the joint start; larger than any link
+_HIDDEN_GROUP = 3  # first geom group that is not visible, see `scene.objects.object_geoms`
+_MAX_LABELS = 254  # labels are rendered as one byte of a colour, where 0 stands for no geom
 
 
 @dataclass(frozen=True)
 class LabelledKeypoint:
-    """A point of a body.
+    """A keypoint that is fixed to a body.
 
     Attributes:
-        position: in the body's frame (3,), m.
-        normal: the surface's outward normal there, in the body's frame (3,); None for a point inside.
-        labels: the labels that the point's pixel may show if nothing hides the point.
+        record: entry of the keypoint in the dataset.
+        body: id of the body.
+        position: position (3,) in the body's frame, m.
+        normal: outward normal (3,) of the surface at the point, in the body's frame; None for a point inside the body.
+        labels: labels that the point's pixel can show when the point is visible.
     """
 
     record: KeypointRecord
@@ -41,12 +43,12 @@ class LabelledKeypoint:
 
 @dataclass(frozen=True)
 class LabelledCloth:
-    """A cloth of a scene, and how segmentation images show it.
+    """A cloth of a scene with its label.
 
     Attributes:
-        label: the cloth's number in segmentation images.
-        row: the cloth's index among the objects that have poses.
-        scene: where the cloth's points are.
+        label: label of the cloth in segmentation images.
+        row: index of the cloth among the objects with recorded poses.
+        scene: addresses of the cloth's points.
     """
 
     name: str
@@ -56,7 +58,7 @@ class LabelledCloth:
 
     @property
     def corners(self) -> dict[str, int]:
-        """Corner -> number of the point there. Corners are named with the x axis of the flat cloth to the right."""
+        """Corner -> index of its point. Corners are named with the x axis of the flat cloth to the right."""
         columns, rows = self.scene.grid
         last = columns * rows - 1
         return {"top_left": last + 1 - columns, "top_right": last, "bottom_right": columns - 1, "bottom_left": 0}
@@ -73,11 +75,12 @@ class SceneLabels:
     """The labels and keypoints of a compiled scene.
 
     Attributes:
-        of_geom, of_flex: label in segmentation images of each geom (ngeom,) and flex (nflex,).
-        instance_of: label -> index of its instance, -1 for the background.
+        names: names of all labels, instances, links, objects and keypoints.
+        of_geom, of_flex: label of each geom (ngeom,) and flex (nflex,) in segmentation images.
+        instance_of: label -> index of its instance; -1 for the background.
         links, objects: ids of the bodies whose poses are recorded.
-        keypoints: the keypoints that are fixed to a body. In `names`, the corners of cloths follow.
-        cloths: the cloths. Their bodies never move, see `scene.cloth.add_cloth`.
+        keypoints: keypoints that are fixed to a body. In `names`, the corners of cloths follow them.
+        cloths: all cloths. The body of a cloth never moves, see `scene.cloth.add_cloth`.
     """
 
     names: TruthLabels
@@ -98,12 +101,12 @@ def scene_labels(
     boards: bool,
     cloths: Mapping[str, ClothAddresses] | None = None,
 ) -> SceneLabels:
-    """The labels of a scene: one for each link, object, board and mount, for the table, and for all posts together.
+    """Return the labels of a scene: one each per link, object, board, mount and table, and one for all posts.
 
     Args:
-        objects: names of the bodies that stand on the table.
-        boards: whether the scene has its rig's boards and mounts.
-        cloths: which of the objects are cloths, and where their points are.
+        objects: names of the bodies on the table.
+        boards: whether the scene has the rig's boards and mounts.
+        cloths: name -> addresses of the points, for each object that is a cloth.
     """
     links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(arm.prefix + arm.robot.base).id)}
     others = {model.body(name).id: name for name in objects}
@@ -113,13 +116,13 @@ def scene_labels(
     names += [LabelRecord(id=k, name=name, instance=name) for k, name in enumerate((TABLE, POSTS), start=1)]
     number = {body: len(names) + k for k, body in enumerate(bodies)}
     names += [LabelRecord(id=number[b], name=model.body(b).name, instance=i) for b, i in bodies.items()]
-    assert len(names) <= _MOST_LABELS, len(names)
+    assert len(names) <= _MAX_LABELS, len(names)
 
     of_geom = np.zeros(model.ngeom, np.uint8)
     for geom in range(model.ngeom):
         name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
         if body not in number:
-            # A moving part belongs to its thing.
+            # A moving part has the label of its object.
             body = int(model.body_rootid[body])
         of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
     sheets = [
@@ -167,7 +170,7 @@ def _board_bodies(arm: ArmConfig) -> Iterator[str]:
 
 
 def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[LabelledKeypoint]:
-    """Each joint's centre, and the points on either side where its axis leaves the two links that it joins."""
+    """Yield each joint's centre, and the two points where the joint axis leaves the links that the joint connects."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for name in (arm.prefix + joint for arm in rig.arms for joint in arm.robot.joint_names):
@@ -178,7 +181,7 @@ def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> It
         yield LabelledKeypoint(centre, link, joint.pos.copy(), None, tuple(number[body] for body in pair))
         anchor, axis = data.xanchor[joint.id], data.xaxis[joint.id]
         for side, away in (("plus", axis), ("minus", -axis)):
-            hit = _first_hit(model, data, pair, anchor + _OUTSIDE * away, -away)
+            hit = _first_hit(model, data, pair, anchor + _RAY_START * away, -away)
             if hit is None:
                 continue
             body, point, normal = hit
@@ -190,11 +193,11 @@ def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> It
 def _first_hit(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], start: Array, direction: Array
 ) -> tuple[int, Array, Array] | None:
-    """Body, point and normal in `world` where a ray first hits a visible geom of some bodies; None if it hits none."""
-    best, nearest = None, _OUTSIDE
+    """Return the body, point and normal in `world` of a ray's first hit on visible geoms of bodies; None for a miss."""
+    best, nearest = None, _RAY_START
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
-        if body not in bodies or model.geom_group[geom] >= _SEEN_GROUPS:
+        if body not in bodies or model.geom_group[geom] >= _HIDDEN_GROUP:
             continue
         normal = np.zeros(3)
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:

@@ -1,4 +1,4 @@
-"""Cameras for pictures of a rig, placed so that all of it is seen, and titles and names in such pictures."""
+"""Cameras that show a whole rig, and titles and labels in their images."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ..geometry.camera import Intrinsics, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
 
-_FRAME = 0.12  # of the picture, margin of a view around the rig
+_MARGIN = 0.12  # fraction of the image size, free margin around the rig
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 @dataclass(frozen=True)
 class RigView:
-    """A direction from which to look at a rig.
+    """A viewing direction of a rig.
 
     Attributes:
-        azimuth, elevation: the direction in which the camera looks, degrees, by MuJoCo's convention.
-        fovy_deg: vertical field of view. A narrow view is from afar, so that the arms hide little.
-        low: whether the view is of boards and bases from close by, instead of everything.
+        azimuth, elevation: viewing direction of the camera in MuJoCo's convention, degrees.
+        fovy_deg: vertical field of view, degrees. With a narrow field the camera is far away, and the arms hide little.
+        low: whether the view shows boards and bases from nearby, instead of the whole rig.
     """
 
     name: str
@@ -35,7 +35,7 @@ class RigView:
     low: bool = False
 
 
-# Azimuth 180 looks along -x, at the arms' front. A negative elevation looks down.
+# At azimuth 180, the camera looks along -x, at the front of the arms. At negative elevations, it looks down.
 VIEWS = (
     RigView("front", azimuth=155.0, elevation=-28.0),
     RigView("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
@@ -45,24 +45,24 @@ VIEWS = (
 
 @dataclass(frozen=True)
 class PlacedCamera:
-    """A placed camera: its pose (4, 4) in `world` in OpenCV's convention, and its intrinsics."""
+    """A camera with its pose (4, 4) in `world` in OpenCV's convention, and its intrinsics."""
 
     T_cam_in_world: Array
     intrinsics: Intrinsics
 
     def pixel(self, point: Sequence[float] | Array) -> tuple[float, float]:
-        """The pixel of a point (3,) in `world`."""
+        """Return the pixel coordinates of a point (3,) in `world`, m."""
         in_cam = (inverse(self.T_cam_in_world) @ np.append(point, 1.0))[:3]
         u, v = project(self.intrinsics.K, in_cam)[0]
         return float(u), float(v)
 
 
 def place_camera(view: RigView, points: Array, size: tuple[int, int]) -> PlacedCamera:
-    """A camera that looks in the view's direction, from just far enough away to see all `points`.
+    """Place a camera with a view's direction at the least distance from which all `points` are visible.
 
     Args:
-        points: (n, 3) in `world`, m.
-        size: width and height of the picture, px.
+        points: points (n, 3) in `world`, m.
+        size: width and height of the image, px.
     """
     azimuth, elevation = math.radians(view.azimuth), math.radians(view.elevation)
     forward = np.array(
@@ -73,22 +73,22 @@ def place_camera(view: RigView, points: Array, size: tuple[int, int]) -> PlacedC
     intrinsics = Intrinsics.from_fovy(*size, math.radians(view.fovy_deg))
     in_cam = points @ R
     centre = (in_cam.min(axis=0) + in_cam.max(axis=0)) / 2
-    # Each point needs some distance to lie within the picture, and the largest one is taken.
-    half = (1 - _FRAME) * np.array([size[0] / 2 / intrinsics.fx, size[1] / 2 / intrinsics.fy])
+    # Each point requires a minimum distance of the camera. The largest of these distances is used.
+    half = (1 - _MARGIN) * np.array([size[0] / 2 / intrinsics.fx, size[1] / 2 / intrinsics.fy])
     offsets = in_cam - centre
     distance = float((np.abs(offsets[:, :2]) / half - offsets[:, 2:]).max())
     return PlacedCamera(pose(R @ (centre - (0, 0, distance)), R), intrinsics)
 
 
 def rig_points(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> Array:
-    """Corners (n, 3) in `world` of the boxes around all visible geoms of some bodies."""
+    """Return the corners (n, 3) in `world`, m, of the bounding boxes of all visible geoms of `bodies`."""
     corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
     points = []
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] in bodies and model.geom_group[geom] <= 2:
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-                # A plane is endless for physics, and has a size in pictures.
+                # A plane is infinite in physics, but is drawn with a finite size.
                 centre, half = np.zeros(3), np.array([*model.geom_size[geom, :2], 0.0])
             rotation = data.geom_xmat[geom].reshape(3, 3)
             points.append(data.geom_xpos[geom] + (centre + corners * half) @ rotation.T)
@@ -96,7 +96,7 @@ def rig_points(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]
 
 
 def draw_labels(image: Image, texts: Mapping[str, tuple[float, float]], title: str) -> Image:
-    """A copy of an image (height, width, 3) with a title, and with texts at their pixels if these lie inside."""
+    """Return a copy of an image (height, width, 3) with a title, and with each text whose pixel lies inside."""
     labelled = image.copy()
     rows, columns = image.shape[:2]
     scale = max(0.4, rows / 900)
@@ -118,12 +118,12 @@ def draw_labels(image: Image, texts: Mapping[str, tuple[float, float]], title: s
 
 
 def resize_area(image: Image, width: int, height: int) -> Image:
-    """An image in another size, px; pixels are averaged where it gets smaller."""
+    """Return an image resized to `width` x `height` px by area averaging."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def montage(images: Sequence[Image]) -> Image:
-    """Images of the same size side by side, with a thin white line between them."""
+    """Return images of equal size side by side, separated by white lines of 4 px."""
     line = np.full((images[0].shape[0], 4, 3), 255, np.uint8)
     parts = [part for image in images for part in (image, line)]
     return np.concatenate(parts[:-1], axis=1)

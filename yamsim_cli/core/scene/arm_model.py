@@ -1,4 +1,4 @@
-"""MuJoCo models of an arm: whole for scenes, or bare for kinematics."""
+"""MuJoCo models of an arm: complete for scenes, or kinematics alone."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
 from .compilation import compile_spec
 
-_SEEN_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
+_SEEN_GROUP = 2  # highest geom group that viewers show by default; collision geoms are in group 3
 
 
-def _load(arm: ArmConfig) -> mujoco.MjSpec:
+def _load_spec(arm: ArmConfig) -> mujoco.MjSpec:
     _require_compiles(arm.robot.xml, arm.model, arm.gripper)
     spec = mujoco.MjSpec.from_string(arm.robot.xml)
     if arm.grasp_offset is not None:
@@ -32,35 +32,35 @@ def _load(arm: ArmConfig) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=64)
 def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
-    """Raise a ConfigError with the file and MuJoCo's reason if an arm with its gripper does not compile."""
+    """Raise a ConfigError with the file and MuJoCo's message if an arm with its gripper does not compile."""
     for mjcf in (arm.mjcf, gripper.mjcf):
         try:
             mujoco.MjSpec.from_string(mjcf.text)
         except ValueError as error:
-            raise ConfigError(f"{mjcf.file} does not compile: {_reason(error, lines=not mjcf.includes)}") from error
+            raise ConfigError(f"{mjcf.file} does not compile: {_error_text(error, lines=not mjcf.includes)}") from error
     both = f"{arm.mjcf.file} with {gripper.mjcf.file}"
     try:
         spec = mujoco.MjSpec.from_string(xml)
     except ValueError as error:
-        raise ConfigError(f"{both} does not compile: {_reason(error, lines=False)}") from error
+        raise ConfigError(f"{both} does not compile: {_error_text(error, lines=False)}") from error
     compile_spec(show_meshes_or_primitives(spec, (*arm.mesh_sets, *gripper.mesh_sets), None), both, ConfigError)
 
 
-def _reason(error: ValueError, *, lines: bool) -> str:
-    """MuJoCo's reason in one line, without line numbers unless they count the lines of one file."""
+def _error_text(error: ValueError, *, lines: bool) -> str:
+    """Return MuJoCo's message in one line; without `lines`, strip line numbers, which do not refer to one file."""
     reason = " ".join(str(error).split())
     return reason if lines else re.sub(r",? line \d+", "", reason)
 
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
-    """The whole arm. Unless all of its mesh sets are in `meshes`, its collision primitives are visible instead."""
-    return show_meshes_or_primitives(_load(arm), arm.robot.mesh_sets, meshes)
+    """Return the complete arm; its collision primitives are visible unless `meshes` has all of its mesh sets."""
+    return show_meshes_or_primitives(_load_spec(arm), arm.robot.mesh_sets, meshes)
 
 
 def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
-    """The spec with its meshes if all of its sets are here, else with its collision primitives made visible.
+    """Add the mesh files to a spec if all sets are available; otherwise make its collision primitives visible.
 
-    The primitives of a body without meshes are always visible.
+    The primitives of a body without meshes are always visible. The function changes and returns `spec`.
     """
     folders = {name: (meshes or {}).get(name) for name in sets}
     if all(folders.values()):
@@ -89,7 +89,7 @@ def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: 
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """The content of a mesh file. Raises `ResourceError`."""
+    """Return the content of a mesh file; raise `ResourceError` if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -100,12 +100,12 @@ def mesh_bytes(path: Path) -> bytes:
 
 
 def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
-    """The arm's kinematics alone, in the base frame, without fingers, geoms and drives; nq is its `dof`.
+    """Return the arm's kinematic model in the base frame, without fingers, geoms and drives; nq is its `dof`.
 
-    The model has all sites, and a further site `tool` on the flange, which inverse kinematics moves.
+    The model has all sites and another site `tool` on the flange, which inverse kinematics moves.
     """
     robot = arm.robot
-    spec = _load(arm)
+    spec = _load_spec(arm)
     for parts in (spec.equalities, spec.actuators, spec.sensors, spec.tendons, spec.excludes):
         for part in list(parts):
             spec.delete(part)
@@ -121,13 +121,13 @@ def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
         spec.delete(mesh)
     spec.body(robot.flange).add_site(name="tool")
     model = spec.compile()
-    # MuJoCo marks the site as coinciding with its body, and would ignore later moves.
+    # MuJoCo marks the site as coincident with its body, and would ignore later changes of its pose.
     model.site_sameframe[model.site("tool").id] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
 
 
 def finger_addresses(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
-    """The addresses (2,) of the fingers in `qpos`, and the signs of their openings there; (0,) without fingers."""
+    """Return the addresses (2,) of the fingers in `qpos` and the signs of their openings; (0,) without fingers."""
     if robot.fingers is None:
         return np.zeros(0, int), np.zeros(0)
     addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])

@@ -1,4 +1,4 @@
-"""The blueprint of a scene: the value from which `compose` makes every scene."""
+"""The blueprint of a scene, from which `compose` builds the scene."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
-# MuJoCo's `impratio` for grasps by friction. With the default of 1 an object turns by a few degrees a second in the
-# hand; with 10 an object held at its end, as for a hand-over, droops by 11 degrees.
+# MuJoCo's `impratio` for grasps by friction. With the default of 1, an object rotates in the hand by a few degrees per
+# second. With 10, an object that is held at its end, as for a handover, droops by 11 degrees.
 _IMPRATIO, _IMPRATIO_AT_THE_END = 10.0, 100.0
 
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """Quality and size (width, height), px, of the pictures of a scene."""
+    """Render quality and size (width, height), px, of a scene's images."""
 
     quality: RenderConfig
     size: tuple[int, int]
@@ -27,12 +27,13 @@ class PictureSettings:
 
 @dataclass(frozen=True)
 class TaskPhysics:
-    """How a task's scene is stepped.
+    """The physics options of a task's scene.
 
     Attributes:
-        timestep: of physics, s.
-        impratio: MuJoCo's `impratio` for grasps by friction; None where welds hold things.
-        weld_placeholder: name of the thing for which welds are compiled, or None. At run time a weld holds any grasped thing.
+        timestep: time step of physics, s.
+        impratio: MuJoCo's `impratio` for grasps by friction; None if welds hold objects.
+        weld_placeholder: name of the object with which welds are compiled; None without welds. At run time, a weld
+            can hold any object.
     """
 
     timestep: float
@@ -42,20 +43,20 @@ class TaskPhysics:
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What a scene is composed of, beside the files of robots and meshes.
+    """The parts of a scene, apart from the files of robots and meshes.
 
     Attributes:
-        rig: the arms and their poses.
-        scene: the surroundings, as wide as the rig needs.
-        name: of the scene; by default the rig's.
-        boards: whether there are base boards and mounts.
-        background: whether there are sky, floor and lights; without these, MuJoCo's default headlight stays. A table
-            belongs to the task, and always stays.
-        objects: free bodies.
-        randomization: the parts that it needs are added to the scene.
-        physics: None keeps MuJoCo's default time step, without welds.
-        cameras: in their order.
-        pictures: None if nothing is rendered.
+        rig: arms with their poses, boards and mounts.
+        scene: the environment, widened for the rig.
+        name: name of the scene; by default that of the rig.
+        boards: whether the scene has base boards and mounts.
+        background: whether the scene has sky, floor and lights. Without them, MuJoCo's default headlight stays. The
+            table does not depend on this option.
+        objects: objects of the task, as free bodies.
+        randomization: domain randomization, whose distractors and materials are added to the scene.
+        physics: physics options; None keeps MuJoCo's default time step, without welds.
+        cameras: cameras in their order.
+        pictures: quality and size of images; None if the scene is not rendered.
     """
 
     rig: RigConfig
@@ -71,7 +72,7 @@ class Blueprint:
 
 
 def task_blueprint(config: RecordConfig, *, boards: bool = True, background: bool = True) -> Blueprint:
-    """The scene of a task with its scene camera, without randomization."""
+    """Return the blueprint of a task's scene with its scene camera, without randomization."""
     camera = config.surroundings.scene_camera
     assert camera is not None  # checked when the config was loaded
     return Blueprint(
@@ -86,7 +87,7 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
 
 
 def recording_blueprint(config: RecordConfig) -> Blueprint:
-    """The scene of a recording: that of the task with all recorded cameras and the randomization."""
+    """Return the blueprint of a recording: the task's scene with all recorded cameras and randomization."""
     task, size = task_blueprint(config, boards=config.boards), config.image.size_px
     return replace(
         task,
@@ -102,7 +103,7 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
 
 
 def _weld_placeholder(config: RecordConfig) -> str | None:
-    """The thing that welds name until they hold one: any stiff thing; None without welds."""
+    """Return any rigid object, which the inactive welds name; None without welds."""
     stiff = (item.name for item in config.task.objects if item.cloth is None)
     return next(stiff, None) if config.grasp == "weld" else None
 

@@ -1,4 +1,4 @@
-"""Compiled scenes of recordings and of rigs alone, and the meshes that a scene shows."""
+"""Compilation of scenes for recordings and for rigs alone, and descriptions of the shown meshes."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
 from .compose import READING, WELD, compose, visual_mesh_sets
 
-TIMESTEP = 0.002  # s, of physics of a rig alone: the tasks' default
-_MOUNTS = "mounts"  # stands for the mounts for which a rig has its own STL files
+TIMESTEP = 0.002  # s, time step for a rig alone; the default of tasks
+_MOUNTS = "mounts"  # key of the mounts with a user's STL file
 
 
 def build_scene(session: Session) -> CompiledScene:
     """Compose and compile the scene of a recording.
 
     Raises:
-        SimulationError: MuJoCo refused the composed model.
+        SimulationError: MuJoCo rejected the composed model.
     """
     config, locations = session.config, session.locations
     blueprint = recording_blueprint(config)
     model = compile_spec(compose(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
-    geom_kind, geom_arm = _geoms(model, config.rig)
+    geom_kind, geom_arm = _geom_owners(model, config.rig)
     geom_kind[model.geom("table").id] = GeomOwner.TABLE
     welds = config.grasp == "weld"
     return CompiledScene(
@@ -60,17 +60,17 @@ def build_rig_scene(
     """Compose and compile a rig's arms alone, without floor, table and boards.
 
     Args:
-        scene: the surroundings, without effect on physics; the table is left out.
-        timestep: of physics, s.
+        scene: the environment, which has no effect on physics; its table is ignored.
+        timestep: time step of physics, s.
 
     Raises:
-        SimulationError: MuJoCo refused the composed model.
+        SimulationError: MuJoCo rejected the composed model.
     """
     physics = TaskPhysics(timestep, impratio=None, weld_placeholder=None)
     bare = scene.model_copy(update={"table": None})
     blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)
     model = compile_spec(compose(blueprint, locations))
-    geom_kind, geom_arm = _geoms(model, rig)
+    geom_kind, geom_arm = _geom_owners(model, rig)
     return CompiledScene(
         model=model,
         arms=tuple(_arm_addresses(model, rig, number, welds=False) for number in rig.recording_order),
@@ -83,9 +83,9 @@ def build_rig_scene(
 
 
 def describe_meshes(session: Session) -> dict[str, str]:
-    """Mesh set -> what a session shows of the set, see `core.config.mesh_provenance`.
+    """Return mesh set -> description of the meshes that a session shows, see `config.mesh_provenance`.
 
-    The files of a set are those of all things that the task may draw, so that all casts of a task have the same text.
+    A set's files are those of all objects that the task can use, so all role assignments have the same description.
     """
     blueprint, folders = recording_blueprint(session.config), session.locations.meshes
     spec = compose(blueprint, session.locations)
@@ -110,7 +110,7 @@ def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
 
 
 def state_meshes(session: Session) -> Session:
-    """The session with a config that states which meshes the session shows."""
+    """Return the session with `describe_meshes` in its config."""
     return session.with_values(meshes=describe_meshes(session))
 
 
@@ -118,29 +118,29 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
     arm = rig.arms[number]
     robot = arm.robot
     joints = [model.joint(arm.prefix + name) for name in robot.joint_names]
-    moving = np.array([model.actuator(arm.prefix + name).id for name in robot.joint_drives])
+    drives = np.array([model.actuator(arm.prefix + name).id for name in robot.joint_drives])
     return ArmAddresses(
         number=number,
         prefix=arm.prefix,
         flange=arm.prefix + robot.flange,
         joint_qpos=np.array([joint.qposadr[0] for joint in joints]),
         joint_dof=np.array([joint.dofadr[0] for joint in joints]),
-        arm_ctrl=moving,
-        kp=model.actuator_gainprm[moving, 0].copy(),
-        kv=-model.actuator_biasprm[moving, 2],
-        ctrl_range=model.actuator_ctrlrange[moving].copy(),
+        arm_ctrl=drives,
+        kp=model.actuator_gainprm[drives, 0].copy(),
+        kv=-model.actuator_biasprm[drives, 2],
+        ctrl_range=model.actuator_ctrlrange[drives].copy(),
         weld=model.equality(arm.prefix + WELD).id if welds else None,
         T_base_in_world=rig.T_base_in_world(number),
         joint_range=robot.joint_range,
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
-        max_torque=model.actuator_forcerange[moving, 1].copy(),
+        max_torque=model.actuator_forcerange[drives, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
-        **_identified(model, arm),
+        **_dynamics_attributes(model, arm),
     )
 
 
-def _identified(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """The attributes of a `ArmAddresses` beyond MJCF: identified dynamics, and the sensors of late readings."""
+def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
+    """Return the attributes of `ArmAddresses` for identified dynamics and for the sensors of delayed readings."""
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
     read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
@@ -198,7 +198,7 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
 
 
 def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and all its descendants: MuJoCo numbers parents before their children."""
+    """Return a body and all its descendants. MuJoCo numbers parents before their children."""
     found = [body]
     for other in range(body + 1, model.nbody):
         if model.body_parentid[other] in found:
@@ -206,8 +206,8 @@ def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
     return found
 
 
-def _geoms(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
-    """The `Kind` of every geom (ngeom,) of an arm, and the index of the geom's arm in `CompiledScene.arms`, or -1."""
+def _geom_owners(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
+    """Return `geom_kind` (without the table) and `geom_arm` of a `CompiledScene`, both (ngeom,)."""
     kind = np.full(model.nbody, int(GeomOwner.OTHER))
     of_arm = np.full(model.nbody, -1)
     for k, number in enumerate(rig.recording_order):

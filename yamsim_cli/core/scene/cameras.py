@@ -1,4 +1,4 @@
-"""Cameras of a scene, as values."""
+"""Cameras of a scene as plain values."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class SceneCamera:
     """A camera of a scene.
 
     Attributes:
-        body: to which the camera is attached; `WORLD` for a fixed camera.
-        T_in_body: pose (4, 4) in MuJoCo's convention: looks along -z, +y up in the image.
-        fovy_deg: vertical field of view.
+        body: name of the body to which the camera is attached; `WORLD` for a fixed camera.
+        T_in_body: pose (4, 4) in the body's frame, in MuJoCo's convention: view along -z, +y up in the image.
+        fovy_deg: vertical field of view, degrees.
     """
 
     name: str
@@ -33,18 +33,18 @@ class SceneCamera:
 
 
 def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
-    """A fixed camera that looks at a point."""
+    """Return a fixed camera that looks at a point."""
     return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
 
 
 def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> SceneCamera:
-    """One of a rig's own cameras, for images of `size` (width, height) pixels."""
+    """Return one of a rig's own cameras, for images of `size` (width, height), px."""
     T = rig.T_cam_in_world(camera)
     return SceneCamera(camera.name, WORLD, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
-    """An arm's wrist camera, for images of `size` (width, height) pixels."""
+    """Return an arm's wrist camera, for images of `size` (width, height), px."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
@@ -62,12 +62,12 @@ def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:
 
 
 def _look_at(camera: FixedCamera) -> Array:
-    """The rotation (3, 3) of a MuJoCo camera in `world`: -z towards the target, +y as far up as possible."""
+    """Return the rotation (3, 3) of a MuJoCo camera in `world`: -z to the target, +y as far up as possible."""
     forward = np.asarray(camera.look_at) - np.asarray(camera.position)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-6:
-        # A vertical camera has +x, away from the arm, up in its image.
+        # In the image of a vertical camera, +x, which points away from the arm, is up.
         right = np.array([0.0, -1.0, 0.0]) * math.copysign(1.0, -forward[2])
     right /= np.linalg.norm(right)
     return np.column_stack([right, np.cross(right, forward), -forward])

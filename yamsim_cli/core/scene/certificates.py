@@ -1,4 +1,4 @@
-"""Stored certificates: the results of a thing's checks, by a hash over everything that was checked."""
+"""Stored certificates: the results of an object's checks, identified by a hash of the checked inputs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..errors import ResourceError
 from ..files.writing import sha256_bytes, write_file
 from .assets import AssetLock
 
-_CHECKS_VERSION = 3  # grows with every change of a check's decisions, which makes older certificates stale
+_CHECKS_VERSION = 3  # increases with each change of the checks' decisions, which makes older certificates stale
 _FOLDER = "certificates"
-_CONTENT = re.compile(r"-[0-9a-f]{12}$")  # the content hash at the end of the name of an imported set
+_CONTENT = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an imported set's name
 
 
 class CertificateStatus(StrEnum):
-    """The state of a thing's certificate."""
+    """The state of an object's certificate."""
 
     NONE = "not certified"
     GOOD = "certified"
@@ -32,7 +32,7 @@ class CertificateStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Certificate:
-    """A stored result: its state now, the codes of the failed checks, and its file if there is one."""
+    """A stored result: its present state, the codes of the failed checks, and its file, if any."""
 
     status: CertificateStatus
     failed: tuple[str, ...] = ()
@@ -40,10 +40,10 @@ class Certificate:
 
 
 def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
-    """SHA-256 over everything that decides a certificate: config, meshes, and the version of the checks."""
+    """Return the SHA-256 of all inputs of a certificate: config, meshes, and version of the checks."""
     files = {}
     for mesh in item.all_meshes:
-        # The name of an imported set contains a hash of its content; other folders have no known hash.
+        # The name of an imported set contains a hash of its content. The hash of other sets is unknown.
         locked = lock.sets.get(mesh.set)
         files[f"{mesh.set}/{mesh.file}"] = (
             locked.files[mesh.file].sha256 if locked and mesh.file in locked.files else ""
@@ -58,12 +58,12 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
 def store_certificate(
     assets: Path, item: ObjectConfig, lock: AssetLock, found: Mapping[str, Any], made_with: Mapping[str, str]
 ) -> Path:
-    """Write the certificate of a thing as it is now, and return its file. Certificates of other contents stay.
+    """Write the certificate of an object's present content, and return its file. Other certificates stay.
 
     Args:
-        assets: the cache of meshes.
-        found: the results, as JSON.
-        made_with: names and versions of the programs.
+        assets: folder of the asset store.
+        found: results as JSON values.
+        made_with: program -> version.
 
     Raises:
         ResourceError: the certificate cannot be written.
@@ -80,9 +80,9 @@ def store_certificate(
 
 
 def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
-    """The certificate of a thing as it is now, else the newest of its earlier contents, as stale.
+    """Return the certificate of an object's present content, else the newest one of other contents, as stale.
 
-    Certificates that cannot be read are ignored.
+    Unreadable certificates are ignored.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -95,7 +95,7 @@ def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certi
 
 
 def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:
-    """The codes that failed in a stored certificate; None if the file is unreadable or of other inputs."""
+    """Return the codes of failed checks in a certificate; None if unreadable or for other inputs."""
     try:
         stored = json.loads(path.read_bytes())
         if inputs not in (None, stored["inputs"]):
@@ -110,9 +110,9 @@ def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
 
 
 def _older(path: Path, item: ObjectConfig) -> list[Path]:
-    """Certificates of other contents of the same thing, the newest first.
+    """Return certificates of other contents of the same object, the newest first.
 
-    Up to version 0.2.0 a file's name had no content hash, and imports of different files under one name shared it.
+    Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """
     shared = f"{item.name}-{_identity(item, _CONTENT.sub('', item.mesh.set))}.json"
     found = path.parent.glob(f"{item.name}-{_identity(item, item.mesh.set)}-*.json")
@@ -120,5 +120,5 @@ def _older(path: Path, item: ObjectConfig) -> list[Path]:
 
 
 def _identity(item: ObjectConfig, mesh_set: str) -> str:
-    """A digest over the mesh, which tells two things of one name apart."""
+    """Return a digest of the mesh, which distinguishes objects of the same name."""
     return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]

@@ -1,4 +1,4 @@
-"""Cloth in a scene: a flex of freely moving points, and the constraints by which hands hold points."""
+"""Cloth in a scene: a flex of freely moving points, and the constraints by which hands hold these points."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..config.objects.object_config import ObjectConfig
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 
-_PIXELS = 16  # px, along a check of the pattern
-_PULL = 0.01  # s, time constant of contacts of cloth and of grips; at least two steps
-# `solimp` of grips by layers. With MuJoCo's 0.9 and 0.95, cloth, whose points weigh 0.1 g, lags 4 cm behind the hand.
-_FIRM = (0.999, 0.9999)
-_CONDIM = 3
-# Tolerance of the CG solver. With MuJoCo's 1e-8 a fold of 21 x 21 points takes a third longer, and ends within 0.02 mm.
+_CHECK_PX = 16  # px, edge of a check in the texture
+_TIME_CONSTANT = 0.01  # s, time constant of cloth contacts and grasp constraints; at least two time steps
+# `solimp` of grasps by layers. With MuJoCo's 0.9 and 0.95, cloth with points of 0.1 g lags 4 cm behind the hand.
+_GRASP_SOLIMP = (0.999, 0.9999)
+_CONDIM = 3  # MuJoCo's contact dimension: normal and tangential forces
+# Tolerance of the CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
-_GYRATION = 1e-6  # m2, inertia over mass of a point, which nothing turns: that of a ball of a millimetre
+_INERTIA_PER_MASS = 1e-6  # m2, of a point, as of a ball of a millimetre; no torque acts on points
 
 
 def flat_points(cloth: Cloth) -> Array:
-    """The points (n, 3) of a flat cloth in the cloth's frame, m: along x first."""
+    """Return the points (n, 3) of a flat cloth in the cloth's frame, m, by rows along x."""
     (x, y), (columns, rows) = cloth.size, cloth.grid
     across, along = np.meshgrid(np.linspace(-x / 2, x / 2, columns), np.linspace(-y / 2, y / 2, rows))
     points: Array = np.column_stack([across.ravel(), along.ravel(), np.zeros(columns * rows)])
@@ -33,9 +33,9 @@ def flat_points(cloth: Cloth) -> Array:
 
 @functools.cache
 def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
-    """The numbers (m, 3) of the points of every triangle of a grid.
+    """Return the point indices (m, 3) of each triangle of a grid.
 
-    The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both.
+    The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both diagonals.
     """
     found = []
     for row in range(rows - 1):
@@ -49,7 +49,7 @@ def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def grid_edges(columns: int, rows: int) -> NDArray[np.int_]:
-    """The numbers (m, 2) of the end points of every edge of a grid's triangles."""
+    """Return the point indices (m, 2) of each edge of a grid's triangles."""
     corners = grid_triangles(columns, rows)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -57,9 +57,9 @@ def grid_edges(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
-    """Add a cloth: a fixed body of the cloth's name at the origin, with a freely sliding body for each point.
+    """Add a cloth: a fixed body of the cloth's name at the origin, with a child body on three slides for each point.
 
-    At joint positions of 0 the points are at `flat_points` in `world`.
+    At joint positions of 0, the points are at `flat_points` in `world`.
     """
     cloth = item.cloth
     assert cloth is not None  # only called for cloth
@@ -67,7 +67,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     points, (columns, rows) = flat_points(cloth), cloth.grid
     for k, (place, mass) in enumerate(zip(points, _masses(cloth), strict=True)):
         body = base.add_body(name=f"{item.name}_{k}", pos=place)
-        body.mass, body.inertia, body.explicitinertial = mass, [mass * _GYRATION] * 3, True
+        body.mass, body.inertia, body.explicitinertial = mass, [mass * _INERTIA_PER_MASS] * 3, True
         for axis, direction in zip("xyz", np.eye(3), strict=True):
             body.add_joint(name=f"{item.name}_{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
     sheet = spec.add_flex()
@@ -78,14 +78,14 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     sheet.damping = cloth.damping_s
     sheet.elastic2d = 3
     sheet.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
-    sheet.friction, sheet.condim, sheet.solref = [cloth.friction, 0.005, 0.0001], _CONDIM, [_PULL, 1]
+    sheet.friction, sheet.condim, sheet.solref = [cloth.friction, 0.005, 0.0001], _CONDIM, [_TIME_CONSTANT, 1]
     sheet.material = _add_material(spec, item, cloth)
     if cloth.checks:
         sheet.texcoord = (points[:, :2] / cloth.size[0] + 0.5).ravel().tolist()
 
 
 def _masses(cloth: Cloth) -> Array:
-    """The mass of each point (n,), kg: a quarter of each cell around the point."""
+    """Return the mass of each point (n,), kg: a quarter of the mass of each cell around the point."""
     columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
     shares: Array = np.outer(rows, columns).ravel() * cloth.mass
     return shares
@@ -103,10 +103,10 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=first,
         rgb2=second,
-        width=2 * _PIXELS,
-        height=2 * _PIXELS,
+        width=2 * _CHECK_PX,
+        height=2 * _CHECK_PX,
     )
-    # The texture has two checks along a side.
+    # The texture has two checks along each side.
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = item.name
     material.texrepeat = [cloth.checks / 2, cloth.checks / 2]
     return item.name
@@ -114,14 +114,14 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
 
 def set_cloth_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
     """Set the integrator and solver of a scene with a cloth."""
-    # Other integrators do not support the elasticity of flexes.
+    # No other integrator supports the elasticity of flexes.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     if cloth.solver == "cg":
         spec.option.solver, spec.option.tolerance = mujoco.mjtSolver.mjSOL_CG, _TOLERANCE
 
 
 def add_cloth_grips(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> None:
-    """Add the inactive constraints by which each hand of a rig can hold each point of a cloth."""
+    """Add inactive constraints by which each hand of a rig can hold each point of a cloth."""
     assert item.cloth is not None  # only called for cloth
     columns, rows = item.cloth.grid
     for arm in rig.arms:
@@ -134,11 +134,11 @@ def add_cloth_grips(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> 
                 name2=arm.prefix + arm.robot.flange,
                 active=False,
             )
-            added.solref = [_PULL, 1]
+            added.solref = [_TIME_CONSTANT, 1]
             if item.cloth.held == "layers":
-                added.solimp[:2] = _FIRM
+                added.solimp[:2] = _GRASP_SOLIMP
 
 
 def grip_name(prefix: str, cloth: str, point: int) -> str:
-    """The name of the constraint by which the hand of an arm with a prefix can hold a point of a cloth."""
+    """Return the name of the constraint by which the hand of the arm with `prefix` can hold a point of a cloth."""
     return f"{prefix}{cloth}_{point}_grip"

@@ -1,6 +1,6 @@
-"""Compiling scenes, and detecting physics that breaks down.
+"""Compilation of scenes, and detection of physics failures.
 
-MuJoCo alone would write warnings to the terminal and to MUJOCO_LOG.TXT, and continue from a reset state.
+By default, MuJoCo writes warnings to the terminal and to MUJOCO_LOG.TXT, and continues from a reset state.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import mujoco
 
 from ..errors import SimulationError, YamsimError
 
-# Warnings after which MuJoCo resets the state or ignores the drives: the attempt is no longer simulated.
+# After these warnings, MuJoCo resets the state or ignores the drives, so the simulation is no longer valid.
 _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -22,8 +22,8 @@ def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimErro
     """Compile a spec.
 
     Args:
-        called: the subject of the error message; by default the scene by its name.
-        refused: type of the error that is raised if MuJoCo refuses the spec.
+        called: subject of the error message; by default the scene with its name.
+        refused: type of the error that is raised if MuJoCo rejects the spec.
     """
     keep_warnings_quiet()
     try:
@@ -34,13 +34,13 @@ def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimErro
 
 
 def keep_warnings_quiet() -> None:
-    """Silence MuJoCo's warnings in this process, unless the calling program has set a handler; see `breakdown`."""
+    """Silence MuJoCo's warnings in this process, unless the program has set a handler; see `physics_failure`."""
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: None)
 
 
 def physics_failure(data: mujoco.MjData) -> str | None:
-    """MuJoCo's text on the fatal warning of a simulation since its reset; None without one."""
+    """Return MuJoCo's text of a fatal warning since the last reset of `data`; None without a fatal warning."""
     for kind in _FATAL:
         counted = data.warning[int(kind)]
         if counted.number:

@@ -1,4 +1,4 @@
-"""Composes the MjSpec of any scene from its blueprint."""
+"""Composition of the MjSpec of a scene from its blueprint."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from .fiducials import add_base_board
 from .objects.scene_object import add_object
 from .randomized_model import add_randomized_parts
 
-_LINEAR = 1  # MuJoCo's interpolation of delayed commands and readings
-READING = "_reading"  # suffix of a joint's name: the joint's delayed sensor
-WELD = "grasp_weld"  # after an arm's prefix: the weld by which the hand can hold a thing
+_LINEAR = 1  # MuJoCo's code for linear interpolation of delayed commands and readings
+READING = "_reading"  # suffix of a joint's name that gives the name of its delayed sensor
+WELD = "grasp_weld"  # name, after the arm's prefix, of the weld by which the hand can hold an object
 
 
 def visual_mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
-    """Names of the asset sets of a scene's visual meshes."""
+    """Return the names of the asset sets with a scene's visual meshes."""
     things = (*blueprint.objects, *blueprint.randomization.extras)
     return tuple(sorted({*rig_mesh_sets(blueprint.rig), *(name for item in things for name in item.mesh_sets)}))
 
 
 def rig_mesh_sets(rig: RigConfig) -> tuple[str, ...]:
-    """Names of the asset sets of a rig's visual meshes."""
+    """Return the names of the asset sets with a rig's visual meshes."""
     robots = {name for arm in rig.arms for name in arm.robot.mesh_sets}
     return tuple(sorted(robots | {name for camera in rig.cameras for name in camera.mesh_sets}))
 
 
 def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
-    """The folders of the mesh sets, and of all sets of collision meshes: these are physics, whatever is shown."""
+    """Return the folders of the visual mesh sets, and of all sets of collision meshes, which physics needs."""
     things = (*blueprint.objects, *blueprint.randomization.extras)
     needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
     store = AssetStore(locations.assets)
@@ -52,9 +52,6 @@ def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
 
 def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
     """Compose a scene. All names of an arm begin with the arm's prefix, which may be empty.
-
-    Args:
-        locations: of the meshes.
 
     Raises:
         ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
@@ -86,44 +83,43 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
 
 
 def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence[Array]) -> None:
-    """Add background, lights and table, and set MuJoCo's visual options."""
     scene = blueprint.scene
-    stand = np.mean([T[:3, 3] for T in bases], axis=0)
-    middle = np.mean([stand, scene.table.position], axis=0) if scene.table else stand
+    centre = np.mean([T[:3, 3] for T in bases], axis=0)
+    middle = np.mean([centre, scene.table.position], axis=0) if scene.table else centre
     if blueprint.background:
         add_background(spec, scene)
         add_lights(spec, scene, middle)
     if scene.table:
         add_table(spec, scene.table, scene.safety_plane, bases)
     visual = spec.visual
-    # Fixed values: no object changes the clip planes or the shadow map's resolution.
+    # With fixed values, no object changes the clip planes or the resolution of the shadow map.
     spec.stat.extent = 1.0
     spec.stat.center = middle
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
-    # A smaller clip sharpens shadows; things farther away cast none.
-    visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
-    # Directional lights light a flat face evenly, so one quad is enough.
+    # A smaller clip sharpens shadows. Objects farther away cast no shadows.
+    visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - centre)) for T in bases)
+    # Directional lights illuminate a flat face evenly, so one quad suffices.
     visual.quality.numquads = 1
 
 
 def set_friction_cones(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
-    """Set elliptic friction cones and `impratio`, so that two pads hold a thing by friction.
+    """Set elliptic friction cones and `impratio`, so that two pads hold an object by friction.
 
-    Source: MuJoCo's documentation of `impratio`, which asks for elliptic cones.
+    Source: MuJoCo's documentation of `impratio`, which recommends elliptic cones.
     """
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = impratio
 
 
 def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
-    """Add the delays of an arm's drives and encoders: the longest ones, if they are randomized; see `RandomizedArms`."""
+    """Add the delays of an arm's drives and encoders; if randomized, the longest delays, see `RandomizedArms`."""
     own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
     most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
         for name in robot.drives:
             drive = spec.actuator(arm.prefix + name)
-            # Interpolated, since a delay need not be a whole number of steps.
+            # Interpolation is needed, because a delay may not be a whole number of steps.
             drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
     if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
@@ -139,7 +135,6 @@ def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: Ar
 
 
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, ranges: ArmRanges | None) -> None:
-    """Set the time step and friction, and add delays and inactive welds."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         set_friction_cones(spec, physics.impratio)
@@ -157,7 +152,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
 
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
-    """All arms in one spec. The arm without a prefix is the root, since MuJoCo attaches only with a prefix."""
+    """Return a spec with all arms. An arm without a prefix is the root, because MuJoCo attaches only with a prefix."""
     specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
@@ -185,7 +180,7 @@ def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locatio
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
-    """Let arms with the same meshes share files: attaching renames each arm's copy."""
+    """Let arms with the same meshes share files. Attaching an arm has renamed its copies."""
     first: dict[tuple[str, bytes], str] = {}
     shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
@@ -199,11 +194,11 @@ def add_home_key(
     joints: Sequence[Sequence[float]] | None = None,
     parts: Mapping[str, float] | None = None,
 ) -> mujoco.MjModel:
-    """Add a keyframe `home` in which the arms rest, and compile.
+    """Add a keyframe `home` in which the arms are at rest, and compile.
 
     Args:
         start: object -> pose (4, 4) in `world`, in the keyframe and in the model's default state.
-        joints: of each arm (dof,), rad; by default the robots' home.
+        joints: joint positions (dof,) of each arm, rad; by default the robots' home.
         parts: joint of an articulated object -> position, m or rad.
     """
     for name, T in start.items():
@@ -215,22 +210,22 @@ def add_home_key(
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, angle in zip(arm.robot.joint_names, angles, strict=True):
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-    for name, opened in (parts or {}).items():
-        qpos[model.joint(name).qposadr[0]] = opened
+    for name, position in (parts or {}).items():
+        qpos[model.joint(name).qposadr[0]] = position
     load = _static_load(model, qpos)
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
-            # Loads without gravity compensation, such as a wrist camera, would displace the drives by milliradians. The
-            # commands compensate for that, rounded to a nanoradian.
-            lead = round(load[model.joint(arm.prefix + moved).dofadr[0]] / drive.gainprm[0], 9)
-            ctrl[drive.id] = np.clip(angle + lead, *drive.ctrlrange)
+            # Uncompensated loads, such as a wrist camera, would displace the drives by milliradians. The commands
+            # compensate for this displacement, rounded to a nanoradian.
+            offset = round(load[model.joint(arm.prefix + moved).dofadr[0]] / drive.gainprm[0], 9)
+            ctrl[drive.id] = np.clip(angle + offset, *drive.ctrlrange)
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
     return compile_spec(spec)
 
 
 def _static_load(model: mujoco.MjModel, qpos: Array) -> Array:
-    """The static load of the drives (nv,) at `qpos`, N m and N."""
+    """Return the static load of each degree of freedom (nv,) at `qpos` (nq,), N m and N."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

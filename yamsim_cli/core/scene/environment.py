@@ -1,4 +1,4 @@
-"""The surroundings of a rig: floor, sky, lights, and the table with its legs; and the render quality."""
+"""The environment of a rig (floor, sky, lights, table with legs), and the render quality."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
 from .objects.object_geoms import SEEN_GROUP, contact_numbers
 
-_FLOOR, _TILE = 5.0, 0.5  # m, half the length of the floor's edges, and the length of a tile's edges
-_TILE_HEIGHT = 0.001  # m, of the tiles above the floor: enough for the depth buffer
-_CORE_DEPTH = 0.003  # m, how far below a box's faces its shadow starts: about two texels of the default shadow map
+_HALF_FLOOR, _TILE = 5.0, 0.5  # m, half the edge of the floor, and the edge of a tile
+_TILE_HEIGHT = 0.001  # m, height of the tiles above the floor, sufficient for the depth buffer
+_CORE_DEPTH = 0.003  # m, depth of the shadow caster below a box's faces: about two texels of the default shadow map
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """Add the sky and the tiled floor, which catches falling things."""
+    """Add the sky and the tiled floor, which stops falling objects."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -33,16 +33,16 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
         spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
-    # The floor could only cast false shadows onto itself.
+    # The floor casts no shadow, because it could only shade itself falsely.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         pos=[0, 0, scene.safety_plane],
-        size=[_FLOOR, _FLOOR, 0.1],
+        size=[_HALF_FLOOR, _HALF_FLOOR, 0.1],
         material="floor",
         castshadow=False,
     )
-    # The tiles are a mesh: without a GPU, texture look-ups would take longer than the rest of the floor.
+    # The tiles are a mesh. Without a GPU, texture look-ups would take longer than the rest of the floor.
     file = "meshes/surroundings/floor_tiles.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_tiles())}
     spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
@@ -60,9 +60,9 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
 
 
 def _tiles() -> tuple[Array, NDArray[np.int32]]:
-    """Every second tile of the floor: vertices (4 n, 3), m, and triangles (2 n, 3) that face up."""
-    row, column = np.meshgrid(*2 * [np.arange(round(2 * _FLOOR / _TILE))], indexing="ij")
-    low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _FLOOR
+    """Return every second tile of the floor: vertices (4 n, 3), m, and triangles (2 n, 3) that face up."""
+    row, column = np.meshgrid(*2 * [np.arange(round(2 * _HALF_FLOOR / _TILE))], indexing="ij")
+    low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _HALF_FLOOR
     square = _TILE * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     flat = (low[:, None] + square).reshape(-1, 2)
     corner = 4 * np.arange(len(low), dtype=np.int32)[:, None, None]
@@ -95,7 +95,7 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 
 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
-    """Add the table, its legs, and a post under each arm down to the floor. Legs and posts touch nothing.
+    """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts.
 
     Args:
         floor: height of the floor, m.
@@ -108,7 +108,7 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
     inset = 0.03
     bottom = table.top - 2 * half_z
     posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
-    # The posts end 1 mm below the bases, so that the surfaces do not flicker.
+    # The posts end 1 mm below the bases. Coincident surfaces would flicker.
     posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]
     for k, (px, py, top, half) in enumerate(posts):
         height = top - floor
@@ -118,10 +118,10 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
 def _add_box(
     spec: mujoco.MjSpec, name: str, position: Sequence[float], half_size: Sequence[float], contact: Mapping[str, Any]
 ) -> None:
-    """Add a box of the table's material, and a smaller box inside that casts the shadow, which avoids shadow acne.
+    """Add a box of the table's material with a smaller box inside, which casts the shadow and avoids shadow acne.
 
     Args:
-        contact: MuJoCo's contact parameters; if empty, the box touches nothing.
+        contact: MuJoCo's contact parameters; if empty, the box has no contacts.
     """
     shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": SEEN_GROUP}
     nothing = {"contype": 0, "conaffinity": 0}
@@ -129,17 +129,17 @@ def _add_box(
         name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
     )
     core = np.maximum(np.asarray(half_size) - _CORE_DEPTH, np.asarray(half_size) / 4)
-    # The core has no material: MuJoCo renders each box with a reflective material in a pass of its own.
+    # The core has no material, because MuJoCo renders each box of a reflective material in a separate pass.
     spec.worldbody.add_geom(name=f"{name}_core", size=core, **shared, **nothing)
 
 
 def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, int]) -> None:
-    """Set the render quality of a composed scene for pictures of `size` (width, height), px."""
+    """Set the render quality of a composed scene for images of `size` (width, height), px."""
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
     visual.quality.offsamples = quality.multisamples
     visual.quality.shadowsize = quality.shadow_map_px
-    # The composed scene has the default reach and the distance between its arms.
+    # The shadow clip of a composed scene includes the default reach, see `compose`.
     visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
     visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
     for number, light in enumerate(spec.lights):

@@ -1,7 +1,7 @@
-"""Base boards and their mounts: mocap bodies with the pose of their arm's base.
+"""Base boards and their mounts, as mocap bodies.
 
-The body has the pose of the base, from the rig or from a photo. The geom has the constant pose of the board or mount in
-the base's frame.
+Each body has the pose of its arm's base, from the rig or from a photo. Its geom has the constant pose of the board or
+mount in the base's frame.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .objects.object_geoms import SEEN_GROUP
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"
 
-_STL_SCALE = (0.001, 0.001, 0.001)  # files for 3D printers are in millimetres
+_STL_SCALE = (0.001, 0.001, 0.001)  # m per mm; files for 3D printers are in millimetres
 
 
 def add_base_board(spec: mujoco.MjSpec, arm: ArmConfig, T_base_in_world: Array) -> None:
@@ -44,7 +44,7 @@ def _add_board(spec: mujoco.MjSpec, arm: ArmConfig, config: BoardConfig, T_base_
     file = f"textures/{config.name}.png"
     spec.assets = {**spec.assets, file: encode_png(board_texture(board))}
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
-    # Without highlights, no light overexposes a marker.
+    # Specular highlights would overexpose markers.
     material = spec.add_material(name=name, specular=0, shininess=0, texuniform=False)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
     T = arm.T_board_in_base
@@ -67,7 +67,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
     T = arm.robot.T_base_mesh
     file = f"meshes/mounts/{config.name}.stl"
     spec.assets = {**spec.assets, file: _mount_stl(config, arm.board)}
-    # A user's STL is mirrored here; `mount_mesh` mirrors yamsim's own mount.
+    # The scale mirrors a user's STL. `mount_mesh` mirrors yamsim's own mount.
     scale = (-_STL_SCALE[0], *_STL_SCALE[1:]) if config.stl and config.mirror_x else _STL_SCALE
     spec.add_mesh(name=name, file=file, scale=scale)
     material = spec.add_material(name=name, rgba=(0.93, 0.93, 0.93, 1), specular=0.1, shininess=0.1)
@@ -85,7 +85,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """The mount's STL in millimetres, in the base mesh's frame: the user's file, or yamsim's own mount."""
+    """Return the mount's STL, mm, in the frame of the base's mesh: the user's file, or yamsim's own mount."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()

@@ -1,4 +1,4 @@
-"""Named random streams: each purpose samples from its own, so that a new purpose does not change the others."""
+"""Named random streams. Each purpose has its own stream, so that a new purpose does not change other samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..attempt_data import AttemptJob
 
 
 class Stream(IntEnum):
-    """The purpose of random numbers. Datasets depend on the values: never renumber, only add."""
+    """The purpose of random numbers. Datasets depend on the values: only add new ones, never renumber."""
 
     LAYOUT = 0
     LIGHTS = 10
@@ -36,10 +36,10 @@ class Stream(IntEnum):
 
 
 def random_generator(job: AttemptJob, stream: Stream, *of: int) -> np.random.Generator:
-    """The generator of one stream of one attempt, independent of every other attempt and stream.
+    """Return the generator of a stream of an attempt, independent of all other attempts and streams.
 
     Args:
-        of: numbers that split the stream further, such as those of a frame and a camera.
+        of: indices that split the stream further, such as those of a frame and a camera.
     """
-    # NumPy ignores zeros at the end, so numbers are increased by one.
+    # NumPy ignores trailing zeros of a seed, so all indices are increased by one.
     return np.random.default_rng([job.seed, job.attempt, int(stream), *(number + 1 for number in of)])

@@ -1,4 +1,4 @@
-"""Samples the variation of an attempt from the ranges of a config, each part from its own stream."""
+"""Sampling of an attempt's variation from configured ranges, with an independent random stream for each part."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..config.randomization import ArmRanges, LightRanges, LookRanges, Randomiza
 from ..config.variation import ArmVariation, LightVariation, LookVariation, SurfaceVariation, Variation
 from .random_streams import Stream, random_generator
 
-_REPEATS = (2, 9)  # range of a pattern's repetitions along each edge of a surface
-_SEEDS = 2**31  # number of seeds of a texture
-TABLE = "table"  # the body besides objects whose friction varies
+_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
+_SEEDS = 2**31  # number of possible seeds of a texture
+TABLE = "table"  # key of the table among the friction factors
 
 
 def sample_variation(
     config: RandomizationConfig, job: AttemptJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
 ) -> Variation:
-    """An attempt's variation without the places of distractors, which `sim.placement` finds after the motion.
+    """Sample an attempt's variation, except for distractors: `sim.placement` places these after the motion.
 
     Args:
-        lights: the number of the scene's lights.
-        objects: of the task.
-        dofs: the number of joints of each arm, in the scene's order.
+        lights: number of lights in the scene.
+        objects: objects of the task.
+        dofs: number of joints of each arm, in the scene's order.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
@@ -64,7 +64,7 @@ def _sample_pair(
 
 
 def _factors(limits: tuple[float, float] | None, names: Sequence[str], rng: np.random.Generator) -> dict[str, float]:
-    """A factor for each name, log-uniform between the limits."""
+    """Sample a factor for each name, log-uniform between the limits."""
     if limits is None:
         return {}
     low, high = math.log(limits[0]), math.log(limits[1])
@@ -112,7 +112,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceV
 
 
 def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:
-    """The name at a share (0 to 1) of the weights' sum, in alphabetical order."""
+    """Return the name at a fraction (0 to 1) of the sum of the weights, in alphabetical order."""
     rest = share * sum(weights.values())
     for name in sorted(weights):
         if rest < weights[name]:

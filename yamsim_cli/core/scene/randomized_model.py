@@ -1,4 +1,4 @@
-"""Variations of a compiled scene: the model is compiled once, and reset before each attempt's variation."""
+"""Domain randomization of a compiled scene: one model is reset and then varied for each attempt."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .compiled import ArmAddresses, CompiledScene
 from .objects.object_geoms import HIDDEN_GROUP
 from .objects.scene_object import add_object
 
-_ABSENT_GROUP, _PARKED = 4, (0.0, 0.0, -5.0)  # geom group, which no camera draws, and place of absent distractors
+_ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group and position (m) of absent distractors
 _TEXTURED = "_textured"
-_TEXTURE_SIZE = 256  # px
-_OCTAVES = 4  # grids of noise, each twice as fine as the one before
+_TEXTURE_SIZE = 256  # px, edge of a texture
+_OCTAVES = 4  # number of noise grids, each twice as fine as the previous one
 _TILES = "floor_tiles"
-_FLOOR_REPEAT = 8  # repetitions of a floor's texture for each of a table's: the floor is ten times as wide
-_SURFACES = {"table": "table", "floor": "safety_plane"}  # part -> geom
+_FLOOR_REPEAT = 8  # repetitions of the floor's texture per repetition of the table's: the floor is ten times as wide
+_SURFACES = {"table": "table", "floor": "safety_plane"}  # surface -> geom
 
 _SAVED = (
     "light_diffuse", "light_dir", "light_pos",
@@ -38,13 +38,13 @@ _SAVED_HEADLIGHT = ("ambient", "diffuse")
 
 
 def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
-    """Whether a surface may need a texture; the floor's tiles are geometry."""
+    """Return whether a surface may need a texture. The floor's checker pattern is geometry."""
     untextured = {"plain", "checker"} if part == "floor" else {"plain"}
     return ranges is not None and not untextured.issuperset(ranges.textures)
 
 
 def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
-    """Add the distractors and the textured materials that a randomization needs to a composed scene."""
+    """Add the distractors and textured materials of a randomization to a composed scene."""
     for item in config.extras:
         add_object(spec, item, meshes, fixed=True)
     for part in _SURFACES:
@@ -66,14 +66,14 @@ def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshe
 
 
 class RandomizedModel:
-    """A compiled model that is changed from attempt to attempt.
+    """A compiled model that is varied for each attempt.
 
     Attributes:
-        textures: ids of the textures that the last variation changed, which renderers have to upload.
+        textures: ids of the textures that the last variation changed. Renderers must upload these textures.
 
     Args:
-        model: as compiled, with the parts of `add_randomized_parts`.
-        scene: of the model's lights.
+        model: the model as compiled, with the parts of `add_randomized_parts`.
+        scene: config with the model's lights.
     """
 
     def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
@@ -83,7 +83,7 @@ class RandomizedModel:
         self._extras = {item.name: model.body(item.name).id for item in config.extras}
         self._materials = {model.material(k).name: k for k in range(model.nmat)}
         of_body = model.body_rootid[model.geom_bodyid]
-        self._seen = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
+        self._distractor_geoms = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
         self._saved = {key: getattr(model, key).copy() for key in _SAVED}
         self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
         self.textures: list[int] = []
@@ -96,23 +96,23 @@ class RandomizedModel:
         for key, value in self._headlight.items():
             getattr(model.vis.headlight, key)[:] = value
         self.textures = []
-        # Masses come first, since MuJoCo derives constants from the whole model.
+        # Masses come first, because `scale_masses` recomputes constants from the whole model.
         if variation.mass:
             scale_masses(model, variation.mass)
         for number, light in zip(self._lights, variation.lights, strict=False):
-            self._light(number, light)
+            self._apply_light(number, light)
         if variation.headlight:
             model.vis.headlight.diffuse *= variation.headlight[0]
             model.vis.headlight.ambient *= variation.headlight[1]
         for name, factor in variation.friction.items():
-            self._friction(name, factor)
+            self._apply_friction(name, factor)
         if variation.lens_deg is not None:
             model.cam_fovy[self._camera] += variation.lens_deg
         if variation.camera:
             self._move_camera(np.array(variation.camera))
         for part, surface in (("table", variation.table), ("floor", variation.floor)):
             if surface:
-                self._surface(part, surface)
+                self._apply_surface(part, surface)
         for name, look in variation.looks.items():
             material = self._materials[name]
             model.mat_rgba[material, :3] = look.rgb
@@ -121,11 +121,11 @@ class RandomizedModel:
             self.place_distractor(name, variation.distractors.get(name))
 
     def place_distractor(self, name: str, where: UprightPose | None) -> None:
-        """Put a distractor on the table at `[x, y, z, yaw]`, or away if None."""
+        """Place a distractor at `[x, y, z, yaw]` in `world`, m and rad, or remove it if None."""
         model, body = self._model, self._extras[name]
-        geoms = self._seen[body]
+        geoms = self._distractor_geoms[body]
         if where is None:
-            model.body_pos[body] = _PARKED
+            model.body_pos[body] = _ABSENT_POSITION
             model.geom_group[geoms] = _ABSENT_GROUP
             model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
             return
@@ -135,16 +135,16 @@ class RandomizedModel:
         for key in ("geom_group", "geom_contype", "geom_conaffinity"):
             getattr(model, key)[geoms] = self._saved[key][geoms]
 
-    def _light(self, number: int, light: LightVariation) -> None:
+    def _apply_light(self, number: int, light: LightVariation) -> None:
         model = self._model
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
         model.light_dir[number] = direction
-        # The position only centres the shadow map, see `surroundings.add_lights`.
+        # The position only centres the shadow map, see `environment.add_lights`.
         model.light_pos[number] = centre - direction
         model.light_diffuse[number] *= light.colour
 
-    def _friction(self, name: str, factor: float) -> None:
+    def _apply_friction(self, name: str, factor: float) -> None:
         model = self._model
         if name in _SURFACES:
             geoms = [model.geom(_SURFACES[name]).id]
@@ -158,7 +158,7 @@ class RandomizedModel:
         model.cam_pos[camera] += moved[:3]
         model.cam_quat[camera] = quat_from_rotation(rotation_from_vector(moved[3:]) @ R)
 
-    def _surface(self, part: str, surface: SurfaceVariation) -> None:
+    def _apply_surface(self, part: str, surface: SurfaceVariation) -> None:
         model = self._model
         tiles = part == "floor" and surface.texture in ("plain", "checker")
         if tiles or surface.texture == "plain":
@@ -178,10 +178,10 @@ class RandomizedModel:
 
 
 def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
-    """Multiply the masses and inertias of things with their links, and derive MuJoCo's constants anew.
+    """Multiply the masses and inertias of objects with their links, and recompute MuJoCo's derived constants.
 
     Args:
-        factors: thing -> factor of the mass of each of its bodies.
+        factors: object -> factor of the mass of each of its bodies.
     """
     for name, factor in factors.items():
         bodies = model.body_rootid == model.body(name).id
@@ -191,7 +191,7 @@ def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
 
 
 def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
-    """The image (size, size, 3) of a surface's pattern; opposite edges match, except for a gradient."""
+    """Return the image (size, size, 3) of a surface's pattern. Opposite edges match, except for a gradient."""
     first, second = np.array(surface.colours) * 255.0
     match surface.texture:
         case "checker":
@@ -210,7 +210,7 @@ def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArr
 
 
 def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
-    """Smooth noise (size, size) from 0 to 1: random grids, each finer and fainter than the one before."""
+    """Return smooth noise (size, size) in 0..1: a sum of random grids with decreasing cell size and amplitude."""
     total = np.zeros((size, size))
     for octave in range(_OCTAVES):
         n = cells * 2**octave
@@ -226,10 +226,10 @@ def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float6
 
 
 class RandomizedArms:
-    """A compiled scene whose arms differ from attempt to attempt in delays, readings and gravity compensation.
+    """A compiled scene whose arms vary between attempts in delays, readings and gravity compensation.
 
     Args:
-        scene: as compiled, with room for the longest delays; its arms have their own delays.
+        scene: the compiled scene, with histories for the longest delays and with arms without variation.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
@@ -237,7 +237,7 @@ class RandomizedArms:
         self.apply(())  # the model was compiled with the longest delays
 
     def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
-        """The scene with varied arms, or its own arms if there are no variations; the model is changed in place."""
+        """Return the scene with varied arms, or with its own arms without variations. The model changes in place."""
         arms, model = self._scene.arms, self._scene.model
         if variations:
             arms = tuple(_randomized_arm(arm, by) for arm, by in zip(arms, variations, strict=True))

@@ -1,4 +1,4 @@
-"""Samples the cast, the prompt and the starts of an attempt."""
+"""Sampling of the role assignment, the prompt and the initial placements of an attempt."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
 
-_TRIES = 60  # to find a free place for a thing
-_ROUNDS = 20  # in which all things are placed anew, since one found no place
+_MAX_TRIES = 60  # sampled placements of an object before the round fails
+_MAX_ROUNDS = 20  # rounds, each of which places all objects anew
 
 BoundsOf = Callable[[str, Mapping[str, float]], Array]
 
 
 @dataclass(frozen=True)
 class ObjectPlacement:
-    """The start of a thing, before it settles.
+    """The initial placement of an object, before the object settles.
 
     Attributes:
-        T: pose (4, 4) in `world`, whose height is not settled yet.
-        on: the thing below, or `table`.
-        open: part -> share of its range by which it is open.
+        T: pose (4, 4) in `world`; the height is not final before settling.
+        on: name of the supporting object, or `table`.
+        open: part -> opening of its joint as a fraction of the joint's range.
     """
 
     T: Array
@@ -39,7 +39,7 @@ class ObjectPlacement:
 
 
 def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
-    """The cast of an attempt."""
+    """Sample the role assignment of an attempt."""
     rng, drawn, sizes = random_generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
@@ -52,7 +52,7 @@ def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
 
 
 def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
-    """The prompt of an attempt."""
+    """Sample the prompt of an attempt."""
     prompts = task.phrasings.training
     return prompts[int(random_generator(job, Stream.PHRASING).integers(len(prompts)))]
 
@@ -60,21 +60,21 @@ def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
 def sample_placements(
     task: ProgramTask, roles: RoleAssignment, box_of: BoundsOf, table: Table, job: AttemptJob, number: int = 0
 ) -> dict[str, ObjectPlacement] | str:
-    """Thing -> its start, in the order in which things settle.
+    """Sample the initial placements of an attempt.
 
     Args:
-        box_of: function of a thing and `Placed.open` to the lowest and the highest corner (2, 3) of the thing's
-            bounding box in its own frame, m.
-        number: of the draw, for an attempt whose first draws were not usable.
+        box_of: function of an object and `ObjectPlacement.open` that returns the local bounding box (2, 3), m.
+        number: index of the sample; samples are repeated if earlier ones are not usable.
 
     Returns:
-        The name of a thing instead, if there was no free place for it in any of 20 rounds of 60 tries.
+        Object -> placement, in the order in which objects settle. If 20 rounds of 60 tries find no free placement for
+        an object, the function returns this object's name.
     """
     if task.arrangements:
         return _arranged_placements(task, roles, job, number)
     rng = random_generator(job, Stream.PLACES, number)
     missing = ""
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         found = _sample_all_placements(task, roles, box_of, table, rng)
         if isinstance(found, dict):
             return found
@@ -85,7 +85,7 @@ def sample_placements(
 def _arranged_placements(
     task: ProgramTask, roles: RoleAssignment, job: AttemptJob, number: int
 ) -> dict[str, ObjectPlacement]:
-    """The arrangement of an attempt: all attempts of a seed go through one random order of arrangements."""
+    """Return the arrangement of an attempt. All attempts of a seed follow one random order of arrangements."""
     order = random_generator(AttemptJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
     one = task.arrangements[order[(job.attempt + number) % len(order)]]
     return {
@@ -101,14 +101,14 @@ def _sample_all_placements(
     for role, start in task.starts.items():
         on = TABLE if start.on == TABLE else roles.object_of(start.on)
         for name in roles.objects_of(role):
-            found = _place(start, on, name, placed, box_of, table, rng)
+            found = _sample_placement(start, on, name, placed, box_of, table, rng)
             if found is None:
                 return name
             placed[name] = found
     return placed
 
 
-def _place(
+def _sample_placement(
     start: Start,
     on: str,
     name: str,
@@ -117,18 +117,17 @@ def _place(
     table: Table,
     rng: np.random.Generator,
 ) -> ObjectPlacement | None:
-    """A free place for a thing, or None."""
     T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
     neighbours = [
         footprint_corners(box_of(other, there.open), there.T) for other, there in placed.items() if there.on == on
     ]
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         x, y = rng.uniform(*start.x), rng.uniform(*start.y)
         turn = math.radians(rng.uniform(*start.yaw_deg))
         attitude = start.attitudes[int(rng.integers(len(start.attitudes)))]
         R = T_on[:3, :3] @ rotation_z(turn) @ _start_rotation(attitude, rng.uniform(0.0, 2 * math.pi))
         opened = {part: float(rng.uniform(*share)) for part, share in start.open.items()}
-        # x and y are those of the outline's middle, not of the origin.
+        # x and y refer to the middle of the bounding box, not to the origin.
         box = box_of(name, opened)
         middle = R @ box.mean(axis=0)
         at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
@@ -150,11 +149,11 @@ def _start_rotation(attitude: Attitude, roll: float) -> Array:
     return np.eye(3)
 
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # of a box, by the number of its corner for each axis
+_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # corners of a box: 0 (low) or 1 (high) for each axis
 
 
 def footprint_corners(box: Array, T: Array) -> Array:
-    """A box's corners (8, 2) at a pose (4, 4), seen from above, m."""
+    """Return the corners (8, 2) of a box at a pose (4, 4), seen from above, m."""
     corners: Array = (box[_CORNERS, (0, 1, 2)] @ T[:3, :3].T + T[:3, 3])[:, :2]
     return corners
 
@@ -165,7 +164,7 @@ def _on_table(corners: Array, table: Table) -> bool:
 
 
 def footprint_distance(one: Array, other: Array) -> float:
-    """A lower bound of the distance of two outlines, given by corners (n, 2), m; negative if they may overlap."""
+    """Return a lower bound of the distance of two footprints of corners (n, 2), m; negative if they may overlap."""
     edges = np.concatenate([corners[1:] - corners[0] for corners in (one, other)])
     lengths = np.linalg.norm(edges, axis=1)
     along = edges[lengths > 1e-6] / lengths[lengths > 1e-6, None]

@@ -1,4 +1,4 @@
-"""Antipodal grasps: places where two fingers can press on a thing from opposite sides, found by casting rays."""
+"""Search for antipodal pairs, on which two fingers can press an object from opposite sides, by ray casting."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 from ..geometry.se3 import Array, pose
 from .geom_shapes import geom_points
 
-_POINTS = 24  # points inside a thing through which lines are tried, besides the centre of mass
+_INNER_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
 
-# Unit vectors in the thing's frame: its axes, and the directions in the middle between two or three axes.
+# Unit vectors in the object's frame: its axes, and the bisectors of two and of three axes.
 _DIRECTIONS = tuple(
     np.array(direction) / math.sqrt(sum(map(abs, direction)))
     for direction in itertools.product((0, 1, -1), repeat=3)
     if next((part for part in direction if part), 0) == 1
 )
 
-_MAX_SLOPE = math.tan(math.radians(15))  # tangent, largest slope of a face against the plane across the line
-_SLOPE_OFFSET = 0.003  # m, distance of the rays beside the line that measure slopes
-_SQUARED_RADIUS_FACTOR = 1.001  # enlarges geoms' bounding spheres, so that rounding makes no ray miss a geom
-_RAY_START = 1.0  # m from a point in a thing, outside of everything on a table
+_MAX_SLOPE = math.tan(math.radians(15))  # tangent, largest slope of a face against the plane normal to the line
+_SLOPE_OFFSET = 0.003  # m, offset from the line of the rays that measure slopes
+_SQUARED_RADIUS_FACTOR = 1.001  # enlarges the bounding spheres of geoms against rounding errors
+_RAY_START = 1.0  # m, distance of a ray's start from a point in an object; larger than any object on a table
 
 
 @dataclass(frozen=True)
 class AntipodalPair:
-    """A line through a thing, on whose ends two fingers can press.
+    """A line through an object, with a finger contact at each end.
 
     Attributes:
-        middle: middle (3,) of the line in the thing's frame, m.
-        direction: unit vector (3,) along the line in the thing's frame.
+        middle: middle (3,) of the line in the object's frame, m.
+        direction: unit vector (3,) along the line in the object's frame.
         width: distance between the ends, m.
-        steepness: slope of the steeper face, as a tangent; 0 if both faces are square to the line.
+        steepness: slope of the steeper face, as a tangent; 0 if both faces are perpendicular to the line.
     """
 
     middle: Array
@@ -45,36 +45,36 @@ class AntipodalPair:
 
 
 def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) -> list[AntipodalPair]:
-    """Lines through a body, at most `widest` (m) long, those near the centre of mass and square to faces first."""
+    """Return a body's pairs of at most `widest` (m), those near the centre of mass and perpendicular to faces first."""
     T = pose(data.xpos[body], data.xmat[body].reshape(3, 3))
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body and model.geom_contype[g]]
-    points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _POINTS)
+    points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _INNER_POINTS)
     centre = model.body_ipos[body]
     found = []
     for point, direction in itertools.product((centre, *points), _DIRECTIONS):
-        span = _span(model, data, geoms, T, point, direction)
-        if span is not None and span.width <= widest and span.steepness <= _MAX_SLOPE:
-            found.append(span)
-    return sorted(found, key=lambda span: float(np.linalg.norm(span.middle - centre)) + 0.05 * span.steepness)
+        pair = _measure_pair(model, data, geoms, T, point, direction)
+        if pair is not None and pair.width <= widest and pair.steepness <= _MAX_SLOPE:
+            found.append(pair)
+    return sorted(found, key=lambda pair: float(np.linalg.norm(pair.middle - centre)) + 0.05 * pair.steepness)
 
 
-def _span(
+def _measure_pair(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int], T: Array, point: Array, direction: Array
 ) -> AntipodalPair | None:
     side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0))
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
     offsets = [np.zeros(3), _SLOPE_OFFSET * side, -_SLOPE_OFFSET * side, _SLOPE_OFFSET * other, -_SLOPE_OFFSET * other]
-    reached = []
+    distances = []
     for sign in (1.0, -1.0):
         depths = [_surface_distance(model, data, geoms, T, point + offset, sign * direction) for offset in offsets]
         if any(depth is None for depth in depths):
             return None
-        reached.append(np.array(depths, float))
-    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_OFFSET) for d in reached] + [
-        abs(d[3] - d[4]) / (2 * _SLOPE_OFFSET) for d in reached
+        distances.append(np.array(depths, float))
+    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_OFFSET) for d in distances] + [
+        abs(d[3] - d[4]) / (2 * _SLOPE_OFFSET) for d in distances
     ]
-    high, low = float(reached[0][0]), -float(reached[1][0])
+    high, low = float(distances[0][0]), -float(distances[1][0])
     middle: Array = point + direction * (high + low) / 2
     return AntipodalPair(middle, direction, high - low, max(slopes))
 
@@ -82,10 +82,10 @@ def _span(
 def _surface_distance(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int], T: Array, point: Array, direction: Array
 ) -> float | None:
-    """Distance of the surface from a point along a direction, m, met by a ray from outside; None if the ray misses."""
+    """Return the distance from a point to the surface along a direction, m, by a ray from outside; None for a miss."""
     start, ray = T[:3, :3] @ (point + _RAY_START * direction) + T[:3, 3], T[:3, :3] @ -direction
     nearest = math.inf
-    # Geoms that the ray clearly misses are skipped: a vessel's wall consists of dozens of boxes.
+    # Skip the geoms whose bounding sphere the ray misses. The wall of a vessel consists of dozens of boxes.
     to = data.geom_xpos[geoms] - start
     off = to - np.outer(to @ ray, ray)
     for geom in np.asarray(geoms)[

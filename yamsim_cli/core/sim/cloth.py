@@ -1,4 +1,4 @@
-"""The state of simulated cloth, grips of hands on it, and simulations of cloth whose points move on given paths."""
+"""The state of simulated cloth, constraints that hold it in hands, and simulations with moved points."""
 
 from __future__ import annotations
 
@@ -16,37 +16,35 @@ from ..scene.cloth import grid_edges, grid_triangles
 from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwner
 from .settling import settle_objects
 
-_CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grips cloth
-_MIN_FORCE = 2.0  # N, least force of each finger at which a hand grips cloth
-_RELEASE_OPENING = 0.002  # m, by which a commanded opening must exceed the present one for a release
+_CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grasps cloth
+_MIN_FORCE = 2.0  # N, least force of each finger at which a hand grasps cloth
+_RELEASE_OPENING = 0.002  # m, excess of the commanded opening over the present one that releases cloth
 
 _PAD_WIDTH = 0.0072  # m, half the width of a pad
 _PAD_LENGTH = 0.0082  # m, half the length of a pad
-_BELOW_TIPS = 0.002  # m, distance from the tips, beyond the cloth's thickness, of cloth that closing tips still grip
+_BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
-# m; x and y in the pinch frame of the lines, in the middle and at the edges of a pad, along which layers are found.
+# m, x and y in the pinch frame of the lines along which layers are found: in the middle and at the edges of a pad.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
-_MOVED_MASS = 1.0  # kg, of points that `moving_points` moves, see there
+_MOVED_MASS = 1.0  # kg, mass of each point while `moving_points` moves it, see there
 
-_LIFT_SPEED = 0.3  # m/s, of the point at which cloth is lifted before it is dropped
-_MIN_LIFT, _MIN_LIFT_SHARE = (
-    0.08,
-    0.3,
-)  # m, and share of half the diagonal; the smaller one is the least height of a lift
+_LIFT_SPEED = 0.3  # m/s, speed of the point by which cloth is lifted before a drop
+# Least height of a lift, m, and as a fraction of half the diagonal; the smaller of the two applies.
+_MIN_LIFT, _MIN_LIFT_SHARE = 0.08, 0.3
 _MAX_HEADING = 0.5  # rad, largest deviation of a lifted point's path from the direction to the middle
 
-# Dropped cloth must look like crumpled fabric, which passes neither through itself nor into the table.
-_MAX_DROPS = 40  # drops, of which the best is used if none is without fault
-_SUNK = 0.5  # thicknesses, depth at which a point counts as sunk into what the cloth lies on
+# Crumpled cloth must not pass through itself or into the table.
+_MAX_DROPS = 40  # drops; if all have faults, the one with the fewest faults is used
+_MAX_SINK = 0.5  # thicknesses, depth below the flat cloth at which a point has sunk into the surface
 _MIN_CRUMPLED = 4.0  # layers, least height of crumpled cloth
-_SETTLINGS = 3  # runs of `settle` after a drop: crumpled cloth sinks for longer than other things take to come to rest
+_SETTLINGS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
 
 _REST_SECONDS = 0.5  # s, simulated after the points of a pull are released
 
 
 class ClothState:
-    """The present state of a cloth.
+    """Read access to the present state of a cloth.
 
     Args:
         cloth: addresses of the points in MuJoCo's arrays.
@@ -68,30 +66,30 @@ class ClothState:
 
     @property
     def rows(self) -> Array:
-        """Positions (along y, along x, 3) of the points in `world`, m, by rows along the cloth's x axis."""
+        """Positions (rows, columns, 3) of the points in `world`, m; rows run along the cloth's x axis."""
         columns, rows = self._cloth.grid
         return self.points.reshape(rows, columns, 3)
 
     @property
     def pose(self) -> Array:
-        """Pose (4, 4) in `world` of an upright frame in the middle of the points, turned about z as the points are."""
+        """Pose (4, 4) in `world`, see `ClothAddresses.pose`."""
         return self._cloth.pose(self._data.qpos)
 
     @property
     def aabb(self) -> tuple[Array, Array]:
-        """The lowest and highest corner (3,) of the cloth's bounding box along the axes of `world`, m."""
+        """Lowest and highest corner (3,) of the axis-aligned bounding box in `world`, m."""
         points, radius = self.points, self._cloth.radius
         return points.min(axis=0) - radius, points.max(axis=0) + radius
 
     @property
     def local_box(self) -> Array:
-        """The lowest and highest corner (2, 3) of the bounding box of the flat cloth in the cloth's frame, m."""
+        """Lowest and highest corner (2, 3) of the flat cloth's bounding box in the cloth's frame, m."""
         rest, radius = self._cloth.rest, self._cloth.radius
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
 
     @property
     def speed(self) -> float:
-        """The speed of the fastest point, m/s."""
+        """Speed of the fastest point, m/s."""
         return float(np.linalg.norm(self._data.qvel[self._cloth.dof], axis=1).max())
 
     @property
@@ -101,15 +99,15 @@ class ClothState:
         return found
 
     def held(self, arm: int) -> bool:
-        """Whether an arm's hand holds a point of the cloth."""
+        """Return whether the hand of arm number `arm` holds a point of the cloth."""
         return bool(self._data.eq_active[self._cloth.grips[arm]].any())
 
 
 class ClothGrips:
-    """Switches the constraints with which hands hold cloth, since friction does not hold a grid of points.
+    """Switches the constraints that hold cloth in hands. Friction alone does not hold a grid of points.
 
-    A hand whose closed fingers both touch a cloth and press grips every point between the pads. The hand releases the
-    cloth when its fingers are commanded to open.
+    A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
+    releases the cloth when its fingers are commanded to open.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
@@ -124,8 +122,8 @@ class ClothGrips:
         """Switch the constraints for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
         Args:
-            data: with the present poses and contacts. The constraints are switched in `data`, and their anchors are
-                written into the scene's model.
+            data: present poses and contacts. The constraints are switched in `data`; their anchors are written into
+                the scene's model.
         """
         return [self._update_hand(data, number, ctrl) for number in range(len(self._scene.arms))]
 
@@ -144,9 +142,9 @@ class ClothGrips:
             return False
         if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
-        return any(self._grip(data, number, cloth) for cloth in self._scene.cloths.values())
+        return any(self._grasp(data, number, cloth) for cloth in self._scene.cloths.values())
 
-    def _grip(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
+    def _grasp(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)
         geoms = data.contact.geom[touching]
         if not all(np.isin(geoms, finger).any() for finger in self._fingers[number]):
@@ -157,7 +155,7 @@ class ClothGrips:
         gripped = points_between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
         hand = data.body(arm.flange)
         for k in gripped:
-            # Anchors: the point's origin, and the same place in the hand's frame.
+            # Anchors: the origin of the point's body, and the same position in the hand's frame.
             there = hand.xmat.reshape(3, 3).T @ (points[k] - hand.xpos)
             self._scene.model.eq_data[cloth.grips[number, k], :6] = [0.0, 0.0, 0.0, *there]
             data.eq_active[cloth.grips[number, k]] = True
@@ -165,11 +163,10 @@ class ClothGrips:
 
 
 def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: Array) -> NDArray[np.int_]:
-    """The numbers of the points (n, 3) of a cloth that pads grip when they close at a pose (4, 4) of the pinch frame.
+    """Return the indices of the points (n, 3) of a cloth that pads grasp when they close at a pose of the pinch frame.
 
-    A point between the pads is gripped. If points are farther apart than the pads are wide, a point is gripped that is
-    nearer than its neighbours. Of a cloth that is held by layers, the nearest point of every layer that passes between
-    the pads is gripped too.
+    The pads grasp all points between them. Where points are farther apart than the pads are wide, they grasp a point
+    within half the spacing. If the cloth is held by layers, they also grasp the nearest point of each layer in between.
     """
     seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
     deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _BELOW_TIPS)
@@ -183,13 +180,13 @@ def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: 
 def moving_points(
     model: mujoco.MjModel, data: mujoco.MjData, cloth: ClothAddresses, points: NDArray[np.int_]
 ) -> Iterator[Callable[[Array], None]]:
-    """Yield a function that makes a step of physics in which points of a cloth move to given positions (n, 3), m.
+    """Yield a function that steps physics once and moves points of a cloth to given positions (n, 3) in `world`, m.
 
-    The points have a larger mass in the model meanwhile. MuJoCo solves for all points together: a point of a tenth of a
-    gramme would be drawn back to the cloth instead of taking the cloth along, and the cloth would stretch tenfold.
+    Within the context, the points have a larger mass in the model. MuJoCo solves for all points together: the cloth
+    would pull back a point of 0.1 g instead of following it, and would stretch tenfold.
 
     Args:
-        points: numbers (n,) of the points that move.
+        points: indices (n,) of the moved points.
     """
     dof = cloth.dof[points]
     bodies = model.dof_bodyid[dof[:, 0]]
@@ -211,36 +208,37 @@ def moving_points(
 def crumple(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """MuJoCo's positions (nq,) with a crumpled cloth at rest.
+    """Crumple a cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
 
-    The cloth is lifted at a point of its outer half, moved roughly towards its middle, lowered to half the height, and
-    dropped. Drops are repeated until the cloth lies as crumpled fabric can.
+    The function lifts a point of the cloth's outer half and moves it roughly towards the middle. Then it lowers the
+    point to half the height and drops the cloth. Up to 40 drops are tried, until the cloth is at least 4 layers high
+    and passes neither through itself nor through the table.
 
     Args:
-        start: MuJoCo's positions (nq,), in which the cloth lies flat.
-        rng: samples the point and the heading.
-        share: height of the lift, as a share of the cloth's half diagonal; the point moves towards the middle by twice
-            this share of its distance.
-        timestep: of physics, s.
+        start: MuJoCo's positions (nq,) with the cloth flat.
+        cloth: name of the cloth.
+        rng: samples the lifted point and the heading of its path.
+        share: height of the lift as a fraction of half the diagonal. The point moves towards the middle by twice this
+            fraction of its distance.
+        timestep: time step of physics, s.
     """
-    lying = scene.cloths[cloth]
-    ends, corners = grid_edges(*lying.grid), grid_triangles(*lying.grid)
-    lowest = float(lying.points(start)[:, 2].min()) - _SUNK * lying.thickness
+    sheet = scene.cloths[cloth]
+    ends, corners = grid_edges(*sheet.grid), grid_triangles(*sheet.grid)
+    lowest = float(sheet.points(start)[:, 2].min()) - _MAX_SINK * sheet.thickness
     faults: list[int] = []
     tried: list[Array] = []
     while len(tried) < _MAX_DROPS and 0 not in faults:
-        tried.append(_drop_cloth(scene, start, lying, rng, share, timestep))
-        points = lying.points(tried[-1])
-        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * lying.thickness
+        tried.append(_drop_cloth(scene, start, sheet, rng, share, timestep))
+        points = sheet.points(tried[-1])
+        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * sheet.thickness
         faults.append(count_self_intersections(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
 
 def _drop_cloth(
-    scene: CompiledScene, start: Array, lying: ClothAddresses, rng: np.random.Generator, share: float, timestep: float
+    scene: CompiledScene, start: Array, sheet: ClothAddresses, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """MuJoCo's positions (nq,) after one drop; see `crumpled`."""
-    points = lying.points(start)
+    points = sheet.points(start)
     middle = points.mean(axis=0)
     away = np.linalg.norm(points - middle, axis=1)
     k = int(rng.choice(np.flatnonzero(away > 0.5 * away.max())))
@@ -251,14 +249,14 @@ def _drop_cloth(
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     at = points[[k]]
-    with moving_points(scene.model, data, lying, np.array([k])) as step_to:
+    with moving_points(scene.model, data, sheet, np.array([k])) as step_to:
         for path in paths:
             steps = max(1, int(np.linalg.norm(path) / _LIFT_SPEED / timestep))
             for _ in range(steps):
                 at = at + path / steps
                 step_to(at)
     dropped = start.copy()
-    dropped[lying.qpos] = data.qpos[lying.qpos]
+    dropped[sheet.qpos] = data.qpos[sheet.qpos]
     for _ in range(_SETTLINGS):
         dropped = settle_objects(scene, dropped, timestep).qpos
     return dropped
@@ -273,27 +271,27 @@ def simulated_pull(
     arch: float,
     seconds: float,
 ) -> Array:
-    """A cloth's points (along y, along x, 3) in `world` after patches of the cloth are moved and released, m.
+    """Simulate a pull of a cloth, and return its points (rows, columns, 3) in `world`, m, after the release.
 
     Args:
         data: the present state, which is not changed.
-        patches: the numbers (n,) of the points of each patch.
+        patches: point indices (n,) of each grasped patch.
         paths: displacement (3,) of each patch, m.
-        arch: height of the path, as a share of the longest horizontal displacement.
-        seconds: duration of the motion.
+        arch: height of the path as a fraction of the longest horizontal displacement.
+        seconds: duration of the motion, s.
     """
-    imagined = mujoco.MjData(model)
-    mujoco.mj_copyData(imagined, model, data)
+    simulated = mujoco.MjData(model)
+    mujoco.mj_copyData(simulated, model, data)
     points = np.concatenate(patches)
     path = np.concatenate([np.tile(path, (len(patch), 1)) for patch, path in zip(patches, paths, strict=True)])
     up = np.array([0.0, 0.0, arch * float(np.linalg.norm(path[:, :2], axis=1).max())])
-    start, timestep = cloth.points(imagined.qpos)[points], model.opt.timestep
+    start, timestep = cloth.points(simulated.qpos)[points], model.opt.timestep
     steps = max(1, math.ceil(seconds / timestep))
-    with moving_points(model, imagined, cloth, points) as step_to:
+    with moving_points(model, simulated, cloth, points) as step_to:
         for step in range(1, steps + 1):
             share = (1 - math.cos(math.pi * step / steps)) / 2
             step_to(start + share * path + math.sin(math.pi * share) * up)
     for _ in range(math.ceil(_REST_SECONDS / timestep)):
-        mujoco.mj_step(model, imagined)
+        mujoco.mj_step(model, simulated)
     columns, rows = cloth.grid
-    return cloth.points(imagined.qpos).reshape(rows, columns, 3)
+    return cloth.points(simulated.qpos).reshape(rows, columns, 3)

@@ -1,4 +1,4 @@
-"""Readings of arms' encoders, with the delay, noise, resolution and offset of the arms' dynamics."""
+"""Simulated encoder readings with the delay, noise, resolution and offset of the arms' dynamics."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..scene.random_streams import Stream, random_generator
 
 
 def delayed_positions(scene: CompiledScene, data: mujoco.MjData) -> Array | None:
-    """Delayed positions (arms, drives) of joints and fingers, rad and m; None if no encoder has a delay."""
+    """Return the delayed positions (arms, drives) of joints and left fingers, rad and m; None without any delay."""
     if all(arm.sensors is None for arm in scene.arms):
         return None
     return np.array([_delayed_arm_positions(scene.model, data, arm) for arm in scene.arms])
 
 
 def encoder_readings(scene: CompiledScene, positions: Array, job: AttemptJob, tick: int) -> Array:
-    """Readings (arms, drives) of encoders at given positions, rad and m.
+    """Return the encoder readings (arms, drives) for given positions, rad and m.
 
     Args:
-        positions: of the joints and the left finger (arms, drives), see `sensed`.
-        tick: number of the control tick; the same attempt and tick give the same noise.
+        positions: positions of the joints and the left finger (arms, drives), see `delayed_positions`.
+        tick: number of the control tick. The noise depends only on the attempt, the tick and the arm.
     """
     if all(arm.has_ideal_encoders for arm in scene.arms):
         return positions
@@ -45,13 +45,12 @@ def _delayed_arm_positions(model: mujoco.MjModel, data: mujoco.MjData, arm: ArmA
     now: Array = data.qpos[arm.recorded_qpos]
     if arm.sensors is None:
         return now
-    kept = np.array([_read(model, data, int(sensor)) for sensor in arm.sensors])
-    # The newest kept value is from the step before; a shorter delay is interpolated between that and the present.
+    delayed = np.array([_read(model, data, int(sensor)) for sensor in arm.sensors])
+    # The newest sample of a sensor is one step old. For a shorter delay, interpolate from there to the present.
     share = min(arm.sensor_delay / model.opt.timestep, 1.0)
-    return kept if share == 1.0 else now + share * (kept - now)
+    return delayed if share == 1.0 else now + share * (delayed - now)
 
 
 def _read(model: mujoco.MjModel, data: mujoco.MjData, sensor: int) -> float:
-    """A joint's position, as delayed as its sensor reads it."""
     between, result = int(model.sensor_history[sensor, 1]), np.empty((1, 1))
     return float(mujoco.mj_readSensor(model, data, sensor, data.time, result, between).ravel()[0])

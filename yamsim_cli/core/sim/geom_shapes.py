@@ -15,11 +15,11 @@ _GEOM = mujoco.mjtGeom
 
 _MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
 
-_SIDES = 24  # sides of a circle's polygon, whose error is less than 1 % of the radius
+_SIDES = 24  # sides of the polygon for a circle; the error is less than 1 % of the radius
 
 
 def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
-    """The lowest and highest corner (2, 3) in `world` of the block along its axes that encloses a geom."""
+    """Return the axis-aligned bounding box of a geom: lowest and highest corner (2, 3) in `world`, m."""
     R, at, size = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom], model.geom_size[geom]
     match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
@@ -39,26 +39,26 @@ def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
 
 
 def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None) -> Array:
-    """The lowest and highest corner (2, 3) of the block that encloses geoms of one body.
+    """Return the bounding box of geoms of one body: lowest and highest corner (2, 3), m.
 
     Args:
-        T: pose (4, 4) of the body in the frame along whose axes the block lies; without, the body's own frame.
+        T: pose (4, 4) of the body in the frame whose axes the box follows; by default the body's own frame.
     """
-    blocks = []
+    boxes = []
     for geom in geoms:
         R, at = _pose(model, geom)
-        blocks.append(_geom_block(model, geom, *((R, at) if T is None else (T[:3, :3] @ R, T[:3, :3] @ at + T[:3, 3]))))
-    return enclosing_box(blocks)
+        boxes.append(_geom_box(model, geom, *((R, at) if T is None else (T[:3, :3] @ R, T[:3, :3] @ at + T[:3, 3]))))
+    return enclosing_box(boxes)
 
 
-def enclosing_box(blocks: Sequence[Array]) -> Array:
-    """The lowest and highest corner (2, 3) of the block that encloses blocks along the same axes."""
-    corners = np.array(blocks)
+def enclosing_box(boxes: Sequence[Array]) -> Array:
+    """Return the lowest and highest corner (2, 3) of the smallest box around boxes (n, 2, 3) along the same axes."""
+    corners = np.array(boxes)
     return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
 
 def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
-    """The surfaces of geoms of one body as triangles, in the body's frame; round ones have 24 sides."""
+    """Return the triangle surface of geoms of one body in the body's frame, m; round primitives have 24 sides."""
     placed = []
     for geom in geoms:
         R, at = _pose(model, geom)
@@ -68,19 +68,16 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
 
 
 def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
-    """Return points (n, 3) on a geom whose convex hull is that of the geom, in its body's frame.
-
-    Of a mesh they are its vertices; round primitives have 24 sides.
-    """
+    """Return points (n, 3) whose convex hull is that of a geom, in its body's frame, m; circles have 24 sides."""
     R, at = _pose(model, geom)
     points = _vertices(model, geom) if model.geom_type[geom] in _MESHES else np.concatenate(_loops(model, geom))
     return points @ R.T + at
 
 
 def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tuple[Array, float]:
-    """Points (count, 3) spread evenly over the volume of geoms of one body, in the body's frame, and the volume, m3.
+    """Return points (count, 3) spread evenly over geoms of one body, in the body's frame, m, and the volume, m3.
 
-    Overlaps of geoms count once. The same geoms give the same points.
+    Overlaps of geoms count once. The same geoms always give the same points.
     """
     placed = [(geom, _pose(model, geom)) for geom in geoms]
     low, high = body_box(model, geoms)
@@ -95,7 +92,7 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tupl
         found.append(points[inside])
         kept += int(inside.sum())
     points, volume = np.concatenate(found)[:count], max(kept, 1) / drawn * float(np.prod(high - low))
-    # A body of hardly any volume, such as a sheet, is represented by its middle.
+    # The centre of the box represents a body with hardly any volume, such as a sheet.
     return (points, volume) if len(points) else (np.array([(low + high) / 2]), volume)
 
 
@@ -105,14 +102,13 @@ def _pose(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
     return R.reshape(3, 3), model.geom_pos[geom].copy()
 
 
-def _geom_block(model: mujoco.MjModel, geom: int, R: Array, at: Array) -> Array:
+def _geom_box(model: mujoco.MjModel, geom: int, R: Array, at: Array) -> Array:
     centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
     middle, reach = R @ centre + at, np.abs(R) @ half
     return np.array([middle - reach, middle + reach])
 
 
 def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
-    """Whether points (n, 3) in a geom's own frame lie in it."""
     size, x, y, z = model.geom_size[geom], *points.T
     match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
@@ -127,7 +123,7 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
         case _GEOM.mjGEOM_BOX:
             found = (np.abs(points) <= size).all(axis=1)
         case _:
-            # A mesh collides as its convex hull, for which its bounding box is an approximation.
+            # A mesh collides as its convex hull, which its bounding box approximates.
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             found = (np.abs(points - centre) <= half).all(axis=1)
     inside: Array = found
@@ -135,7 +131,6 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
 
 
 def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return a geom's closed surface in its own frame."""
     if model.geom_type[geom] not in _MESHES:
         return loft(_loops(model, geom))
     mesh = int(model.geom_dataid[geom])
@@ -149,7 +144,7 @@ def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     if kind == _GEOM.mjGEOM_BOX:
         square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2]
         return [np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])]
-    # Others are solids of revolution about z: radii and heights from bottom to top, which an ellipsoid stretches.
+    # All others are solids of revolution about z: radii and heights from bottom to top, then scaled along each axis.
     if kind == _GEOM.mjGEOM_CYLINDER:
         radii, heights, stretch = np.ones(2), np.array([-1.0, 1.0]), np.array([size[0], size[0], size[1]])
     else:
@@ -172,7 +167,7 @@ def _vertices(model: mujoco.MjModel, geom: int) -> Array:
 
 
 def _halton(start: int, count: int) -> Array:
-    """Evenly spread points (count, 3) of the unit cube: Halton's sequence with bases 2, 3 and 5, from `start` on."""
+    """Return points (count, 3) of Halton's sequence in the unit cube, with bases 2, 3 and 5, from `start` on."""
     columns = []
     for base in (2, 3, 5):
         numbers, value, share = np.arange(start + 1, start + count + 1), np.zeros(count), 1.0

@@ -1,4 +1,4 @@
-"""The interior of a container: the space that its walls enclose."""
+"""The interior of a container, which is the space that its walls enclose."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ..geometry.height_map import compute_height_map
 from ..geometry.loft import Surface
 from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 
-_CELLS = 64  # rays along the longer side of a view, 2 mm apart for a mug and 4 mm for a bin
-_AROUND = 8  # horizontal directions; with four, the space beside a slanted handle would count as enclosed
+_CELLS = 64  # rays along the longer side of a view: 2 mm apart for a mug, 4 mm for a bin
+_HORIZONTAL_VIEWS = 8  # horizontal directions; with four, the space beside a slanted handle counts as enclosed
 
 _SIDEWAYS = rotation_from_vector([0.0, -math.pi / 2, 0.0])
 
-# Rotations (views, 3, 3) from a body's frame to frames with z along the rays: down, up, and all round.
+# Rotations (views, 3, 3) from a body's frame to frames with z along the rays: down, up, and horizontal directions.
 _VIEWS = np.array(
     [
         rotation_from_vector([math.pi, 0.0, 0.0]),
         np.eye(3),
-        *(_SIDEWAYS @ rotation_z(2 * math.pi * k / _AROUND) for k in range(_AROUND)),
+        *(_SIDEWAYS @ rotation_z(2 * math.pi * k / _HORIZONTAL_VIEWS) for k in range(_HORIZONTAL_VIEWS)),
     ]
 )
 
@@ -29,17 +29,16 @@ _VIEWS = np.array(
 class Interior:
     """The space that one rigid body encloses, in the body's frame.
 
-    A point lies inside if rays from it hit the body in enough directions:
+    A point lies inside if rays from the point hit the body in enough directions:
 
-    - downwards and in all of eight horizontal directions, as in a cup, a bin or a drawer; or
-    - downwards, upwards and in at least one of each two opposite horizontal directions, as in a cupboard that is open
-      at the front.
+    - down and in all eight horizontal directions, as in a cup, a bin or a drawer; or
+    - down, up, and in at least one of each two opposite horizontal directions, as in a cupboard with an open front.
 
-    So the space under a mug's handle or in its loop is not inside. The body's own solids count as inside, since nothing
-    else can be there. Rays pass through gaps in walls, such as those between wires.
+    The space under or in the loop of a mug's handle is therefore not inside. The body's solid parts count as inside,
+    because no other object can be there. Rays pass through gaps in walls, such as those between wires.
 
     Args:
-        surface: of the body.
+        surface: surface of the body.
     """
 
     def __init__(self, surface: Surface) -> None:
@@ -47,13 +46,13 @@ class Interior:
         grids = [compute_height_map((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
         self._first = np.array([(grid.x[0], grid.y[0]) for grid in grids])
         self._cell = np.array([grid.cell for grid in grids])
-        # The last hit along each ray of each view; rays along the edges hit nothing.
+        # Coordinate of the last hit along each ray of each view. Rays along the edges hit nothing.
         self._reach = np.full((len(grids), *np.max([grid.top.shape for grid in grids], axis=0)), -np.inf)
         for reach, grid in zip(self._reach, grids, strict=True):
             reach[: len(grid.x), : len(grid.y)] = grid.top
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (n, 3) lie inside (n,)."""
+        """Return whether each point (n, 3) lies inside, as (n,)."""
         held: NDArray[np.bool_] = ((points >= self._low) & (points <= self._high)).all(axis=1)
         if held.any():
             down, up, *around = self._hits(points[held])
@@ -63,7 +62,7 @@ class Interior:
         return held
 
     def _hits(self, points: Array) -> NDArray[np.bool_]:
-        """Whether the nearest ray of each view hits the body beyond points (n, 3), as (views, n)."""
+        """Return whether the nearest ray of each view hits the body beyond each point (n, 3), as (views, n)."""
         x, y, z = (points @ _VIEWS[:, axis].T for axis in range(3))
         _, nx, ny = self._reach.shape
         i = np.clip(np.rint((x - self._first[:, 0]) / self._cell), 0, nx - 1)

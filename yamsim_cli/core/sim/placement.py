@@ -1,4 +1,4 @@
-"""Places for distractors clear of every motion of an attempt, and a check of arms for obstructions."""
+"""Placement of distractors clear of all motions of an attempt, and a collision check for arm postures."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..scene.random_streams import Stream, random_generator
 from ..scene.randomized_model import RandomizedModel
 
 _MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out
-_OVERLAP = 5e-4  # m, of bodies, below which they only touch
+_MAX_OVERLAP = 5e-4  # m, penetration up to which bodies only touch
 
 
 class DistractorPlacer:
-    """Samples places for a recording's distractors, in a copy of the scene's model.
+    """Samples places for a recording's distractors in a copy of the scene's model.
 
     Args:
-        scene: compiled, without variations.
+        scene: the compiled scene, without variations.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
@@ -36,13 +36,13 @@ class DistractorPlacer:
         self._varied = RandomizedModel(self._model, config.randomization, config.scene)
 
     def places(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
-        """Distractor -> its place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
+        """Return distractor -> place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
-        Distractors do not move and nothing comes near them, so that they do not change the motion, after which they are
-        placed. A distractor without a free place after 12 tries is left out, since only the pictures would show it.
+        Distractors are placed after the motion is known. They never move and nothing comes near them, so they do not
+        change the motion. A distractor without a free place after 12 tries is left out.
 
         Args:
-            positions: MuJoCo's positions (nq,) at all times of the attempt.
+            positions: MuJoCo's positions (nq,) at all times of the attempt, m and rad.
         """
         config = self._distractors
         if config is None:
@@ -73,13 +73,13 @@ class DistractorPlacer:
         return placed
 
     def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:
-        """Whether everything keeps a distance of `clearance` (m) from a distractor at all `positions` (nq,)."""
+        """Return whether all other geoms keep `clearance` (m) from a distractor at all `positions` (nq,)."""
         model = self._model
         body = model.body(name)
         mocap = int(body.mocapid[0])
         geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == body.id)
         before = model.geom_margin[geoms].copy(), model.body_margin[body.id].copy()
-        # MuJoCo skips pairs of bodies that are farther apart than the bodies' margins, which are set at compilation.
+        # MuJoCo skips pairs of bodies that are farther apart than their margins, which are set at compilation.
         model.geom_margin[geoms] = model.body_margin[body.id] = clearance
         data.mocap_pos[mocap], data.mocap_quat[mocap] = model.body_pos[body.id], model.body_quat[body.id]
         try:
@@ -97,7 +97,7 @@ class DistractorPlacer:
 
 
 def _discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Array:
-    """An object's footprint as discs (n, 3) of x, y and radius in `world`, m."""
+    """Return an object's footprint as discs (n, 3) of x, y and radius in `world`, m."""
     c, s = math.cos(yaw), math.sin(yaw)
     return np.array([[x + c * a - s * b, y + s * a + c * b, radius] for a, b, radius in item.footprint])
 
@@ -113,10 +113,10 @@ def _disc_distance(one: Array, other: Array) -> float:
 
 
 class ArmCollisionCheck:
-    """Finds collisions of an arm at other joints, except with the task's objects, which can be moved.
+    """Finds collisions of an arm at given joints. Contacts with the task's objects, which can be moved, are ignored.
 
     Args:
-        arm: the arm's number in the scene.
+        arm: index of the arm in the scene.
     """
 
     def __init__(self, scene: CompiledScene, arm: int) -> None:
@@ -129,11 +129,11 @@ class ArmCollisionCheck:
         self._is_object = np.isin(model.body_rootid[model.geom_bodyid], objects)
 
     def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
-        """The deepest penetration of the arm into anything, m, and the name of what it penetrates; 0 and "" if none.
+        """Return the deepest penetration of the arm, m, and the name of the penetrated geom; 0 and "" if none.
 
         Args:
-            qpos: MuJoCo's positions (nq,) of everything else.
-            joints: the arm's (dof,), rad.
+            qpos: MuJoCo's positions (nq,) of the rest of the scene.
+            joints: joint positions (dof,) of the arm, rad.
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos
@@ -142,7 +142,7 @@ class ArmCollisionCheck:
         mujoco.mj_collision(model, data)
         pairs = data.contact.geom
         concerned = (
-            self._is_arm[pairs].any(axis=1) & ~self._is_object[pairs].any(axis=1) & (data.contact.dist < -_OVERLAP)
+            self._is_arm[pairs].any(axis=1) & ~self._is_object[pairs].any(axis=1) & (data.contact.dist < -_MAX_OVERLAP)
         )
         if not concerned.any():
             return 0.0, ""

@@ -1,4 +1,4 @@
-"""Simulates a scene until its things are at rest."""
+"""Simulation of a scene until its objects are at rest."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 
-SETTLE_SECONDS = 2.0  # s, limit of the simulated time
+SETTLE_SECONDS = 2.0  # s, longest simulated time
 CHECK_STEPS = 25  # physics steps between two checks of the speeds
-AT_REST = 0.01  # m/s and rad/s, the largest speed of a thing that counts as at rest
+AT_REST = 0.01  # m/s and rad/s, speed below which an object is at rest
 
 
 class SettledScene(NamedTuple):
-    """A scene after its things had time to come to rest.
+    """The result of `settle_objects`.
 
     Attributes:
         qpos: MuJoCo's positions (nq,).
-        speed: largest speed of a thing that is not cloth, m/s and rad/s.
+        speed: largest remaining speed of a rigid object, m/s or rad/s.
     """
 
     qpos: Array
@@ -28,7 +28,7 @@ class SettledScene(NamedTuple):
 
 
 def settle_objects(scene: CompiledScene, start: Array, timestep: float) -> SettledScene:
-    """Simulate until all things are at rest or `SETTLE_SECONDS` are over; the arms get their positions of `start`."""
+    """Simulate until all objects are at rest, for `SETTLE_SECONDS` at most; arms keep their positions in `start`."""
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     stiff = np.concatenate([np.zeros(0, int), *(np.arange(dof, dof + 6) for dof in scene.object_dof.values())])

@@ -1,4 +1,4 @@
-"""The facts about a scene that goals and skills use, computed from MuJoCo's state."""
+"""Queries of MuJoCo's state by object names, for goals and skills."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from .cloth import ClothState
 from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_points
 from .interior import Interior
 
-_VOLUME_POINTS = 1000  # points that sample the volume of a body, so that shares have steps of a thousandth
-_LIFTING = 0.5  # vertical component of a contact's normal, above which a finger counts as under a cloth
+_VOLUME_POINTS = 1000  # sample points in a body, which give volume fractions a resolution of 0.001
+_MIN_UPWARD_NORMAL = 0.5  # vertical component of a contact normal above which a finger is under a cloth
 
 
 @dataclass(frozen=True)
 class ContainerRegion:
-    """A box-shaped part of a thing.
+    """A box-shaped region of an object, such as a compartment of a tray.
 
     Attributes:
-        thing: name of the whole thing.
-        T_in_thing: pose (4, 4) in the thing's frame of the region's frame, in the middle of the box's floor.
+        thing: name of the object.
+        T_in_thing: pose (4, 4) of the region's frame in the object's frame; origin at the centre of the floor.
         size: size (3,) of the box, m.
     """
 
@@ -36,19 +36,19 @@ class ContainerRegion:
 
     @property
     def corners(self) -> Array:
-        """The lowest and highest corner (2, 3) in the region's frame, m."""
+        """Lowest and highest corner (2, 3) of the box in the region's frame, m."""
         x, y, z = self.size
         return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
 
 
 class SimWorld:
-    """The things of a compiled scene, by name; see `goals.world.World`.
+    """The state of a compiled scene by object names; implements `config.goals.world.GoalWorld`.
 
     Args:
-        things: names, in order. A thing is the body of that name with all its descendants.
-        sides: the arms' sides, "left" or "right", in the order of `arms`.
-        regions: name -> a named part of a thing, such as a tray's compartment.
-        cloths: name -> addresses of the points, of the things that are cloth.
+        things: names of the objects, in order. An object is the body of that name with all its descendants.
+        sides: side of each arm, "left" or "right", in the order of `arms`.
+        regions: name -> region of an object, such as a tray's compartment.
+        cloths: name -> addresses of the points, for each object that is a cloth.
     """
 
     def __init__(
@@ -69,15 +69,15 @@ class SimWorld:
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
         self._numbers = {name: k for k, name in enumerate((*things, TABLE))}
-        # Cloth has no geoms: its contacts have geom -1, which is the last entry here.
-        self._of_geom: Ids = np.full(model.ngeom + 1, -1)
+        # Contacts of cloth have geom -1, which indexes the last entry.
+        self._geom_object: Ids = np.full(model.ngeom + 1, -1)
         for name, number in self._numbers.items():
-            self._of_geom[self._geoms[name]] = number
+            self._geom_object[self._geoms[name]] = number
         self._fingers = [_finger_geoms(model, arm) for arm in arms]
-        self._of_finger: Ids = np.full(model.ngeom + 1, -1)
+        self._geom_finger: Ids = np.full(model.ngeom + 1, -1)
         for arm, geoms_of in enumerate(self._fingers):
             for finger, geoms in enumerate(geoms_of):
-                self._of_finger[geoms] = 2 * arm + finger
+                self._geom_finger[geoms] = 2 * arm + finger
         self._bodies = {name: self._solid_geoms(name) for name in things}
         self._volumes: dict[int, tuple[Array, float]] = {}
         self._interiors: dict[int, Interior] = {}
@@ -87,38 +87,38 @@ class SimWorld:
 
     @property
     def data(self) -> mujoco.MjData:
-        """MuJoCo's state, with poses and contacts as of its last forward pass."""
+        """MuJoCo's state, with the poses and contacts of its last forward pass."""
         return self._data
 
     def pose(self, thing: str) -> Array:
-        """See `World`."""
+        """See `GoalWorld.pose`."""
         if region := self._regions.get(thing):
             return self.pose(region.thing) @ region.T_in_thing
         if cloth := self._cloths.get(thing):
             return cloth.pose
-        body = self._data.body(self._known(thing))
+        body = self._data.body(self._check(thing))
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
-        """See `World`."""
-        site = self._data.site(f"{self._known(thing)}_{handle}")
+        """See `GoalWorld.handle_pose`."""
+        site = self._data.site(f"{self._check(thing)}_{handle}")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def start_pose(self, thing: str) -> Array:
-        """See `World`; as of the last `begin`."""
-        return self._starts[self._known(thing)]
+        """See `GoalWorld.start_pose`; the pose is that of the last `store_start`."""
+        return self._starts[self._check(thing)]
 
     def store_start(self) -> None:
-        """Store the poses of things at the start of an attempt, and clear which hands held them before."""
+        """Store the poses of all objects at the start of an attempt, and clear the records of holders and handovers."""
         self._starts = {name: self.pose(name) for name in self.things}
         self._hands = {name: [] for name in self.things}
         self._handovers = {name: [] for name in self.things}
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
-        """See `World`; exact, for the geoms that collide: primitives, and meshes by their vertices."""
+        """See `GoalWorld.aabb`. The box is exact for the collision geoms: primitives, and vertices of meshes."""
         if region := self._regions.get(thing):
             T = self.pose(thing)
-            corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _block_corners(region.corners)])
+            corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _box_corners(region.corners)])
             return corners.min(axis=0), corners.max(axis=0)
         if cloth := self._cloths.get(thing):
             return cloth.aabb
@@ -126,48 +126,48 @@ class SimWorld:
         return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
 
     def geom_aabbs(self, thing: str) -> Array:
-        """The lowest and highest corner (n, 2, 3) in `world` of each geom of a thing that collides, m."""
-        geoms = self._geoms[self._known(thing)]
+        """Return the lowest and highest corner (n, 2, 3) in `world` of each collision geom of an object, m."""
+        geoms = self._geoms[self._check(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
         return np.array([geom_aabb(self._model, self._data, int(geom)) for geom in solid])
 
     def speed(self, thing: str) -> float:
-        """See `World`."""
+        """Return the linear speed of an object, or of the fastest point of a cloth, m/s."""
         if cloth := self._cloths.get(thing):
             return cloth.speed
-        dof = self._model.joint(self._known(thing)).dofadr[0]
+        dof = self._model.joint(self._check(thing)).dofadr[0]
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
     def touching(self, one: str, other: str) -> bool:
-        """See `World`; a contact with a thing is a contact with all its regions."""
+        """See `GoalWorld.touching`; a contact with an object counts as a contact with all its regions."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
         first, second = (self._in_contact(name) for name in (one, other))
         return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 
     def _in_contact(self, thing: str) -> NDArray[np.bool_]:
-        """Which sides of the present contacts are a thing (n, 2)."""
+        """Return which sides of the present contacts are an object (n, 2)."""
         if cloth := self._cloths.get(thing):
             return cloth.contacts
-        found: NDArray[np.bool_] = self._of_geom[self._data.contact.geom] == self._numbers[self._known(thing)]
+        found: NDArray[np.bool_] = self._geom_object[self._data.contact.geom] == self._numbers[self._check(thing)]
         return found
 
     def cloth_points(self, thing: str) -> Array:
-        """See `World`."""
+        """See `GoalWorld.cloth_points`."""
         return self._cloths[thing].rows
 
     def cloth_addresses(self, thing: str) -> ClothAddresses:
-        """The addresses of a cloth's points in MuJoCo's arrays."""
+        """Return the addresses of a cloth's points in MuJoCo's arrays."""
         return self._cloths[thing].addresses
 
     def holding_sides(self, thing: str) -> frozenset[str]:
-        """See `World`: cloth is held by a constraint, other things by contacts of both fingers or by a weld."""
-        return self.holding_sides_by_object()[self._known(thing)]
+        """See `GoalWorld.holding_sides`. Constraints hold cloth; both fingers' contacts or welds hold other objects."""
+        return self.holding_sides_by_object()[self._check(thing)]
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
-        """Thing -> its `holders`, in the order of `things`."""
+        """Return object -> its `holding_sides`, in the order of `things`."""
         pairs = self._data.contact.geom
-        things, fingers = self._of_geom[pairs], self._of_finger[pairs]
-        # Which fingers, two for each arm, each thing touches: one side of a contact is the thing, the other the finger.
+        things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
+        # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
         pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
         pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
         gripped = (pressed[:, :-1:2] & pressed[:, 1::2]).tolist()
@@ -188,12 +188,12 @@ class SimWorld:
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
     def hands_beneath(self, thing: str) -> frozenset[str]:
-        """The sides of the hands with a finger under a cloth, which would lift the cloth."""
+        """Return the sides of the hands that have a finger under a cloth and would lift the cloth."""
         contact = self._data.contact
         flexes = self._cloths[thing].contacts
-        # The normal points from the first side to the second.
+        # A contact normal points from the first side to the second.
         up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
-        lifted = contact.geom[flexes.any(axis=1) & (up > _LIFTING)]
+        lifted = contact.geom[flexes.any(axis=1) & (up > _MIN_UPWARD_NORMAL)]
         return frozenset(
             side
             for side, fingers in zip(self.sides, self._fingers, strict=True)
@@ -201,38 +201,38 @@ class SimWorld:
         )
 
     def holders_since_rest(self, thing: str) -> tuple[str, ...]:
-        """See `World`; as far as `watch` has seen."""
-        return tuple(self._hands[self._known(thing)])
+        """See `GoalWorld.holders_since_rest`; recorded by `update_handovers`."""
+        return tuple(self._hands[self._check(thing)])
 
     def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
-        """See `World`; as far as `watch` has seen."""
-        return tuple(self._handovers[self._known(thing)])
+        """See `GoalWorld.handovers`; recorded by `update_handovers`."""
+        return tuple(self._handovers[self._check(thing)])
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
-        """See `World`; computed from points spread evenly over the thing's volume."""
-        return self._share(thing, lambda points: self.points_inside(container, points))
+        """See `GoalWorld.volume_fraction_inside`; estimated with points spread evenly over the object's volume."""
+        return self._fraction(thing, lambda points: self.points_inside(container, points))
 
     def volume_fraction_in_box(self, thing: str, container: str) -> float:
-        """The share, 0..1, of a thing's volume that lies in a container's `block`."""
-        return self._share(thing, lambda points: self._in_block(container, points))
+        """Return the fraction, 0..1, of an object's volume that lies in a container's `local_box`."""
+        return self._fraction(thing, lambda points: self._in_local_box(container, points))
 
-    def _share(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
-        """The share of a thing's volume at whose points (n, 3) in `world` `held` is true (n,)."""
+    def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
+        """Return the fraction of an object's volume whose points (n, 3) in `world` satisfy `held` -> (n,)."""
         shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
         return float(np.average(shares, weights=volumes))
 
-    def _in_block(self, container: str, points: Array) -> NDArray[np.bool_]:
+    def _in_local_box(self, container: str, points: Array) -> NDArray[np.bool_]:
         T, (low, high) = self.pose(container), self.local_box(container)
         points = (points - T[:3, 3]) @ T[:3, :3]
         held: NDArray[np.bool_] = ((points >= low) & (points <= high)).all(axis=1)
         return held
 
     def points_inside(self, container: str, points: Array) -> NDArray[np.bool_]:
-        """Whether points (n, 3) in `world` lie in a container's interior (n,), or in the box of a region."""
+        """Return whether each point (n, 3) in `world` lies in a container's interior or in a region's box, as (n,)."""
         if container in self._regions:
-            return self._in_block(container, points)
+            return self._in_local_box(container, points)
         held = np.zeros(len(points), bool)
-        for body, geoms in self._bodies[self._known(container)].items():
+        for body, geoms in self._bodies[self._check(container)].items():
             if body not in self._interiors:
                 self._interiors[body] = Interior(body_surface(self._model, geoms))
             T = self._body_pose(body)
@@ -240,20 +240,20 @@ class SimWorld:
         return held
 
     def joint_opening(self, thing: str, joint: str) -> float:
-        """See `World`."""
-        found = self._model.joint(f"{self._known(thing)}_{joint}")
+        """See `GoalWorld.joint_opening`."""
+        found = self._model.joint(f"{self._check(thing)}_{joint}")
         low, high = found.range
         return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
 
     def part_pose(self, thing: str, part: str) -> Array:
-        """Pose (4, 4) in `world` of a part that moves on a thing."""
-        body = self._data.body(f"{self._known(thing)}_{part}")
+        """Return the pose (4, 4) in `world` of a moving part of an object."""
+        body = self._data.body(f"{self._check(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def update_handovers(self) -> dict[str, frozenset[str]]:
-        """Update `passed_to` and `handovers` from the present holders, and return these like `holding`.
+        """Update `holders_since_rest` and `handovers`, and return `holding_sides_by_object`.
 
-        `passed_to` of a thing is cleared when no hand holds the thing and it touches another thing or the table.
+        `holders_since_rest` is cleared when no hand holds the object and the object touches another one or the table.
         """
         holding_sides_by_object = self.holding_sides_by_object()
         for thing, holders in holding_sides_by_object.items():
@@ -272,20 +272,18 @@ class SimWorld:
     def _supported(self, thing: str) -> bool:
         return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)
 
-    def _known(self, thing: str) -> str:
+    def _check(self, thing: str) -> str:
         if thing not in self._geoms:
             raise KeyError(thing)
         return thing
 
     def local_box(self, thing: str) -> Array:
-        """The lowest and highest corner (2, 3) of the box along a thing's own axes around all its bodies, m, at the
-        present joints.
-        """
+        """Return the local bounding box of an object at its present joint positions: two corners (2, 3), m."""
         if region := self._regions.get(thing):
             return region.corners
         if cloth := self._cloths.get(thing):
             return cloth.local_box
-        root, T = int(self._model.body(self._known(thing)).id), inverse(self.pose(thing))
+        root, T = int(self._model.body(self._check(thing)).id), inverse(self.pose(thing))
         return enclosing_box(
             [
                 body_box(self._model, geoms, None if body == root else T @ self._body_pose(body))
@@ -294,7 +292,6 @@ class SimWorld:
         )
 
     def _solid_geoms(self, thing: str) -> dict[int, list[int]]:
-        """The geoms that collide of each body of a thing."""
         bodies: dict[int, list[int]] = {}
         for geom in self._geoms[thing]:
             if self._model.geom_contype[geom]:
@@ -305,23 +302,23 @@ class SimWorld:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def _filled(self, thing: str) -> Iterator[tuple[Array, float]]:
-        """Points (n, 3) in `world`, spread evenly over the volume of each body of a thing, and the volume, m3."""
+        """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return
-        for body, geoms in self._bodies[self._known(thing)].items():
+        for body, geoms in self._bodies[self._check(thing)].items():
             if body not in self._volumes:
                 self._volumes[body] = geom_points(self._model, geoms, _VOLUME_POINTS)
             T, (points, volume) = self._body_pose(body), self._volumes[body]
             yield points @ T[:3, :3].T + T[:3, 3], volume
 
 
-def _block_corners(block: Array) -> list[Array]:
+def _box_corners(block: Array) -> list[Array]:
     return [np.array([block[i, 0], block[j, 1], block[k, 2]]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
 
 def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.int_], ...]:
-    """The geoms of each finger of an arm, with those of its descendants."""
+    """Return the geoms of each finger of an arm, including the geoms of descendant bodies."""
     fingers = []
     for address in () if arm.fingers is None else arm.fingers.qpos:
         joint = int(np.searchsorted(model.jnt_qposadr, address))
@@ -334,9 +331,5 @@ def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.
 
 
 def make_sim_world(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
-    """The `SimWorld` of a scene and a state.
-
-    Args:
-        sides: sides of the scene's arms, "left" or "right".
-    """
+    """Return the `SimWorld` of a scene and a state; `sides` are the arms' sides, "left" or "right"."""
     return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)

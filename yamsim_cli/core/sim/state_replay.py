@@ -1,4 +1,4 @@
-"""A copy of the scene that shows recorded states, for reading and rendering, and is never stepped."""
+"""A copy of the scene that is set to recorded states, for reading and rendering. The copy is never stepped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .cloth import ClothState
 
 
 class StateReplay:
-    """Joints and poses of one recorded state. Poses are in the base of the robot, or of the left one of two arms."""
+    """Joints and poses of a recorded state. Poses are in the base frame of the only arm, or of the left one of two."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -25,10 +25,10 @@ class StateReplay:
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def show(self, qpos: Array) -> None:
-        """Set the state to positions (nq,), and compute the poses of bodies, cameras and lights."""
+        """Set the state to positions `qpos` (nq,), and compute the poses of bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos
-        # The model's present poses of mocap bodies apply, since variations change them.
+        # Randomization changes the poses of mocap bodies in the model, so the poses are copied from there.
         for body in self._fixed:
             number = int(model.body_mocapid[body])
             self.data.mocap_pos[number], self.data.mocap_quat[number] = model.body_pos[body], model.body_quat[body]
@@ -38,41 +38,41 @@ class StateReplay:
         mujoco.mj_flex(model, self.data)
 
     def joints(self) -> Array:
-        """Each arm's joints in rad and the opening of one of its fingers in m, if it has any, (arms, drives)."""
+        """Return each arm's joint positions, rad, and the position of its left finger, m, if any, as (arms, drives)."""
         return np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
 
     def openings(self) -> Array:
-        """The opening of one finger of each arm (arms,), m; 0 for an arm without fingers."""
+        """Return the position of the left finger of each arm (arms,), m; 0 for an arm without fingers."""
         fingers = [arm.fingers for arm in self.scene.arms]
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
     def T_object_in_base(self, name: str) -> Array:
-        """Pose (4, 4) of a body, or of a cloth, see `ClothState.pose`."""
+        """Return the pose (4, 4) of a body, or of a cloth as in `ClothState.pose`."""
         if cloth := self._cloths.get(name):
             return self._T_world_in_base @ cloth.pose
         body = self.data.body(name)
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
 
     def cloth_points(self) -> dict[str, Array]:
-        """Cloth -> positions (n, 3) of its points, m."""
+        """Return cloth -> positions (n, 3) of its points in the base frame, m."""
         T = self._T_world_in_base
         return {name: cloth.points @ T[:3, :3].T + T[:3, 3] for name, cloth in self._cloths.items()}
 
     def object_joints(self, item: ObjectConfig) -> Array:
-        """Positions of an articulated object's joints (n,), in the order of its links, m or rad."""
+        """Return the joint positions (n,) of an articulated object in the order of its links, m or rad."""
         joints = [self.scene.model.joint(f"{item.name}_{link.name}") for link in item.links]
         return np.array([self.data.qpos[joint.qposadr[0]] for joint in joints])
 
     def T_grasp_in_base(self) -> Array:
-        """Pose of each arm's `grasp_site` (arms, 4, 4)."""
+        """Return the pose of each arm's `grasp_site` (arms, 4, 4)."""
         sites = [self.data.site(f"{arm.prefix}grasp_site") for arm in self.scene.arms]
         return np.array([self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
 
     def intrinsics(self, camera: str, size: tuple[int, int]) -> Intrinsics:
-        """Intrinsics of a camera for rendered images of `size` (width, height) pixels."""
+        """Return the intrinsics of a camera for images of `size` (width, height), px."""
         return Intrinsics.from_fovy(*size, math.radians(float(self.scene.model.cam(camera).fovy[0])))
 
     def T_cam_in_base(self, camera: str) -> Array:
-        """Pose (4, 4) of a camera, in OpenCV's convention."""
+        """Return the pose (4, 4) of a camera in OpenCV's convention."""
         view = self.data.cam(camera)
         return self._T_world_in_base @ pose(view.xpos, opencv_from_mujoco(view.xmat))

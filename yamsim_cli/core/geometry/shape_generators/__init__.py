@@ -1,1 +1,1 @@
-"""Things generated from a handful of sizes: surfaces, collision primitives and grasps."""
+"""Objects generated from a few dimensions: visual surfaces, collision primitives and grasps."""

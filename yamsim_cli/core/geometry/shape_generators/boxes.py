@@ -1,4 +1,4 @@
-"""Things with flat sides: containers, trays, lids, cartons, blocks, folded cloth, dish racks."""
+"""Generated objects with flat sides: containers, trays, lids, cartons, blocks, folded cloth, dish racks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ..loft import Surface, loft, loft_closed, rounded_rectangle, transform_surf
 from ..se3 import Array
 from .generated_shape import GeneratedShape, PrimitiveData, ShapeGrasp, ShapePiece, box_data, capsules_along
 
-_UNDER_RIM = 0.008  # m, depth of the pads' middle under a rim
-_PALM = 0.040  # m, deepest grasp under the top: deeper, the palm would touch the top
-_WIDEST = 0.091  # m, widest body that a hand spans
+_RIM_DEPTH = 0.008  # m, depth of the pads' middle below a rim
+_MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
+_WIDEST = 0.091  # m, largest width between the pads
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,10 @@ class Container:
     """Sizes of an open box, m.
 
     Attributes:
-        size: outside, at the rim, with the lip.
+        size: outer size (x, y, z) at the rim, including the lip.
+        wall: thickness of walls and floor.
         corner: outer radius of the vertical edges.
-        taper: reduction of the half-width from rim to foot.
+        taper: reduction of the half-width from the rim to the foot.
         cells: number of compartments along x.
         lip: overhang of the rim.
     """
@@ -37,7 +38,7 @@ class Container:
 
 
 def make_container(size: Container) -> GeneratedShape:
-    """An open box, or a tray of compartments."""
+    """Generate an open box or a tray with compartments."""
     x, y, height = size.size[0] / 2 - size.lip, size.size[1] / 2 - size.lip, size.size[2]
     wall, corner = size.wall, size.corner
     pieces = [ShapePiece("body", _open_box(size, x, y))]
@@ -53,19 +54,19 @@ def make_container(size: Container) -> GeneratedShape:
         collision.append(box_data((at, 0, height / 2 - wall * 0.25), (wall, 2 * y - wall, height - wall * 0.5)))
     if size.lip:
         collision += _lip(size, x, y)
-    z = round(height - _UNDER_RIM, 4)
+    z = round(height - _RIM_DEPTH, 4)
     thick, flat = round(wall + size.lip, 4), not size.lip
-    # The middle of the collision walls.
+    # Half-sizes to the middle of the collision walls.
     x, y = (round(half - size.taper / 2 - wall / 2, 4) for half in (x, y))
-    holds = [
+    grasps = [
         ShapeGrasp("rim", (0.0, y, z), 90.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (0.0, -y, z), 90.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
         ShapeGrasp("rim", (-x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
     ]
     if size.cells % 2 == 0:
-        holds = holds[2:]
-    return GeneratedShape(tuple(pieces), tuple(collision), tuple(holds), "in", wall)
+        grasps = grasps[2:]
+    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), "in", wall)
 
 
 def _open_box(size: Container, x: float, y: float) -> Surface:
@@ -99,7 +100,7 @@ def _open_box(size: Container, x: float, y: float) -> Surface:
 def wall_boxes(
     half: tuple[float, float], heights: tuple[float, float], wall: float, corner: float
 ) -> list[PrimitiveData]:
-    """Boxes for the walls of a box of outer half-sizes `half`, and a slanted one in each round corner, m."""
+    """Return boxes for walls of outer half-sizes `half`, with a diagonal box in each round corner; all lengths in m."""
     x, y = half
     low, high = heights
     middle, tall = (low + high) / 2, high - low
@@ -109,7 +110,7 @@ def wall_boxes(
         parts.append(box_data((sign * (x - wall / 2), 0, middle), (wall, 2 * (y - cut), tall)))
         parts.append(box_data((0, sign * (y - wall / 2), middle), (2 * (x - cut), wall, tall)))
     if cut:
-        # The middle of the box's outside touches the round corner.
+        # The outer face of the diagonal box touches the round corner in its middle.
         out = corner - wall / 2
         long = 2 * corner * math.tan(math.pi / 8)
         for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
@@ -133,10 +134,10 @@ def _lip(size: Container, x: float, y: float) -> list[PrimitiveData]:
 def make_lid(
     size: tuple[float, float, float], corner: float, plate: float, plug: float, knob: tuple[float, float]
 ) -> GeneratedShape:
-    """A lid of a container: a plate, a rim below the plate that goes inside, and a bar on top as a handle.
+    """Generate a lid: a plate, a rim below the plate that fits into a container, and a bar on top as a handle.
 
     Args:
-        size: of the plate, and the whole height, m.
+        size: size of the plate along x and y, and total height, m.
         corner: radius of the plate's corners, m.
         plate: thickness of the plate, m.
         plug: distance of the rim from the plate's edge, m.
@@ -177,7 +178,7 @@ def make_lid(
 
 
 def block_surface(size: tuple[float, float, float], corner: float, edge: float) -> Surface:
-    """A closed block on the ground: vertical edges of radius `corner`, and all others of radius `edge`, m."""
+    """Return a closed block on the ground with vertical edges of radius `corner` and others of radius `edge`, m."""
     x, y, height = size[0] / 2, size[1] / 2, size[2]
     edge = min(edge, height / 2.001, x, y)
     corner = max(corner, edge)
@@ -194,31 +195,31 @@ def _inset(x: float, y: float, corner: float, by: float, z: float) -> Array:
 def make_block(
     size: tuple[float, float, float], corner: float, edge: float, band: tuple[float, float] | None
 ) -> GeneratedShape:
-    """A closed block: a carton, a tin, a piece of wood.
+    """Generate a closed block, such as a carton, a tin or a piece of wood.
 
     Args:
-        size: m.
+        size: size (x, y, z), m.
         corner, edge: radius of the vertical and of the horizontal edges, m.
-        band: lower and upper end of a printed band, as shares of the height; None for no band.
+        band: lower and upper end of a printed band, as fractions of the height; None for no band.
     """
     pieces = [ShapePiece("body", block_surface(size, corner, edge))]
     if band:
         low, high = (share * size[2] for share in band)
-        # The print is 0.2 mm outside the body, so that it is visible.
+        # The print lies 0.2 mm outside the body to be visible.
         shell = loft([rounded_rectangle(size[0] / 2 + 2e-4, size[1] / 2 + 2e-4, corner, z) for z in (low, high)])
         pieces.append(ShapePiece("print", shell))
     collision = [box_data((0, 0, size[2] / 2), size)]
-    height = max(size[2] / 2, size[2] - _PALM)
+    height = max(size[2] / 2, size[2] - _MAX_DEPTH)
     axes = sorted(((size[0], 0.0), (size[1], 90.0)))
-    holds = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
-    return GeneratedShape(tuple(pieces), tuple(collision), tuple(holds), support=size[2])
+    grasps = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
+    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), support=size[2])
 
 
 def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape:
-    """Stiff folded cloth that lies flat, with visible layers.
+    """Generate a rigid folded cloth that lies flat, with visible layers.
 
     Args:
-        size: of the folded cloth, m.
+        size: size (x, y, z) of the folded cloth, m.
         folds: number of layers.
     """
     layer = size[2] / folds
@@ -241,11 +242,11 @@ class Rack:
     """Sizes of a dish rack, m.
 
     Attributes:
-        size: outside, with the bows at both ends.
+        size: outer size (x, y, z), including the bows at both ends.
         wire: diameter of the wires.
         slots: number of slots along x.
         slot: width of a slot.
-        tine: height of the tines between slots over the ground.
+        tine: height over the ground of the tines between slots.
     """
 
     size: tuple[float, float, float]
@@ -256,13 +257,13 @@ class Rack:
 
 
 _RACK_FLOOR, _RACK_CORNER = 0.012, 0.03  # m, height of the floor's wires; radius of the corners
-_RAIL = 0.7  # height of the rail, as a share of the tines'
-_ROWS, _BETWEEN = 0.37, 0.12  # y of the rows of tines and of the floor's inner wires, as shares of the half depth
+_RAIL = 0.7  # height of the rail as a fraction of the tines' height
+_ROWS, _BETWEEN = 0.37, 0.12  # fractions of the half depth, y of the tines and of the floor's inner wires
 _BOW = 0.03  # m, radius of the bows' corners
 
 
 def make_rack(size: Rack) -> GeneratedShape:
-    """A low rack of bent wire: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
+    """Generate a low wire rack: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
     r = size.wire / 2
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
     pieces, collision = [], list[PrimitiveData]()
@@ -286,15 +287,15 @@ def make_rack(size: Rack) -> GeneratedShape:
     for along in (*rows, -_BETWEEN * y, _BETWEEN * y):
         wire(np.array([[-x, along, _RACK_FLOOR], [x, along, _RACK_FLOOR]]))
     z = round(height - r, 4)
-    holds = (
+    grasps = (
         ShapeGrasp("edge", (round(x, 4), 0.0, z), 0.0, size.wire),
         ShapeGrasp("edge", (round(-x, 4), 0.0, z), 0.0, size.wire),
     )
-    return GeneratedShape(tuple(pieces), tuple(collision), holds)
+    return GeneratedShape(tuple(pieces), tuple(collision), grasps)
 
 
 def _end_handle_path(x: float, half: float, foot: float, top: float) -> Array:
-    """The path (n, 3) of an upright bow at one end: a foot at each side, and a bar above."""
+    """Return the path (n, 3) of an upright bow: a leg at each side and a bar on top."""
     turn = np.linspace(0, np.pi / 2, 4)
     across, up = half - _BOW + _BOW * np.cos(turn), top - _BOW + _BOW * np.sin(turn)
     side = np.concatenate([[[half, foot]], np.column_stack([across, up])])

@@ -1,4 +1,4 @@
-"""Cutlery that lies flat, handles along y: spoons, forks, knives, turners."""
+"""Generated cutlery that lies flat with its handle along y: spoons, forks, knives and turners."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from .generated_shape import (
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
-_ROOM = 0.018  # m, height of the pads' middle at which the pads of a leaning hand clear the table
-_OVER = 0.004  # m, most height of the pads' middle over the handle's
+_CLEAR_HEIGHT = 0.018  # m, height of the pads' middle at which the pads of a tilted hand clear the table
+_MAX_RAISE = 0.004  # m, largest height of the pads' middle over that of the handle
 
 
 @dataclass(frozen=True)
 class Cutlery:
-    """Sizes, m.
+    """Sizes of a piece of cutlery, m.
 
     Attributes:
-        size: width, length and height of the whole.
-        grip: greatest width of the handle.
-        thickness: of the head.
+        kind: kind of cutlery, which determines the shape of the head.
+        size: total width, length and height.
+        grip: largest width of the handle.
+        thickness: thickness of the head.
         handle: thickness of the handle.
     """
 
@@ -45,9 +46,9 @@ class Cutlery:
 
 
 def make_cutlery(size: Cutlery) -> GeneratedShape:
-    """A piece of cutlery on its back, head towards +y."""
+    """Generate a piece of cutlery on its back with its head towards +y."""
     head, collision = _HEADS[size.kind](size)
-    start = size.size[1] / 2 - _head(size)
+    start = size.size[1] / 2 - _head_length(size)
     path, widths = _handle_line(size, start)
     thick = size.handle / 2
     surface = tube(path, widths, thick, (1, 0, 0), 16)
@@ -56,32 +57,32 @@ def make_cutlery(size: Cutlery) -> GeneratedShape:
         rail = rails[:, :3] + np.outer(sign * np.maximum(rails[:, 3] - thick, 0), [1, 0, 0])
         collision += capsules_along(rail, thick)
     pieces = (ShapePiece("body", head), ShapePiece("handle", surface))
-    holds = []
+    grasps = []
     for share in (0.88, 0.78, 0.68, 0.58, 0.48):
         k = int(share * (len(path) - 1))
         x, y, z = (float(v) for v in path[k])
-        place = (round(x, 4), round(y, 4), round(max(z, min(z + _OVER, _ROOM)), 4))
-        holds.append(ShapeGrasp("handle", place, 0.0, round(2 * float(widths[k]), 4)))
-    return GeneratedShape(pieces, tuple(collision), tuple(holds))
+        place = (round(x, 4), round(y, 4), round(max(z, min(z + _MAX_RAISE, _CLEAR_HEIGHT)), 4))
+        grasps.append(ShapeGrasp("handle", place, 0.0, round(2 * float(widths[k]), 4)))
+    return GeneratedShape(pieces, tuple(collision), tuple(grasps))
 
 
-def _head(size: Cutlery) -> float:
+def _head_length(size: Cutlery) -> float:
     return {"spoon": 0.32, "fork": 0.33, "knife": 0.54, "turner": 0.32}[size.kind] * size.size[1]
 
 
 def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
-    """The handle's centre line (n, 3) from its end to the head, and half its width (n,), m."""
+    """Return the handle's centre line (n, 3) from its end to the head, and half its width (n,), m."""
     t = np.linspace(0, 1, 25)
     end = -size.size[1] / 2 + size.handle / 2
     y = end + (start + 0.006 - end) * t
     low, high = size.handle / 2, size.size[2] - size.handle / 2
-    # The handle rises from its end on the table and falls to the head, which leaves room for the pads.
+    # The handle rises from its end on the table and falls towards the head. This shape leaves room for the pads.
     neck = _neck_height(size)
     z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
     z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")
     z = low + (z - z[0]) * (high - low) / (z.max() - z[0])
     z[-1] = neck
-    # The sides are straight where the pads hold.
+    # The sides are straight where the pads grasp.
     narrow = 0.85 if size.kind == "knife" else 0.55
     half = size.grip / 2 * np.interp(t, [0, 0.1, 0.84, 1], [0.7, 1.0, 0.96, narrow])
     return np.column_stack([np.zeros_like(t), y, z]), half
@@ -99,10 +100,10 @@ def _sheet(
     steps: int = 21,
     across: int = 15,
 ) -> Surface:
-    """A sheet of a thickness: `outline_` gives its left and right edge, and `height` its underside, along y."""
+    """Return a sheet of thickness `thick`: `outline_` returns its left and right edge, `height` its underside, m."""
     loops = []
     u = np.linspace(-1, 1, across)
-    # The steps are shorter at both ends, where outlines turn.
+    # The steps are shorter at both ends, where outlines are more curved.
     for t in (1 - np.cos(np.linspace(0, np.pi, steps))) / 2:
         left, right = outline_(float(t))
         x = (left + right) / 2 + (right - left) / 2 * u
@@ -115,12 +116,12 @@ def _sheet(
 
 
 def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
-    long, wide, thick = _head(size), size.size[0], size.thickness
+    long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     deep, neck = 0.40 * size.size[2], _neck_height(size)
 
     def along(t: float) -> float:
-        # From -1 to 1, faster at the start: an egg with its blunt end at the tip.
+        # From -1 to 1, faster at the start, for an egg shape with its blunt end at the tip.
         return float(2 * t**0.9 - 1)
 
     def half(t: float) -> float:
@@ -143,7 +144,7 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
         for t in turn[::s]
     ]
     parts: list[PrimitiveData] = capsules_along(np.array(edge), radius, closed=True)
-    # The bottom: lengthwise bars at the bowl's depth, close enough that nothing falls through.
+    # Lengthwise bars form the bottom of the bowl. They are so close that no object falls through.
     for share in (-0.66, -0.33, 0.0, 0.33, 0.66):
         bar = []
         for s in np.linspace(0.1, 0.92, 7):
@@ -154,13 +155,13 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
 
 
 def _fork(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
-    long, wide, thick = _head(size), size.size[0], size.thickness
+    long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0 = size.size[1] / 2 - long
     neck = _neck_height(size)
     root = 0.42
 
     def height(t: float) -> float:
-        # The head touches the table in its middle; its tips are higher.
+        # The head touches the table in its middle. Its tips are higher.
         levels = [neck - thick / 2, 0.42 * neck, 0.08 * neck, 0.0, 0.22 * neck]
         return float(np.interp(t, [0, 0.25, 0.5, 0.75, 1], levels))
 
@@ -191,7 +192,7 @@ def _fork(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
 
 
 def _knife(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
-    long, wide, thick = _head(size), size.size[0], size.thickness
+    long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
 
@@ -219,7 +220,7 @@ def _knife(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
 
 
 def _turner(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
-    long, wide, thick = _head(size), size.size[0], size.thickness
+    long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
 

@@ -1,4 +1,4 @@
-"""A generated thing: visual surfaces, collision primitives and grasps."""
+"""A generated object: visual surfaces, collision primitives and grasps."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from ..loft import Surface
 from ..se3 import Array
 
-# A collision primitive as configs write it.
+# A collision primitive as plain data, in the format of object configs.
 PrimitiveData = Mapping[str, Any]
 
-_LEAST_WALL = 0.002  # m, things could pass through thinner walls
+_MIN_WALL = 0.002  # m, least thickness of a collision wall; objects can pass through thinner walls
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class ShapeGrasp:
     """A grasp from above with two fingers.
 
     Attributes:
-        where: "body", "rim", "edge" or "handle".
-        position: middle between the pads (3,), m.
+        where: grasped part: "body", "rim", "edge" or "handle".
+        position: midpoint (3,) between the pads, m.
         axis_deg: closing direction of the fingers, degrees from +x.
-        width: thickness of the thing between the pads, m.
-        has_flat_contact: whether both pads touch with their faces; on a line contact the thing pivots between the pads.
-        tilt_deg: tilt of the hand from vertical towards `axis_deg`, so that the pads lie on a wall, degrees; None where
-            the pads hold no wall.
-        depth: length of the thing between the fingers, along them, m; the lever that keeps the thing from turning.
+        width: thickness of the object between the pads, m.
+        has_flat_contact: whether both pads touch with their faces. On a line contact, the object pivots.
+        tilt_deg: tilt of the hand from vertical towards `axis_deg`, degrees. With this tilt, the pads are parallel to
+            the grasped wall. None for other grasps.
+        depth: length of the object between the fingers, along the fingers, m. A longer lever resists rotation better.
     """
 
     where: str
@@ -53,14 +53,16 @@ class ShapeGrasp:
 
 @dataclass(frozen=True)
 class GeneratedShape:
-    """A thing as it stands, z up, with the origin on the ground under its middle.
+    """An upright object, z up, with the origin on the ground below its middle.
 
     Attributes:
-        grasps: the best first; empty where no grasp from above is possible.
-        carries: the preposition of things placed on it, "in" or "on".
-        support: height of the surface in the middle on which things are placed, m; None where nothing would stay.
-        rolls: the least radius of its round contacts with the ground, m; 0 for a flat foot.
-        turned: whether the thing is rotationally symmetric, so that all holds of one kind are equal.
+        pieces: visual surfaces.
+        collision: collision primitives.
+        grasps: grasps, the best first; empty if no grasp from above is possible.
+        carries: preposition for objects that are placed there, "in" or "on".
+        support: height of the surface in the middle for placing objects, m; None if no object would stay there.
+        rolls: least radius of the round contacts with the ground, m; 0 for a flat foot.
+        turned: whether the object is rotationally symmetric, so that all grasps of one kind are equivalent.
     """
 
     pieces: tuple[ShapePiece, ...]
@@ -73,13 +75,13 @@ class GeneratedShape:
 
 
 def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:
-    """A block of a full size (3,), m."""
+    """Return a box with its full size (3,), m."""
     plain = {"type": "box", "centre": _plain(centre), "half_size": _plain(np.divide(size, 2))}
     return plain | ({"yaw_deg": yaw_deg} if yaw_deg else {})
 
 
 def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
-    """An upright cylinder about the z axis between two heights, m."""
+    """Return an upright cylinder about the z axis between two heights, m."""
     return {
         "type": "cylinder",
         "centre": [0.0, 0.0, _short((low + high) / 2)],
@@ -89,29 +91,29 @@ def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
 
 
 def sphere_data(centre: Sequence[float], radius: float) -> PrimitiveData:
-    """A ball, m."""
+    """Return a sphere, m."""
     return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
 
 
 def capsule_data(start: ArrayLike, end: ArrayLike, radius: float) -> PrimitiveData:
-    """A capsule between two points (3,), m."""
+    """Return a capsule between two points (3,), m."""
     return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
 
 
 def capsules_along(path: ArrayLike, radius: float, *, closed: bool = False) -> list[PrimitiveData]:
-    """Capsules along a path (n, 3), and back to its start if `closed`."""
+    """Return capsules along a path (n, 3), m, and back to its start if `closed`."""
     points = list(np.asarray(path, float))
     return [capsule_data(a, b, radius) for a, b in itertools.pairwise([*points, points[0]] if closed else points)]
 
 
 def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData]:
-    """A ring of boxes under each segment of a profile (n, 2) of an inner surface, m."""
+    """Return one ring of boxes for each segment of the profile (n, 2) of an inner surface, m."""
     return [
         {
             "type": "ring",
             "inner": _plain(a),
             "outer": _plain(b),
-            "thickness": _short(max(wall, _LEAST_WALL)),
+            "thickness": _short(max(wall, _MIN_WALL)),
             "segments": segments,
         }
         for a, b in itertools.pairwise(corners)
@@ -119,7 +121,7 @@ def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData
 
 
 def simplify_polyline(profile: Array, tolerance: float) -> Array:
-    """The corners (k, n) of a polyline within a tolerance of a line (m, n) (Ramer-Douglas-Peucker)."""
+    """Simplify a polyline (m, n) to corners (k, n) within a tolerance, by the Ramer-Douglas-Peucker algorithm."""
     start, end = profile[0], profile[-1]
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
     rest = profile - start

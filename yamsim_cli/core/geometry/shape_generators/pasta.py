@@ -1,4 +1,4 @@
-"""Dry pasta along y: tubes with straight or slanted ends, ridged or plain, and rods."""
+"""Generated dry pasta along y: tubes with straight or slanted ends, with or without ridges, and rods."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from ..loft import Surface, loft, loft_closed
 from ..se3 import Array
 from .generated_shape import GeneratedShape, ShapeGrasp, ShapePiece, capsule_data
 
-_AROUND = 48
+_SEGMENTS = 48  # visual faces around the axis
 
 
 def make_pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges: int) -> GeneratedShape:
-    """One piece of pasta.
+    """Generate a piece of pasta.
 
     Args:
-        diameter, length: outside, m.
-        wall: thickness of a tube's wall, m; 0 for a rod.
-        slant_deg: angle of the ends from a straight cut.
-        ridges: number of ridges along it.
+        diameter, length: outer dimensions, m.
+        wall: wall thickness of a tube, m; 0 for a rod.
+        slant_deg: angle of the ends from a straight cut, degrees.
+        ridges: number of lengthwise ridges.
     """
     radius = diameter / 2
     surface = _pipe(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
     half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
     hull = capsule_data((0, -half, radius), (0, half, radius), radius)
-    hold = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
-    return GeneratedShape((ShapePiece("body", surface),), (hull,), (hold,), rolls=radius)
+    grasp = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
+    return GeneratedShape((ShapePiece("body", surface),), (hull,), (grasp,), rolls=radius)
 
 
 def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     outer = radius * (1 - (0.03 + 0.03 * np.cos(ridges * angle) if ridges else 0.0 * angle))
     straight = length / 2 - slant * radius
 
@@ -41,6 +41,6 @@ def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) 
     loops = [loop(outer - bevel, -1, 0), loop(outer, -1, bevel), loop(outer, 1, bevel), loop(outer - bevel, 1, 0)]
     if not wall:
         return loft(loops[::-1])
-    inner = np.full(_AROUND, radius - wall)
+    inner = np.full(_SEGMENTS, radius - wall)
     loops += [loop(inner, 1, 0), loop(inner, -1, 0)]
     return loft_closed(loops[::-1])

@@ -1,4 +1,4 @@
-"""Round things: plates, bowls, cups, pots, jars, bottles, caps, and fruit."""
+"""Generated round objects: plates, bowls, cups, pots, jars, bottles, caps and fruit."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from .generated_shape import (
 
 Handles = Literal["none", "loop", "ears"]
 
-_SEEN = 48  # visual faces around the axis
+_VISUAL_FACES = 48  # visual faces around the axis
 _BOXES, _FEW_BOXES = 24, 16  # collision boxes around the axis of a wide and of a narrow vessel
-_NARROW = 0.05  # m, greatest radius of a narrow vessel
-_TOLERANCE = 0.0010  # m, distance of collision segments from the profile
-_WIDEST = 0.091  # m, widest body that is not held by its rim: linear_4310 opens 95 mm
-_UNDER_RIM = 0.014  # m, depth of the pads' middle under the rim, which then lies between the fingers above the pads
-_PAD = 0.008  # m, half a pad's height
-_PALM = 0.040  # m, deepest grasp under the top: deeper, the palm would touch the top
-_NECK = 0.014  # m, depth under the rim at which a neck is held
+_NARROW = 0.05  # m, largest radius of a narrow vessel
+_TOLERANCE = 0.0010  # m, largest distance of collision segments from the profile
+_MAX_WIDTH = 0.091  # m, largest width for a grasp across the body: linear_4310 opens 95 mm
+_RIM_DEPTH = 0.014  # m, depth of the pads' middle below the rim, which is then between the fingers above the pads
+_PAD = 0.008  # m, half the height of a pad
+_MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
+_NECK_DEPTH = 0.014  # m, depth below the rim of a grasp on a neck
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,16 @@ class Vessel:
     """Sizes of an open vessel, m.
 
     Attributes:
-        diameter: greatest outer diameter.
+        diameter: largest outer diameter.
+        height: total height.
         foot: outer diameter of the bottom.
-        flare: exponent of the wall's widening from foot to rim over the height: below 1 a bowl, 1 a cone, above 1 a
-            trumpet.
+        wall: thickness of wall and floor.
+        flare: exponent of the widening from foot to rim over the height: below 1 a bowl, 1 a cone, above 1 a trumpet.
         fillet: inner radius of the edge between floor and wall.
-        neck, shoulder, slope: outer diameter of a neck; height of the body's end; height over which the body narrows.
-        handles: one upright loop, or two ears.
-        reach: distance by which handles stand out.
+        neck, shoulder, slope: outer diameter of the neck, if any; height of the body below the neck; height over which
+            the body narrows to the neck.
+        handles: "none", one upright "loop", or two "ears".
+        reach: distance by which handles protrude.
     """
 
     diameter: float
@@ -63,7 +65,7 @@ class Vessel:
     reach: float = 0.0
 
     def inner_profile(self) -> Array:
-        """Radius and height (n, 2) of the inner surface from the axis to the rim, m."""
+        """Return radius and height (n, 2) of the inner surface from the axis to the rim, m."""
         floor, top = self.wall, self.height - self.wall / 2
         foot, widest = self.foot / 2 - self.wall, self.diameter / 2 - self.wall
         fillet = min(self.fillet, foot * 0.8)
@@ -84,9 +86,9 @@ class Vessel:
 
 
 def make_vessel(size: Vessel) -> GeneratedShape:
-    """An open vessel on its foot."""
+    """Generate an open vessel that stands on its foot."""
     inside = size.inner_profile()
-    pieces = [ShapePiece("body", revolve(shell_profile(inside, size.wall), _SEEN))]
+    pieces = [ShapePiece("body", revolve(shell_profile(inside, size.wall), _VISUAL_FACES))]
     segments = _segments(size)
     wall = inside[int(np.flatnonzero(np.diff(inside[:, 1]) > 1e-9)[0]) :]
     collision: list[PrimitiveData] = [cylinder_data(0.0, size.wall, float(wall[0, 0]) + size.wall / 2)]
@@ -95,36 +97,36 @@ def make_vessel(size: Vessel) -> GeneratedShape:
         pieces.append(ShapePiece("handle", surface))
         collision += capsules_along(simplify_polyline(path, _TOLERANCE), radius)
     deep = size.height > 0.03
-    holds, carries = tuple(_vessel_grasps(size, inside)), "in" if deep else "on"
-    return GeneratedShape(tuple(pieces), tuple(collision), holds, carries, size.wall, turned=size.handles == "none")
+    grasps, carries = tuple(_vessel_grasps(size, inside)), "in" if deep else "on"
+    return GeneratedShape(tuple(pieces), tuple(collision), grasps, carries, size.wall, turned=size.handles == "none")
 
 
 def _segments(size: Vessel) -> int:
     return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
-def _outer(size: Vessel, inside: Array, height: float) -> float:
+def _outer_radius(size: Vessel, inside: Array, height: float) -> float:
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
     return float(np.interp(height, wall[:, 1], wall[:, 0])) + size.wall
 
 
 def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
-    """Each handle's surface, centre line (n, 3), m, and radius, m."""
+    """Return the surface, centre line (n, 3), m, and radius, m, of each handle."""
     inside, top = size.inner_profile(), size.height
     if size.handles == "loop":
         low, high = 0.22 * top, 0.85 * top
         thick = min(0.0065, size.reach / 4)
-        start, end = (_outer(size, inside, height) + 0.75 * thick - size.wall for height in (high, low))
+        start, end = (_outer_radius(size, inside, height) + 0.75 * thick - size.wall for height in (high, low))
         turn = np.linspace(0, np.pi, 15)
-        # The loop has the shape of a D.
+        # The loop is D-shaped.
         x = np.interp(turn, [0, np.pi], [start, end]) + (size.reach - 1.75 * thick) * np.sin(turn) ** 0.6
         rise = (high + low) / 2 + (high - low) / 2 * np.cos(turn)
         path = np.column_stack([x, np.zeros_like(x), rise])
         return [(tube(path, thick, thick * 0.75, (0, 1, 0)), path, thick * 0.85)]
     if size.handles == "ears":
         thick, z = 0.0055, top - 0.022
-        # The round ends stay inside the wall.
-        radius = _outer(size, inside, z) + thick - size.wall
+        # The round ends are hidden inside the wall.
+        radius = _outer_radius(size, inside, z) + thick - size.wall
         half = np.radians(17)
         turn = np.linspace(-1, 1, 15)
         ears = []
@@ -139,35 +141,35 @@ def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
 
 
 def _vessel_grasps(size: Vessel, inside: Array) -> list[ShapeGrasp]:
-    """Grasps across the body where a hand spans the body, then at the rim."""
+    """Return grasps across the body if it fits between the fingers, then grasps at the rim."""
     found: list[ShapeGrasp] = []
     neck = size.neck is not None
-    height = max(0.55 * size.height, size.height - _PALM)
+    height = max(0.55 * size.height, size.height - _MAX_DEPTH)
     if size.neck and size.neck < 0.06:
-        height = size.height - _NECK
-    # The pads lie on the face of every other box.
+        height = size.height - _NECK_DEPTH
+    # The pads are parallel to the face of every second collision box.
     around = np.arange(0.0, 360.0, 720.0 / _segments(size))
-    width = 2 * _outer(size, inside, height)
-    if width <= _WIDEST:
+    width = 2 * _outer_radius(size, inside, height)
+    if width <= _MAX_WIDTH:
         axes = (90.0 + around[around < 180]) % 180 if size.handles == "none" else (90.0,)
         found += [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), float(axis), round(width, 4)) for axis in axes]
     if not neck or size.neck > 0.05:  # type: ignore[operator]  # a neck that a finger fits into
-        radius, z, tilt, bulge = _at_the_rim(size, inside)
+        radius, z, tilt, bulge = _rim_wall(size, inside)
         for angle in around if size.handles == "none" else (90.0, 270.0):
             turn = np.radians(angle)
             place = (round(radius * float(np.cos(turn)), 4) + 0.0, round(radius * float(np.sin(turn)), 4) + 0.0, z)
             inwards, width = float(angle + 180) % 360, round(size.wall + bulge, 4)
-            depth = _UNDER_RIM + _PAD
+            depth = _RIM_DEPTH + _PAD
             found.append(ShapeGrasp("rim", place, inwards, width, tilt_deg=round(math.degrees(tilt), 1), depth=depth))
     return found
 
 
-def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
-    """The wall between the pads: radius and height of its middle, m, its tilt outwards, rad, and its bulge, m."""
+def _rim_wall(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
+    """Return the wall between the pads: radius and height of its middle, m, outward tilt, rad, and bulge, m."""
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
-    # The depth is measured along the wall: a plate's rim is flat.
+    # The depth is measured along the wall, because the rim of a plate is flat.
     under = np.linalg.norm(wall - wall[0], axis=1)
-    middle = min(_UNDER_RIM, under[-1] / 2)
+    middle = min(_RIM_DEPTH, under[-1] / 2)
     places = middle + np.linspace(-1, 1, 9) * min(_PAD, middle)
     line = np.column_stack([np.interp(places, under, wall[:, k]) for k in (0, 1)])
     up = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
@@ -177,23 +179,23 @@ def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float
 
 
 def make_cap(diameter: float, height: float, wall: float, grips: int) -> GeneratedShape:
-    """A screw cap or lid, hollow side down, with `grips` ridges around it."""
+    """Generate a screw cap or lid with its hollow side down and `grips` ridges around it; lengths in m."""
     radius = diameter / 2
     top = np.concatenate([[[0.0, height]], arc((radius - 0.0015, height - 0.0015), 0.0015, 90, 0, 4), [[radius, 0.0]]])
     under = np.array([[radius - wall, 0.0], [radius - wall, height - wall], [0.0, height - wall]])
     profile = np.concatenate([top, under])[::-1]
-    body = revolve(profile, 96 if grips else _SEEN, grips, 0.012 if grips else 0.0)
+    body = revolve(profile, 96 if grips else _VISUAL_FACES, grips, 0.012 if grips else 0.0)
     skirt = np.array([[radius - wall, 0.0], [radius - wall, height]])
     collision = [cylinder_data(height - wall, height, radius), *ring_boxes(skirt, wall, _FEW_BOXES)]
     width = round(2 * radius, 4)
     z = round(height / 2, 4)
-    axes = (90.0, 135.0, 0.0, 45.0) if width <= _WIDEST else ()
-    holds = tuple(ShapeGrasp("body", (0.0, 0.0, z), axis, width) for axis in axes)
-    return GeneratedShape((ShapePiece("body", body),), tuple(collision), holds, support=height, turned=True)
+    axes = (90.0, 135.0, 0.0, 45.0) if width <= _MAX_WIDTH else ()
+    grasps = tuple(ShapeGrasp("body", (0.0, 0.0, z), axis, width) for axis in axes)
+    return GeneratedShape((ShapePiece("body", body),), tuple(collision), grasps, support=height, turned=True)
 
 
 def make_fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> GeneratedShape:
-    """A round fruit with `lobes` swellings of a share `depth` of its radius, a dent on top, and a stalk in the dent."""
+    """Generate a round fruit with `lobes` bulges of a fraction `depth` of the radius, and a stalk in a dent on top."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 33)
     radius = diameter / 2 / (1 + depth) * np.cos(turn) ** 0.85
     z = height / 2 * (1 + np.sin(turn))
@@ -225,7 +227,7 @@ def make_fruit(diameter: float, height: float, lobes: int, depth: float, stalk: 
     if waist > 0.001:
         around = np.radians(np.arange(0, 360, 45))
         parts = [sphere_data((waist * np.cos(a), waist * np.sin(a), middle), ball) for a in around]
-    holds = [
+    grasps = [
         ShapeGrasp("body", (0.0, 0.0, round(middle, 4)), axis, round(diameter, 4)) for axis in (90.0, 0.0, 45.0, 135.0)
     ]
-    return GeneratedShape(tuple(pieces), tuple(parts), tuple(holds), rolls=ball, turned=True)
+    return GeneratedShape(tuple(pieces), tuple(parts), tuple(grasps), rolls=ball, turned=True)

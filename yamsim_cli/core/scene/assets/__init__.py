@@ -1,6 +1,6 @@
-"""Meshes that yamsim does not ship: their lock, their store, and their sources.
+"""Meshes that yamsim does not ship: their lock, their store and their sources.
 
-Only `fetch` and `fetch_missing` use the network; `load_lock` and `AssetStore.resolve` read files.
+Only `fetch` and `fetch_missing` use the network. `load_lock` and `AssetStore.resolve` only read files.
 """
 
 from .asset_lock import AssetLock, AssetSet, LockedFile, Reduction, load_lock

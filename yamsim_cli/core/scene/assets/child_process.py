@@ -1,4 +1,4 @@
-"""Run another program with time limits and without output, and leave no process behind."""
+"""Running of another program with time limits and captured output; no process is left behind."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pathlib import Path
 
 from .sources import SourceError
 
-_POLL_S = 0.1  # s, between two looks at the child
-_PR_SET_PDEATHSIG = 1  # of prctl(2)
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: a new child may take no locks
+_POLL_S = 0.1  # s between two polls of the child process
+_PR_SET_PDEATHSIG = 1  # option of prctl(2)
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded early: a forked child must not take locks
 
 
 @dataclass(frozen=True)
 class ChildResult:
-    """How a program ended, and all that it wrote."""
+    """The exit code of a program and its output."""
 
     returncode: int
     stdout: str
@@ -32,7 +32,7 @@ class ChildResult:
 def python_call(function: Callable[..., object], *arguments: str | int) -> list[str]:
     """Return the command that calls a module-level function of yamsim in another Python process.
 
-    -P keeps files in the current folder from being imported.
+    -P prevents imports from the current folder.
     """
     module, name = function.__module__, function.__qualname__
     root = str(Path(__file__).resolve().parents[4])
@@ -43,21 +43,22 @@ def python_call(function: Callable[..., object], *arguments: str | int) -> list[
 def run_child(
     command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
 ) -> ChildResult:
-    """Run a program to its end; at a time limit, kill the program and its children.
+    """Run a program to its end. At a time limit, kill the program and its children.
 
     Args:
-        command: the program and its arguments; it inherits the environment.
-        scratch: folder for files with its output, so that no full pipe can block it.
-        limit_s: longest time in all, s.
-        idle_s: longest time without a change of `watch`, s: a dead line is given up early, and a slow one is not.
+        command: the program and its arguments. The program inherits the environment.
+        scratch: folder for files with the program's output, so that no full pipe can block the program.
+        limit_s: longest total time, s.
+        idle_s: longest time without a change of `watch`, s. This limit ends dead downloads but not slow ones.
         watch: returns the progress of the program; called ten times a second.
 
-    Raises SourceError if the program could not be started, or a limit was reached.
+    Raises:
+        SourceError: the program cannot be started, or a time limit is reached.
     """
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:
         try:
-            # A session of its own can be killed as a whole, and Ctrl-C in the terminal does not reach it.
+            # A separate session can be killed as a whole, and Ctrl-C in the terminal does not reach it.
             child = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -78,7 +79,7 @@ def run_child(
 
 
 def _end_with_parent(parent: int) -> None:
-    """Have the kernel kill this process, a new child, when its parent ends for any reason."""
+    """In a new child process: let the kernel kill this process when its parent ends for any reason."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:

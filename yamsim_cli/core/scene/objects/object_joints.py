@@ -1,4 +1,4 @@
-"""Joints of articulated objects: hinges, slides, screws, detents, and sites of handles."""
+"""Joints of articulated objects (hinges, slides, screws, detents), and sites of handles."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ...config.objects.articulation import Detent, Handle, Link, LinkJoint
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from .object_geoms import HIDDEN_GROUP
 
-_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
-_SLACK = 10.0  # m, longer than any detent's spring becomes, so that the spring never pulls
-_STEPS = 400  # positions at which a detent's force is measured
-_STIFF = (0.004, 1.0)  # solref of a thread: as stiff as a step of 2 ms allows
-_DRY = (0.99, 0.999, 0.001, 0.5, 2.0)  # solimp of friction; with MuJoCo's default, joints creep by millimetres a second
+_DETENT_RADIUS = 0.05  # m, radius of a hinge's detent; any radius gives the same torque
+_MAX_LENGTH = 10.0  # m, upper spring length; longer than any detent's spring becomes, so that the spring never pulls
+_DETENT_STEPS = 400  # joint positions at which a detent's force is computed
+_THREAD_SOLREF = (0.004, 1.0)  # solref of a thread: the stiffest one that a time step of 2 ms allows
+_FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # with MuJoCo's default, joints creep by millimetres a second
 
 
 def joint_transform(joint: LinkJoint, value: float) -> Array:
-    """The motion (4, 4) of a part in its frame at joint position 0; `value` in m or rad."""
+    """Return the motion (4, 4) of a part from joint position 0 to `value`, m or rad, in its frame at position 0."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if not joint.turns:
         return pose(value * axis)
@@ -32,7 +32,7 @@ def joint_transform(joint: LinkJoint, value: float) -> Array:
 
 
 def start_pose(link: Link) -> Array:
-    """The pose (4, 4) of a part in its parent at the joint's start."""
+    """Return the pose (4, 4) of a part in its parent at the joint's start position."""
     T: Array = link.T_in_parent @ joint_transform(link.joint, link.joint.to_si(link.joint.start))
     return T
 
@@ -53,23 +53,23 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
             name=f"{name}_thread",
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            # The rotation follows the lift: an equality's softness depends on its joints' inertias, and in the opposite
-            # direction a cap, whose rotational inertia is small, would sag by centimetres.
+            # The rotation follows the lift. The softness of an equality depends on the inertias of its joints. In the
+            # opposite direction, a cap with its small rotational inertia would sag by centimetres.
             name1=name,
             name2=f"{name}_thread",
             data=[0, 1 / lead, *[0] * 10],
-            solref=_STIFF,
+            solref=_THREAD_SOLREF,
         )
     body.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
         axis=joint.axis,
         pos=joint.position,
-        # Specs with compiler angle in degrees have ranges in degrees.
+        # With the compiler's angles in degrees, ranges are in degrees.
         range=[_angle(spec, joint, end) for end in joint.range],
         limited=True,
         ref=_angle(spec, joint, joint.start),
-        solimp_friction=_DRY,
+        solimp_friction=_FRICTION_SOLIMP,
         **rubs,
     )
     for k, detent in enumerate(joint.detents):
@@ -81,33 +81,33 @@ def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
 
 
 def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link, detent: Detent) -> None:
-    """Add a spring that the part compresses on its way over the detent, and that is slack elsewhere.
+    """Add a spring that the part compresses when it moves over the detent, and that is slack elsewhere.
 
-    One end is on the part, the other on the parent, beside the path of the first.
+    One end is on the part. The other end is on the parent, beside the path of the first end.
     """
     joint = link.joint
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
     at, half = joint.to_si(detent.at), joint.to_si(detent.width) / 2
-    on_part = np.array(joint.position) + (_RADIUS * across if joint.turns else 0.0)
-    foot = 2 * _RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
+    on_part = np.array(joint.position) + (_DETENT_RADIUS * across if joint.turns else 0.0)
+    foot = 2 * _DETENT_RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
     offset = foot * (axis if joint.turns else across)
     T = link.T_in_parent @ joint_transform(joint, at)
     body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
     parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + offset), 1.0])[:3], group=HIDDEN_GROUP)
-    path = np.linspace(0, half, _STEPS)
-    chord = 2 * _RADIUS * np.sin(path / 2) if joint.turns else path
+    path = np.linspace(0, half, _DETENT_STEPS)
+    chord = 2 * _DETENT_RADIUS * np.sin(path / 2) if joint.turns else path
     length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
     push = (rest - length) * np.gradient(length, path)
-    tendon = spec.add_tendon(name=name, springlength=[rest, _SLACK], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])
+    tendon = spec.add_tendon(name=name, springlength=[rest, _MAX_LENGTH], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])
     tendon.stiffness = [detent.effort / float(push.max()), 0, 0]
     tendon.wrap_site(f"{name}_part")
     tendon.wrap_site(f"{name}_parent")
 
 
 def add_handles(body: Any, name: str, handles: Sequence[Handle]) -> None:
-    """Add handles as sites `<name>_<handle>` in the pinch frame."""
+    """Add handles as sites `<name>_<handle>`, whose frames are the pinch frames of their grasps."""
     for handle in handles:
         T = handle.T_pinch_in_part
         body.add_site(

@@ -17,20 +17,20 @@ from ..cloth import add_cloth
 from .object_geoms import MeshFiles, add_collision, add_material, add_primitive, add_visual_mesh, add_visual_ring
 from .object_joints import add_handles, add_link_joint, start_pose
 
-# A fixed base has a free joint, so that each attempt can place the base. Armature (kg, kg m2) and damping (N s/m,
-# N m s) let no hand move the base by 0.1 mm in a minute.
-_HELD_INERTIA, _HELD_DAMPING = 1e4, 1e7
+# A fixed base has a free joint, so that each attempt can place the base. With this armature (kg, kg m2) and damping
+# (N s/m, N m s), no hand moves the base by 0.1 mm in a minute.
+_FIXED_ARMATURE, _FIXED_DAMPING = 1e4, 1e7
 
 
 def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fixed: bool = False) -> None:
-    """Add an object as a free body of its name, with its links; or a cloth.
+    """Add an object as a free body of the same name with its links, or add a cloth.
 
     Args:
-        meshes: asset set -> folder; without a set of visual meshes, the collision primitives are visible instead.
-        fixed: whether to add a mocap body in place of a free one.
+        meshes: asset set -> folder. Where visual meshes are not available, the collision primitives are visible.
+        fixed: whether to add a mocap body instead of a free body.
 
     Raises:
-        ResourceError: a collision mesh is not here.
+        ResourceError: a collision mesh is not available.
     """
     if item.cloth is not None:
         assert not fixed, "distractors are stiff"
@@ -41,12 +41,12 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
     base = spec.worldbody.add_body(name=item.name, mocap=fixed)
     if item.base == "fixed" and not fixed:
         base.add_joint(
-            name=item.name, type=mujoco.mjtJoint.mjJNT_FREE, armature=_HELD_INERTIA, damping=[_HELD_DAMPING, 0, 0]
+            name=item.name, type=mujoco.mjtJoint.mjJNT_FREE, armature=_FIXED_ARMATURE, damping=[_FIXED_DAMPING, 0, 0]
         )
         base.gravcomp = 1.0
     elif not fixed:
         base.add_freejoint(name=item.name)
-    _fill(
+    _fill_body(
         spec, base, item.name, item.inertia, item.contact, (item.mesh, *item.meshes), item.collision, item.look,
         (item.mesh.set, meshes),
     )  # fmt: skip
@@ -57,7 +57,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
         T = start_pose(link)
         body = parent.add_body(name=name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
         add_link_joint(spec, parent, body, name, link)
-        _fill(
+        _fill_body(
             spec, body, name, link.inertia, item.contact, link.meshes or (), link.collision, link.look,
             (item.mesh.set, meshes), plain=item.mesh,
         )  # fmt: skip
@@ -65,7 +65,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
         bodies[link.name] = body
 
 
-def _fill(
+def _fill_body(
     spec: mujoco.MjSpec,
     body: Any,
     name: str,
@@ -77,7 +77,7 @@ def _fill(
     files: tuple[str, MeshFiles],
     plain: ObjectMesh | None = None,
 ) -> None:
-    """Add inertia, visual meshes and collision geoms to a body. A part without a mesh has the colour of `plain`."""
+    """Add inertia, visual meshes and collision geoms to a body. Without meshes, the body has the colour of `plain`."""
     body.mass, body.ipos = inertia.mass, inertia.centre
     body.inertia = inertia.diagonal
     body.iquat = np.asarray(inertia.quat) / np.linalg.norm(inertia.quat)
