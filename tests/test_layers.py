@@ -37,6 +37,7 @@ FLOORS: dict[str, int] = {
     "core.expert": 7,
     "core.episode": 8,
     "gl": 8,
+    "mesh_download": 8,
     "session_opener": 9,
     # Wings: each is something that users do.
     "datasets": 10,

@@ -313,7 +313,7 @@ class SessionOpener:
         self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
         """Fetch missing asset sets, unless the user chose primitives. Return their folders."""
-        from .core.scene.assets import fetch_missing
+        from yamsim_cli.mesh_download.fetch import fetch_missing
 
         on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
         why = f"run `yamsim assets fetch{on_demand}`, or `yamsim doctor`"

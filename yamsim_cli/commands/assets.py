@@ -17,7 +17,8 @@ from yamsim_cli.terminal.console import print_json, print_line, print_note, prin
 from yamsim_cli.terminal.tables import ItemTable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.scene.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
+    from yamsim_cli.core.scene.assets import AssetLock, AssetSet, AssetStore, ReducedSet
+    from yamsim_cli.mesh_download.fetch import FetchReport
     from yamsim_cli.objects.building import ImportOptions
     from yamsim_cli.objects.certify.certify import CertificationResult
     from yamsim_cli.objects.importing.file_import import ImportedObjectFile
@@ -139,7 +140,8 @@ def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
     """Return the fetch report, and by set name the reduced meshes of each set that could be reduced."""
-    from yamsim_cli.core.scene.assets import default_sources, fetch, make_reduced
+    from yamsim_cli.core.scene.assets import make_reduced
+    from yamsim_cli.mesh_download.fetch import default_sources, fetch
     from yamsim_cli.terminal.fetch_bar import fetch_bar
 
     with fetch_bar() as advance:

@@ -7,7 +7,8 @@ import pytest
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.assets import AssetStore, SourceError, default_sources, fetch, load_lock
+from yamsim_cli.core.scene.assets import AssetStore, SourceError, load_lock
+from yamsim_cli.mesh_download.fetch import default_sources, fetch
 
 
 @dataclass

@@ -8,9 +8,10 @@ import zipfile
 
 import pytest
 
-from yamsim_cli.core.scene.assets import SourceError, fetch
-from yamsim_cli.core.scene.assets.downloads import Menagerie, PinnedArchives, read_members
+from yamsim_cli.core.scene.assets import SourceError
 from yamsim_cli.core.scene.assets.sources import no_progress
+from yamsim_cli.mesh_download.downloads import Menagerie, PinnedArchives, read_members
+from yamsim_cli.mesh_download.fetch import fetch
 
 
 def write_wheel(path, members):

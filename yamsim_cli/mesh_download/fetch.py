@@ -9,12 +9,12 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...errors import ResourceError
-from ...files.writing import exclusive_lock
-from .asset_lock import AssetLock, AssetSet
-from .asset_store import AssetStore, MismatchError
+from ..core.errors import ResourceError
+from ..core.files.writing import exclusive_lock
+from ..core.scene.assets.asset_lock import AssetLock, AssetSet
+from ..core.scene.assets.asset_store import AssetStore, MismatchError
+from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
-from .sources import AssetSource, FetchProgress, SourceError, no_progress
 
 STORE = "store"  # source, in a report, of a set that was already in the store
 

@@ -4,7 +4,8 @@ import time
 from pathlib import Path
 
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.assets import AssetStore, fetch, load_lock
+from yamsim_cli.core.scene.assets import AssetStore, load_lock
+from yamsim_cli.mesh_download.fetch import fetch
 
 
 class SlowSource:

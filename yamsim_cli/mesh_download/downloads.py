@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from ...files.writing import sha256_file
-from .asset_lock import Archive, AssetSet, is_contained
-from .asset_store import FileStatus, check_file
-from .child_process import ChildResult, run_child
-from .sources import FetchProgress, SourceError
+from ..core.files.writing import sha256_file
+from ..core.scene.assets.asset_lock import Archive, AssetSet, is_contained
+from ..core.scene.assets.asset_store import FileStatus, check_file
+from ..core.scene.assets.child_process import ChildResult, run_child
+from ..core.scene.assets.sources import FetchProgress, SourceError
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ import pytest
 
 from tests.core.scene.assets.conftest import AssetFixture
 from yamsim_cli.core.files.resources import Meshes
-from yamsim_cli.core.scene.assets import default_sources, fetch
-from yamsim_cli.core.scene.assets.fetch import FAILURE_VALID_S
+from yamsim_cli.mesh_download.fetch import FAILURE_VALID_S, default_sources, fetch
 from yamsim_cli.session_opener import SessionOpener
 
 Look = Callable[..., tuple[Meshes, list[str]]]

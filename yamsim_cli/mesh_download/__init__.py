@@ -1,0 +1,1 @@
+"""Downloads and generates the meshes that yamsim does not ship. Only this package uses the network for them."""
