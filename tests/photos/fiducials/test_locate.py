@@ -322,9 +322,9 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
         sizes.append(grey.shape)
         return stretched(grey)
 
-    monkeypatch.setattr(markers, "_stretched", spy)
+    monkeypatch.setattr(markers, "_stretch_contrast", spy)
     found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
-    monkeypatch.setattr(markers, "_SHRINK_TO", 10**6)
+    monkeypatch.setattr(markers, "_REDUCED_SIDE", 10**6)
     whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
     assert sizes == [(3072, 4096), (5400, 7200)]
     assert set(found) >= set(whole) >= set(TWO.ids)

@@ -55,7 +55,7 @@ def test_one_that_strays_too_far_is_not_used(monkeypatch):
     assert 100 < len(in_mm(reduced)[1]) < len(BALL[1])
     assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
     # And where that strays too, the source.
-    monkeypatch.setattr(reduction, "cleared", lambda surface, tolerance: (surface[0] * 1.1, surface[1][:50]))
+    monkeypatch.setattr(reduction, "remove_slivers", lambda surface, tolerance: (surface[0] * 1.1, surface[1][:50]))
     assert reduce_stl(source, Reduction(faces=20)) == source
 
 
