@@ -42,7 +42,9 @@ ROWS: dict[str, ClientRow] = {
     "mujoco-3.11": ClientRow("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),
     "mujoco-3.17": ClientRow("MuJoCo 3.17", "mujoco", _SCENES, Environment("dm_control")),
     "mujoco-4": ClientRow(
-        "MuJoCo 4", "mujoco", "`compose-xml`: all rigs and tasks load and come to rest; recorded episodes move as recorded"
+        "MuJoCo 4",
+        "mujoco",
+        "`compose-xml`: all rigs and tasks load and come to rest; recorded episodes move as recorded",
     ),
     "dm_control": ClientRow(
         "dm_control",
@@ -53,7 +55,7 @@ ROWS: dict[str, ClientRow] = {
     "raiden": ClientRow(
         client="TRI's raiden, from its repository",
         distribution="raiden",
-        opens="`export raiden`: raiden shards, shows and plays it by its own kinematics, and converts to the same frames",
+        opens="`export raiden`: shards, shows and plays it by its own kinematics, and converts to the same frames",
         environment=Environment("raiden", python="3.11"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
@@ -70,7 +72,7 @@ ROWS: dict[str, ClientRow] = {
     "act": ClientRow(
         "inspect-robots-yam, json-numpy",
         "inspect-robots-yam",
-        "`eval --policy act://`: a server with json_numpy gives the expert's trials; messages equal those of its client",
+        "`eval --policy act://`: a server with json_numpy gives the expert's trials; messages equal its client's",
         Environment("act"),
     ),
     "openpi": ClientRow(
@@ -94,7 +96,7 @@ ROWS: dict[str, ClientRow] = {
     "chiral": ClientRow(
         client="TRI's chiral, from its repository",
         distribution="chiral",
-        opens="`serve-robot --chiral`: chiral's client homes both arms, drives them by joints and poses, and gets images",
+        opens="`serve-robot --chiral`: chiral's client homes both arms, drives them by joints and poses, gets images",
         environment=Environment("chiral"),
         heavy=True,
         checkout="YAMSIM_CHIRAL",
@@ -114,8 +116,8 @@ ROWS: dict[str, ClientRow] = {
         "LeRobot 0.6",
         "lerobot",
         f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
-        "gives the same actions as LeRobot's own inference of a tiny ACT policy; `serve-robot --cameras`: images in its "
-        "camera interface; "
+        "gives the same actions as LeRobot's own inference of a tiny ACT policy; `serve-robot --cameras`: images in "
+        "its camera interface; "
         "`lerobot-train` with a small version of [the recipe](training.md): repeats a single demonstration",
         Environment("lerobot", "3.12"),
         heavy=True,
