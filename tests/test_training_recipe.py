@@ -14,7 +14,9 @@ from tests.pages import DOCS, blocks
 def shown() -> list[list[str]]:
     """The words of the page's command lines, programs left out."""
     text = (DOCS / "training.md").read_text(encoding="utf-8")
-    (block,) = [block for block in blocks(text) if block.section == "Four commands" and block.language == "sh"]
+    (block,) = [
+        block for block in blocks(text) if block.section == "Record, export, train, evaluate" and block.language == "sh"
+    ]
     return [shlex.split(line) for line in block.commands]
 
 

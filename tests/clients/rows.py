@@ -28,12 +28,12 @@ class ClientRow:
     checkout: str = ""
 
 
-_SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
-_RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
-_ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
-_VIDEOS = "writes our videos and exports, as the newest does: their tests pass with it"
+_SCENES = "`compose-xml`: all rigs and tasks load and come to rest; recorded episodes move as in MuJoCo 4"
+_RRD = "`export rerun`: verified; joints, commands, images, cameras and poses equal the recorded ones"
+_ENVS = "`yamsim/PickPlace-v0`: passes gymnasium's checker, and runs in separate processes, with images"
+_VIDEOS = "writes yamsim's videos and exports: their tests pass as with the newest version"
 _LEROBOT = (
-    "`export lerobot`: every frame read; episodes deleted, split and merged, features removed; training starts on both"
+    "`export lerobot`: all frames read; episodes deleted, split and merged; features removed; training starts on both"
 )
 
 # Key, as tests give it to the fixture `client` -> row.
@@ -42,18 +42,20 @@ ROWS: dict[str, ClientRow] = {
     "mujoco-3.11": ClientRow("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),
     "mujoco-3.17": ClientRow("MuJoCo 3.17", "mujoco", _SCENES, Environment("dm_control")),
     "mujoco-4": ClientRow(
-        "MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"
+        "MuJoCo 4",
+        "mujoco",
+        "`compose-xml`: all rigs and tasks load and come to rest; recorded episodes move as recorded",
     ),
     "dm_control": ClientRow(
         "dm_control",
         "dm_control",
-        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
+        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); attaches rigs without boards",
         Environment("dm_control"),
     ),
     "raiden": ClientRow(
-        client="TRI's raiden, of its repository",
+        client="TRI's raiden, from its repository",
         distribution="raiden",
-        opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
+        opens="`export raiden`: shards, shows and plays it by its own kinematics, and converts to the same frames",
         environment=Environment("raiden", python="3.11"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
@@ -65,44 +67,44 @@ ROWS: dict[str, ClientRow] = {
     "inspect-robots": ClientRow(
         "Inspect Robots",
         "inspect-robots",
-        "Six of KitchenBench's tasks on our station: conforms, all 30 scenes at rest; our expert stacks two cups",
+        "six KitchenBench tasks on yamsim's station: conforms, all 30 scenes at rest; the expert stacks two cups",
     ),
     "act": ClientRow(
         "inspect-robots-yam, json-numpy",
         "inspect-robots-yam",
-        "`eval --policy act://`: a server with json_numpy gives the expert's trials; we send what its client sends",
+        "`eval --policy act://`: a server with json_numpy gives the expert's trials; messages equal its client's",
         Environment("act"),
     ),
     "openpi": ClientRow(
         "openpi-client",
         "openpi-client",
-        "`eval --policy ws://`: a server with its packer gives the expert's trials",
+        "`eval --policy ws://`: a server with openpi's packer gives the expert's trials",
         Environment("openpi"),
     ),
     "i2rt": ClientRow(
         "the maker's SDK, Dreamscale's build",
         "dreamscale-i2rt",
-        "`serve-robot`, `can-run`: checks its motors, calibrates the gripper, moves, holds and floats; its tools",
+        "`serve-robot`, `can-run`: checks motors, calibrates the gripper, moves, holds and floats; the SDK's tools run",
         Environment("i2rt"),
     ),
     "portal": ClientRow(
         "portal",
         "portal",
-        "`serve-robot --portal`: drives the arm by the calls of the maker's follower",
+        "`serve-robot --portal`: drives the arm with the calls of the maker's follower",
         Environment("i2rt"),
     ),
     "chiral": ClientRow(
-        client="TRI's chiral, of its repository",
+        client="TRI's chiral, from its repository",
         distribution="chiral",
-        opens="`serve-robot --chiral`: its own client homes both arms, drives them by joints and by poses, and sees",
+        opens="`serve-robot --chiral`: chiral's client homes both arms, drives them by joints and poses, gets images",
         environment=Environment("chiral"),
         heavy=True,
         checkout="YAMSIM_CHIRAL",
     ),
     "raiden-cameras": ClientRow(
-        client="raiden's cameras, of its repository",
+        client="raiden's cameras, from its repository",
         distribution="raiden",
-        opens="`serve-robot --cameras`: pictures by its camera class, the right wrist's turned as the real one's are",
+        opens="`serve-robot --cameras`: images in its camera class, those of the right wrist turned as the real ones",
         environment=Environment("chiral"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
@@ -114,39 +116,39 @@ ROWS: dict[str, ClientRow] = {
         "LeRobot 0.6",
         "lerobot",
         f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
-        "gives the same actions as its own inference of a tiny ACT policy; `serve-robot --cameras`: pictures by its "
-        "camera interface; "
-        "`lerobot-train` by [our recipe](training.md), in miniature: what is demonstrated once is done again",
+        "gives the same actions as LeRobot's own inference of a tiny ACT policy; `serve-robot --cameras`: images in "
+        "its camera interface; "
+        "`lerobot-train` with a small version of [the recipe](training.md): repeats a single demonstration",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
     "lerobot-eval": ClientRow(
         "LeRobot 0.6: lerobot-eval",
         "lerobot",
-        "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, several at once too; one that it "
-        "has trained runs, and its trials are recorded",
+        "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, also several at once; a policy "
+        "trained by LeRobot runs, and its trials are recorded",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
     "lerobot-record": ClientRow(
         "LeRobot 0.6: lerobot-record, lerobot-replay",
         "lerobot",
-        "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one by the clock",
+        "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one in real time",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
     "lerobot-writes": ClientRow(
         "LeRobot 0.6: its own writer",
         "lerobot",
-        "`import`: what `LeRobotDataset.create` wrote, with films in AV1 or with pictures; and its loader reads our "
-        "`export lerobot` of that",
+        "`import`: datasets of `LeRobotDataset.create`, with films in AV1 or with images; its loader reads their "
+        "`export lerobot`",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
     "raiden-records": ClientRow(
-        client="raiden's recorder and sharder, of its repository",
+        client="raiden's recorder and sharder, from its repository",
         distribution="raiden",
-        opens="`import`: what it recorded of two arms; it shards our `export raiden` of real ones",
+        opens="`import`: its recordings of two arms; it shards the `export raiden` of real ones",
         environment=Environment("raiden", python="3.11"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
@@ -154,14 +156,14 @@ ROWS: dict[str, ClientRow] = {
     "mcap": ClientRow(
         "mcap, foxglove-schemas-protobuf",
         "mcap",
-        "`import`: what their writers wrote with the topics of ABC-130k, films in H.264 and H.265",
+        "`import`: files of their writers with the topics of ABC-130k, films in H.264 and H.265",
         Environment("mcap"),
     ),
     "lerobot-0.4": ClientRow("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": ClientRow(
         "lerobot-doctor",
         "lerobot-doctor",
-        "`export lerobot`: checked, without a failure",
+        "`export lerobot`: checked without a failure",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),

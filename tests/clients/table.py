@@ -17,7 +17,7 @@ from tests.clients.rows import ROWS
 PAGE = REPOSITORY / "docs" / "clients.md"
 RESULTS = REPOSITORY / "out" / "clients.jsonl"
 
-_HEAD = "| client | version | what it does with our files | passed |\n|---|---|---|---|\n"
+_HEAD = "| client | version | tested use | passed |\n|---|---|---|---|\n"
 _TABLE = re.compile(re.escape(_HEAD) + r"(?:\|.*\n)*")
 _ROW = re.compile(r"^\| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
 
