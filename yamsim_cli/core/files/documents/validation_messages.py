@@ -14,7 +14,7 @@ from ...errors import count_noun, suggest
 from .config_base import Config, ConflictError, require_ordered
 from .yaml_document import Document, KeyPath, is_setting
 
-BRANCH = "<"  # first character of branch names in unions whose branch is no key of the document
+BRANCH = "<"  # first character of names that pydantic reports for branches of unions, which are no keys
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -25,7 +25,7 @@ def explain_validation_error(
     """Return the place of the first error, and one line about this error with the number of further errors.
 
     Args:
-        flags: key path -> the flag with the value.
+        flags: key path -> the flag that set its value.
     """
     found = error.errors(include_url=False)
     # Pydantic also reports a list with an invalid item as too short.
@@ -50,7 +50,7 @@ def explain_validation_error(
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
-    """Return the same as `explain_validation_error`, for a conflict that no model checks."""
+    """Return the place and a one-line message of a conflict that was raised outside of pydantic's validation."""
     path, place = _offending_value(document, list(error.paths), flags)
     return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
 
@@ -73,7 +73,7 @@ def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapp
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Return the models in a field's annotation, also inside tuples, lists and unions."""
+    """Return the pydantic models in a field's annotation, also inside tuples, lists and unions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
@@ -95,7 +95,7 @@ def format_key_path(path: KeyPath) -> str:
 
 
 def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
-    """Return path and place of the first value from a flag, or else of the first value."""
+    """Return key path and place of the first of several values that a flag set, or else of the first value."""
     for path in paths:
         # A flag for a whole list also counts for its items.
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
