@@ -196,7 +196,7 @@ class RecordConfig(Config):
 
     @property
     def second_arm(self) -> int:
-        """Index in the rig of the other arm; in a rig of one arm, of the same arm."""
+        """Index in the rig of the arm that is not `first_arm`; in a rig of one arm, of the only arm."""
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property

@@ -107,7 +107,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the body with a name. Raises ConfigError if the MJCF has no such body."""
+    """Return the body called `name`. Raises ConfigError if the MJCF has no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -115,7 +115,7 @@ def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the joint with a name in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
+    """Return the joint called `name` in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")

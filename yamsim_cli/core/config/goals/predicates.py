@@ -58,7 +58,7 @@ class _OfEachThing(Predicate):
 
 
 class _OfEachPair(Predicate):
-    """A predicate on each object of a role and its counterpart, see `RoleAssignment.pairs`."""
+    """A predicate on each object of a role and the object of another role that `RoleAssignment.pairs` assigns to it."""
 
     thing: str
 
@@ -381,7 +381,7 @@ class WasHandedOver(_OfEachThing):
 
 
 class Sorted(Predicate):
-    """The objects of a role lie in a row by their kinds, or each in the container of its kind.
+    """The objects of a role lie in a row ordered by kind (name of their config), or each in the container of its kind.
 
     Attributes:
         things: a role of several objects.

@@ -230,7 +230,7 @@ class ObjectConfig(Config):
 
     @property
     def rests_in_any_pose(self) -> bool:
-        """Whether a hand may place the object in any stable pose, see `rests`."""
+        """Whether a hand may place the object in any stable pose, not only upright, by `rests` or its geometry."""
         if self.rests is not None:
             return self.rests == "any"
         if self.shape is not None:

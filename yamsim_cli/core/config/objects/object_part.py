@@ -36,7 +36,7 @@ class ObjectMesh(Config):
         file: STL file, or OBJ file for a mesh with a texture.
         origin: the point of the mesh that becomes the part's origin, m.
         rgba: colour, which also multiplies a texture.
-        texture: a PNG file of the same set for the OBJ's texture coordinates.
+        texture: a PNG file in the folder `set` for the OBJ's texture coordinates.
         castshadow: whether the mesh casts a shadow. Under grazing light, a scan of a shallow object shows speckles of
             its own shadow. In that case, let primitives of `look` just below the surface cast the shadow.
     """

@@ -141,7 +141,7 @@ def hinge_stiffness(finger: FinRay) -> Array:
 def slip_arms(finger: FinRay) -> Array:
     """Return the back wall's slip (n, n), m/rad, at ribs and tip (rows) per angle at base and ribs (columns)."""
     spacing = finger.spacing(finger.stations)
-    # At a rib's own station, half of the bend lies below the rib.
+    # Of the bend that the hinge at a rib represents, half lies below the rib.
     through = np.tril(np.broadcast_to(spacing, (finger.segments, finger.segments)))
     ribs = through[1:] - np.diag(spacing)[1:] / 2
     return np.vstack([ribs, spacing])
