@@ -1,4 +1,4 @@
-"""Frozen values that the stages of a recording exchange; none contains simulator types."""
+"""Immutable results that sampling, simulation and storage of an attempt exchange; none contains MuJoCo objects."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .config.goals.role_assignment import RoleAssignment
 from .config.variation import Variation
 from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
 
-# The pose in records of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
+# Recorded pose of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
 FullPose = tuple[float, float, float, float, float, float, float]
 
-# Whether each arm's weld is active: (ticks, arms), or (arms,) for one tick; the left arm comes first.
+# Whether the weld between hand and grasped object is active: (ticks, arms), or (arms,) for one tick; left arm first.
 WeldStates = NDArray[np.bool_]
 
 
@@ -27,7 +27,7 @@ class Layout:
 
     Attributes:
         T_in_world: object name -> pose (4, 4) in `world`.
-        upright: whether all objects stand upright, so that records contain only their headings.
+        upright: whether the z axis of every object points up. Records then contain only its yaw as orientation.
     """
 
     T_in_world: Mapping[str, Array]
@@ -35,12 +35,12 @@ class Layout:
 
     @classmethod
     def from_places(cls, places: Mapping[str, UprightPose | FullPose]) -> Layout:
-        """Return the layout with the given `places`."""
+        """Return the layout for object name -> (x, y, z, yaw) or `FullPose`, in m and rad in `world`."""
         return cls({name: _pose(place) for name, place in places.items()}, all(len(p) == 4 for p in places.values()))
 
     @property
     def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> its pose in `world`, in the format of records."""
+        """Object name -> its recorded pose in `world`: (x, y, z, yaw) in m and rad if `upright`, else `FullPose`."""
         return {name: self._place(T) for name, T in self.T_in_world.items()}
 
     def _place(self, T: Array) -> UprightPose | FullPose:
@@ -57,7 +57,7 @@ def _pose(place: UprightPose | FullPose) -> Array:
 
 @dataclass(frozen=True)
 class ArmPosture:
-    """The posture of an arm: its joints (dof,) in rad, and the opening of one finger in m."""
+    """Joint positions (dof,) of an arm in rad, and the distance of one finger from its closed position in m."""
 
     joints: Array
     opening: float
@@ -70,9 +70,9 @@ class JointPath:
     Attributes:
         joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is the arm's start.
         torques: torques (n, dof) that the motion needs in the middle of each tick, N m.
-        gripper: opening (n,) of one finger, m.
-        grip_force: force (n,) of each finger, N.
-        weld_on: (n,) of bool, whether the weld is active during each tick.
+        gripper: distance (n,) of one finger from its closed position, m.
+        grip_force: closing force (n,) of each finger, N.
+        weld_on: (n,) of bool, whether a weld constraint fixes the object to the hand during each tick.
         tick: length of a tick, s.
     """
 
@@ -96,9 +96,9 @@ class ActionSequence:
 
     Attributes:
         ctrl: drive commands (n, nu) during each tick, rad and m, in MuJoCo's order.
-        magnet: (n, arms), whether each arm's weld is active during each tick.
+        magnet: (n, arms), whether each arm's weld constraint on its grasped object is active during each tick.
         joints: planned joints and finger opening of each arm (n, arms, drives) at the end of each tick, rad and m.
-            Physics does not depend on them.
+            The simulation does not use them.
     """
 
     ctrl: Array
@@ -124,7 +124,7 @@ class StepState:
 
 
 class FailureCause(StrEnum):
-    """Why an attempt failed. Only `WORKER_LOST` does not depend on the task: the worker died or hung."""
+    """Why an attempt failed. `WORKER_LOST` has no cause in the task: the worker process died or hung."""
 
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
@@ -142,7 +142,7 @@ class FailureCause(StrEnum):
 
 @dataclass(frozen=True)
 class MotionMargins:
-    """Margins of an attempt's simulated motion to the limits of the arm: the worst over all joints and times.
+    """How close a simulated motion came to the limits of arm and grasp: the worst values over all joints and times.
 
     Attributes:
         velocity: largest speed of a joint, as a share of its motor's no-load speed.
@@ -164,9 +164,9 @@ class Recovery:
     """A skill that failed and was tried again.
 
     Attributes:
-        step: number of the skill in the program as run.
+        step: number of the skill in the executed program.
         skill: name of the skill.
-        detail: the reason of the failure.
+        detail: why the skill failed, as text.
         frame: the first recorded frame of the new try.
     """
 
@@ -188,8 +188,8 @@ class Outcome:
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.
         margins: margins of the motion; None if never simulated.
-        measures: measures of the goal's predicates; empty for a task without a goal.
-        recoveries: skills of the program that failed and were tried again.
+        measures: by how much each condition of the goal holds or fails; empty for a task without a goal.
+        recoveries: skills that failed during the attempt and were tried again.
     """
 
     success: bool
@@ -213,15 +213,15 @@ class AttemptJob:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """The samples of one attempt. These and the commands determine the course of the attempt.
+    """The random samples of one attempt. These and the commands to the drives determine its whole simulation.
 
     Attributes:
         job: seed and number of the attempt.
-        layout: initial poses of the objects; None if there was no room for them.
+        layout: initial poses of the objects; None if the sampling found no free poses.
         variation: samples of the domain randomization.
-        start: MuJoCo's positions (nq,) at the start, with everything at rest; None without a layout.
-        roles: role assignment; None for a task without roles.
-        phrasing: the instruction; empty for the task's own prompt.
+        start: MuJoCo's `qpos` (nq,) at the start, with arms and objects at rest; None without a layout.
+        roles: which objects have which roles of the task; None for a task without roles.
+        phrasing: the sampled instruction; empty if the task's default instruction applies.
     """
 
     job: AttemptJob
@@ -239,15 +239,15 @@ class Attempt:
 
 @dataclass(frozen=True)
 class AttemptPayload:
-    """The result, files and figures that a worker returns for one attempt.
+    """The result and the files that a worker process returns for one attempt.
 
     Attributes:
         attempt: the samples of the attempt.
         outcome: the result of the attempt.
-        files: relative POSIX path -> content of an episode's file, without `episode.json`; empty without success.
+        files: relative POSIX path -> content of each file of the episode except `episode.json`; empty after a failure.
         frames: number of frames in `files`.
-        content_sha256: hash of the decoded lowdim values; independent of the pickle format.
-        versions: package -> version in the worker, for each package that affects the bytes.
+        content_sha256: SHA-256 of the episode's decoded numbers (no images); independent of the pickle format.
+        versions: package -> version in the worker, for each package that affects the bytes of `files`.
         renderer: the OpenGL implementation that rendered the images; empty without images.
     """
 

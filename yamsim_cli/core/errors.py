@@ -36,7 +36,7 @@ class ResourceError(YamsimError):
 
 
 class DatasetError(YamsimError):
-    """A damaged or inconsistent dataset, or such a file of a dataset."""
+    """A dataset, or a file of a dataset, that is damaged or inconsistent."""
 
     exit_code = 4
 
@@ -60,7 +60,7 @@ class InterruptedJobError(YamsimError):
 
 
 def count_noun(number: int, noun: str) -> str:
-    """Return a number with its noun: ``"1 episode"``, ``"2 episodes"``."""
+    """Return a number with its noun, in the plural if needed: ``"1 episode"``, ``"2 episodes"``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
@@ -84,7 +84,7 @@ def file_size(size: float) -> str:
 
 
 def suggest(value: str, valid: Iterable[str]) -> str:
-    """Return text such as ``"did you mean 'single'? valid: bimanual, single"``; no question without a close value."""
+    """Return a hint such as ``"did you mean 'single'? valid: bimanual, single"``; no question if nothing is similar."""
     choices = sorted(valid)
     close = difflib.get_close_matches(value, choices, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""

@@ -1,7 +1,7 @@
 """Accepts or refuses HTTP and WebSocket requests by their `Host` and `Origin` headers.
 
 A web page that a user visits can send requests to servers on the user's machine. A browser names the page's site in
-`Origin`. A site whose name points to this machine (DNS rebinding) shows in `Host`.
+`Origin`. A hostile site can let its own name point to this machine (DNS rebinding). `Host` then has the site's name.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _LOOPBACK_NAME = "localhost"
 def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | None:
     """Return the reason to refuse a request; None if the request is accepted.
 
-    Requests without `Origin`, as from programs other than browsers, are accepted. So are pages of this server.
+    Requests from pages of this server are accepted. So are requests without `Origin`, which come from other programs.
 
     Args:
         hosts: values of the header `Host`.

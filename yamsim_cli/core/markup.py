@@ -17,7 +17,7 @@ from .files.writing import write_output
 # HTML elements without content.
 _VOID = frozenset({"meta", "img", "br", "hr"})
 
-_SPACES = "\n\N{NO-BREAK SPACE}"
+_SPACES = "\n\N{NO-BREAK SPACE}"  # characters that a page keeps although `str.isprintable` is false for them
 
 # The browser loads only the page itself: no script, font or picture from other sources, whatever the data contains.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -62,7 +62,7 @@ def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made
     Args:
         title: title of the browser's tab.
         kicker: the kind of page, shown above the heading.
-        made: the footer, see `page_footer`.
+        made: text of the footer, such as that of `page_footer`.
     """
     head = [
         html_tag("meta", charset="utf-8"),
@@ -116,7 +116,7 @@ def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
 
 
 def verdict(text: str, kind: str) -> Markup:
-    """Return the line that summarizes a page; `kind` is `fine`, `warning` or `error`."""
+    """Return the markup of the sentence that summarizes a page; `kind` is `fine`, `warning` or `error`."""
     return html_tag("p", html_tag("span", text), class_=f"verdict {kind}")
 
 
@@ -148,14 +148,14 @@ def header_row(headings: Iterable[str]) -> Markup:
 
 
 def table_rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
-    """Return a table's rows, whose first cells are their headings."""
+    """Return the rows of a table; the first cell of each row is the heading of the row."""
     return [
         html_tag("tr", html_tag("th", row[0], scope="row"), [html_tag("td", cell) for cell in row[1:]]) for row in cells
     ]
 
 
 def html_table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
-    """Return a table with column headings, see `table_rows`."""
+    """Return a table with column headings; the first cell of each row is the heading of the row."""
     return html_tag("table", html_tag("thead", header_row(headings)), html_tag("tbody", table_rows(cells)))
 
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from .markup import Markup, html_tag, join_markup, percent
 from .statistics import Coverage
 
-_WIDTH = 460.0  # px
-_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, size of the plot of the workspace
+_WIDTH = 460.0  # px, width of every plot except that of the workspace
+_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, width and largest height of the workspace plot
 
-_MAX_LIMIT_RATIO = 2.0  # times the largest distance; a farther limit is only named, since it would squeeze the bars
+_MAX_LIMIT_RATIO = 2.0  # multiple of the largest distance; a line at a limit beyond it would squeeze the bars
 _MAX_CURVE_POINTS = 500  # points of a curve: minimum and maximum of each of 250 intervals, which keeps every peak
 _CURVE_ROOM = 0.06  # margin above and below curves, as a share of their span
-_MAX_DOTS = 4000  # dots of one kind in a workspace; more cannot be distinguished, and make the page large
-_MAX_NAME = 20  # characters of a bar's name
+_MAX_DOTS = 4000  # marks of one series in a workspace plot; more cannot be distinguished, and make the page large
+_MAX_NAME = 20  # characters of a bar's label; longer labels are cut
 
 Values = NDArray[np.float64]
 Point = tuple[float, float]
@@ -64,7 +64,7 @@ class Axes:
     y: PixelScale
 
     def draw(self, x_label: str, y_label: str, *, x_ticks: int = 6, y_ticks: int = 5, x_grid: bool = True) -> Markup:
-        """Return the grid with its numbers and labels."""
+        """Return the markup of grid lines, their numbers, and the labels of both axes."""
         left, right = sorted((self.x.start, self.x.end))
         top, bottom = sorted((self.y.start, self.y.end))
         parts = []
@@ -96,7 +96,7 @@ def format_number(value: float) -> str:
 def plot_distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
-    """Return a histogram of distances, with a line at every limit; far limits are only named.
+    """Return a histogram of distances, with a line at every limit; limits far beyond the data are written as text.
 
     Args:
         edges: edges of the bins, m.
@@ -109,7 +109,7 @@ def plot_distances(
     near = [limit for limit in limits if limit * 1000 < _MAX_LIMIT_RATIO * high]
     low = 0.0 if limits else low - (edges[1] - edges[0]) * 1000
     high = max([high, *(limit * 1000 for limit in near)]) + (high - low) * 0.04
-    # With at least 4, ticks are whole numbers.
+    # If the axis of counts reaches at least 4, its ticks are whole numbers.
     top = max(max(counts) * 1.08, 4.0)
     axes = Axes(PixelScale(low, high, 44, right), PixelScale(0, top, height - 46, 26))
     parts = [
@@ -194,8 +194,8 @@ def plot_curves(
 
     Args:
         times: times (n,), s.
-        lines: class in the style sheet -> values (n,), NaN if unknown.
-        mark: a time to mark, s.
+        lines: class in the style sheet -> values (n,) of a curve, NaN where unknown.
+        mark: time at which a vertical line is drawn, s.
         min_span: smallest span of the vertical axis, so that noise does not look large.
     """
     height = 200.0
@@ -230,13 +230,13 @@ def _points(axes: Axes, times: Values, values: Values) -> str:
 
 @dataclass(frozen=True)
 class ObjectPlaces:
-    """The positions of an object.
+    """Positions (x, y) of one object at the start or at the end of attempts, m.
 
     Attributes:
         good: positions in successful episodes.
         bad: positions in episodes without success.
         failed: positions in failed attempts.
-        grid: coverage of the sampling box; None if the box is unknown.
+        grid: counts of the positions in cells of the box from which starts are sampled; None if the box is unknown.
     """
 
     good: Sequence[Point]
@@ -249,7 +249,7 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
     """Return a plot of the workspace from above, the robot's base at the bottom: x points up, y to the left, in m.
 
     Args:
-        box: the sampling box, as x and y ranges.
+        box: the box from which starts are sampled, as ranges of x and y, m; None if unknown.
         frame: name of the points' frame.
     """
     points = [*places.good, *places.bad, *places.failed]
@@ -275,7 +275,7 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
 
 
 def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]:
-    """Return the cells of the sampling box that contain points."""
+    """Return a rectangle for every cell of the sampling box that contains points."""
     (x0, x1), (y0, y1) = box
     dx, dy = (x1 - x0) / grid.shape[0], (y1 - y0) / grid.shape[1]
     return [
@@ -287,7 +287,7 @@ def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]
 
 
 def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
-    """Return a rectangle over ranges of the workspace's x and y, m."""
+    """Return a rectangle that covers ranges of the workspace's x and y, m."""
     left, top = axes.x(y[1]), axes.y(x[1])
     return html_tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
 
@@ -308,7 +308,7 @@ def _padded(values: Sequence[float]) -> Point:
 
 
 def _svg(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
-    """Return a picture with a title for screen readers."""
+    """Return an SVG picture of `parts`, with a title for screen readers; width and height in px."""
     return html_tag(
         "svg",
         html_tag("title", title),

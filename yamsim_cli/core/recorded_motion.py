@@ -37,7 +37,7 @@ class RecordedMotion:
     A command acts from its sample's time until the next sample's.
 
     Attributes:
-        name: source of the motion, for messages.
+        name: name of the recording, for messages.
         times: times (n,) of the samples, s, strictly increasing from 0.
         arms: the motion of each arm, the left arm first.
 

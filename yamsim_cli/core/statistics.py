@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 _Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
-THRESHOLDS = (0.05, 0.08)  # m, default success distances of attempts. Source: the lab reports both
+THRESHOLDS = (0.05, 0.08)  # m, default distances from the target that count as success. Source: the lab reports both
 _MAX_BINS = 40  # bins of a histogram
-_MIN_SPAN = 1e-4  # m, span of a histogram with a smaller span of values
+_MIN_SPAN = 1e-4  # m, least span of values from which the width of bins is computed
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -34,7 +34,7 @@ def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """Return `edges` and `counts` of a histogram with round edges; None without values."""
+    """Return the bins' `edges`, which are round numbers, and `counts` of a histogram; None without values."""
     if not values:
         return None
     span = max(max(values) - min(values), _MIN_SPAN)
@@ -49,12 +49,12 @@ def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | N
 
 @dataclass(frozen=True)
 class Coverage:
-    """Counts of points in the cells of a grid over a box.
+    """Counts of points in the cells of a grid that covers a rectangle.
 
     Attributes:
         shape: number of cells along x and y.
         hits: `hits[ix][iy]` is the number of points in a cell.
-        outside: number of points outside the box.
+        outside: number of points outside the rectangle.
     """
 
     shape: tuple[int, int]
@@ -63,7 +63,7 @@ class Coverage:
 
     @property
     def cells_hit(self) -> int:
-        """Number of cells with points."""
+        """Number of cells that contain at least one point."""
         return sum(count > 0 for column in self.hits for count in column)
 
     @property
@@ -75,7 +75,7 @@ class Coverage:
 def compute_coverage(
     points: Sequence[tuple[float, float]], x: tuple[float, float], y: tuple[float, float], cell: float
 ) -> Coverage:
-    """Count points (x, y) in a grid over the box `x` times `y`, with cells of at most `cell`; all in m."""
+    """Return the counts of points (x, y) in cells of at most `cell` that cover ranges `x` and `y`; all in m."""
     shape = (_cells(x, cell), _cells(y, cell))
     hits = [[0] * shape[1] for _ in range(shape[0])]
     outside = 0

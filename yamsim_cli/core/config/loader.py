@@ -52,9 +52,9 @@ KINDS: Mapping[str, type[Config]] = {
     "revisions": Dynamics,
 }
 
-REVISION = "revision"  # key below a rig in overrides: another revision of its robots
-ROBOT = "robot"  # key below a rig in overrides: identified dynamics of its arms
-_JOINED = "+"  # separator between the names of a robot and its gripper
+REVISION = "revision"  # last key of an override path below a rig: the version of its arm models to use
+ROBOT = "robot"  # last key of an override path below a rig: files with measured dynamics of its arms
+_JOINED = "+"  # separator of arm and gripper in the name of a rig, such as `yam_pro+linear_4310`
 _DYNAMICS = "revisions"
 
 C = TypeVar("C", bound=Config)
@@ -63,7 +63,7 @@ Check = Callable[[Config], None]
 
 
 def config_model(kind: str) -> type[Config]:
-    """Return the model of a kind of config. Raises ConfigError if no kind has that name."""
+    """Return the class of a kind of config, such as `rigs`. Raises ConfigError if no kind has that name."""
     if kind not in KINDS:
         raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
     return KINDS[kind]
@@ -77,7 +77,7 @@ def _require_task_kind(document: Document) -> None:
 
 
 def config_json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind of config. Raises as `config_model`."""
+    """Return the JSON schema of a kind of config, such as `rigs`. Raises ConfigError if no kind has that name."""
     return config_model(kind).model_json_schema()
 
 
@@ -89,13 +89,13 @@ def load_config(
     overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
     check: Check | None = None,
 ) -> C:
-    """Load and validate a config with its references resolved.
+    """Read a config, insert the configs that it names, apply overrides, and return the validated result.
 
     Args:
         kind: folder under `configs/`.
-        name: a config's name, or the path of a file, see `Locations.config_file`.
-        overrides: key path -> (origin, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
-        check: an additional check, which raises a `ConflictError`.
+        name: a config's name, or the path of its file.
+        overrides: key path -> (flag or keyword, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
+        check: an additional check, which raises a `ConflictError` for a config that is not valid.
 
     Raises:
         ConfigError: the config is not valid; the message has file, line, key path, value and valid values.
@@ -104,7 +104,7 @@ def load_config(
     document = _load_named(model, kind, name, locations)
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    # Override top-level keys first, then resolve references: a flag can change a value in a config that another names.
+    # Override top-level keys first, then insert named configs, then override other keys, also of inserted configs.
     changes = overrides or {}
     for path, (place, value) in changes.items():
         if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
@@ -124,15 +124,15 @@ def load_config(
 def validate_file(
     model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False, check: Check | None = None
 ) -> C:
-    """Validate a config in a file, see `parse_config` and `load_config`."""
+    """Return the validated config in a file; arguments and errors are those of `parse_config` and `load_config`."""
     return _check(model, _read(model, path), locations, as_recorded=as_recorded, check=check)
 
 
 def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
-    """Validate a config in YAML text. Raises as `load_config`.
+    """Return the validated config in YAML text. Raises as `load_config`.
 
     Args:
-        as_recorded: accept implausible values, for the config of a recorded dataset.
+        as_recorded: accept values out of plausible bounds, for the config of a recorded dataset.
     """
     return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
 
@@ -156,7 +156,7 @@ def _single_arm_rig(name: str) -> Document:
 
 
 def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
-    """Replace the model of each arm of the rig at `path` by another revision of its family."""
+    """Replace the model of each arm of the rig at `path` by the version `revision` of the same product."""
     for k, (model, _) in _arms(document, path).items():
         try:
             name = robot_names.other_revision(model, str(revision), locations)
@@ -263,7 +263,7 @@ def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
 
 
 def _resolve_references(model: type[Config], document: Document, path: KeyPath, locations: Locations) -> None:
-    """Replace references to other configs in place by their content."""
+    """Replace names of other configs, in the data at `path` and below, by the content of those configs."""
     here: Any = document.data
     for key in path:
         here = here[key]

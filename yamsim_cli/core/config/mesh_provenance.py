@@ -1,6 +1,6 @@
-"""Descriptions of the meshes in a dataset's images, one for each asset set.
+"""Descriptions of the meshes in a dataset's images, one for each asset set (named folder of mesh files).
 
-A description is `primitives`, or `full` or `reduced` with a hash of the files. Meshes do not affect physics.
+A description is `primitives`, or `full` or `reduced` meshes with a hash of the files. Meshes do not affect physics.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ShownMeshes = Mapping[str, str]
 
 
 def describe(text: str | None) -> str:
-    """Return a description for messages; `text` is None for an unused set."""
+    """Return a description of meshes with a shortened hash, for messages; `text` is None for an unused set."""
     if text is None:
         return "not used"
     kind, _, digest = text.partition(" ")
@@ -37,7 +37,7 @@ def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, st
 
 
 def describe_remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
-    """Return an instruction for getting the meshes of a recorded dataset."""
+    """Return what a user has to do so that images show the meshes of a recorded dataset again."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
     if any(now.get(name) == PRIMITIVES for name in changed):
         return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"

@@ -15,7 +15,7 @@ Dtype = Literal["float32", "float64"]
 Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
-CameraName = Name  # name of a camera in `policies.policy_protocol.IMAGES`, or of a station's camera
+CameraName = Name  # "scene", "wrist", "left_wrist", "right_wrist", or the name of a station's camera
 Constant = bool | int | float | str
 
 
@@ -49,7 +49,8 @@ class ActionsMapping(Config):
 
     Attributes:
         key: key of the array in the answer.
-        weld: whether each row has, after all drives, a number for each arm; at least 0.5 activates the arm's weld.
+        weld: whether each row has, after all drives, a number for each arm. At least 0.5 activates the weld constraint
+            that fixes an object to the hand.
         hz: actions per second.
         period_ms_key: key of the action period in the answer, ms; a period above 0 overrides `hz`.
         done_key: key of a boolean in the answer that ends the trial after these actions.
@@ -69,8 +70,7 @@ class PolicyConfig(Config):
         arms: order of the arms in the state and in actions; "all" for all arms of a rig, the left one first. Each arm
             has its joints in rad, and then its gripper.
         gripper: "share" for 0 closed .. 1 open, "metres" for the opening of one finger.
-        environment_state: poses of objects, see `core.dataset.environment_state`; not sent to a checkpoint without this
-            input.
+        environment_state: row with the poses of objects; not sent to a checkpoint without this input.
         images: key -> image.
         images_under: key of a mapping with all images; if left out, images are at the top level of the message.
         prompt: key of the prompt.

@@ -1,4 +1,4 @@
-"""Configs of tasks: objects by role, their starts, instructions, a goal, and an expert of skills."""
+"""Configs of tasks: objects by role, their initial poses, instructions, a goal, and the skills that reach it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Attitude = Literal["upright", "lying", "upside_down"]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]  # drop height of a cloth, as a share of its half diagonal
-_MAX_TICK_CHANGE = 0.07  # share, change of a control tick for a frame rate; small, as skills count some waits in ticks
+_MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
 
 
 class Role(Config):
@@ -105,7 +105,7 @@ class Start(Config):
         on: `table`, or a role whose first object supports the objects.
         x, y: range of the middle of an object's outline, m. On the table, coordinates are in `world`: x ahead of the
             arms, y to the left of the middle between them. Otherwise, they are in the frame of the object below.
-        from_arm: if given, `y` is relative to the place of this arm, not to `world`.
+        from_arm: if given, `y` is relative to the world y of this arm, see `RigConfig.margin`.
         yaw_deg: range of the heading.
         attitudes: possible stable poses of an object, equally probable.
         apart: least gap, seen from above, between an object's outline and those of objects placed before, m.
@@ -137,7 +137,7 @@ class Start(Config):
         return self
 
     def moved(self, y: float) -> Start:
-        """Return the start in `world`, given the place `y` (m) of its arm."""
+        """Return the start with its range of y converted to `world`, given the world `y` (m) of the arm `from_arm`."""
         return self.model_copy(update={"from_arm": None, "y": (self.y[0] + y, self.y[1] + y)})
 
 
@@ -172,7 +172,7 @@ class Phrasings(Config):
         return self
 
     def filled(self, fill: Callable[[str], str]) -> Phrasings:
-        """Return the phrasings with `fill` applied to each."""
+        """Return the phrasings with every instruction replaced by `fill(instruction)`."""
         return Phrasings.model_construct(
             training=tuple(map(fill, self.training)), held_out=tuple(map(fill, self.held_out))
         )
@@ -215,7 +215,7 @@ class ProgramTiming(Config):
         return self.physics_steps_per_tick * self.timestep
 
     def at_rate(self, fps: float) -> dict[str, float | int]:
-        """Return the `timestep` (s) and `ticks_per_frame` that give a frame rate with about the same control tick.
+        """Return the `timestep` (s) and `ticks_per_frame` for `fps` frames per second with about the same control tick.
 
         Raises ValueError if no whole number of ticks of about this length gives the rate.
         """
@@ -232,14 +232,14 @@ class ProgramTiming(Config):
 
 
 class ProgramTask(Config):
-    """A task: objects, starts, a goal, and an expert of skills.
+    """A task: objects, their initial poses, a goal, and the skills that reach it.
 
     Attributes:
         rig: the default rig.
         things: role -> its objects.
         starts: role -> ranges of its objects' initial poses. Roles are placed in this order.
-        arrangements: all possible starts, instead of random ones. The attempts of a seed use them in random order, each
-            again only after all others. `starts` then only bounds the regions.
+        arrangements: lists of initial poses, used instead of samples from `starts`. The attempts of a seed use them in
+            random order, each again only after all others. `starts` still gives the regions that contain them.
         phrasings: instructions; the first one represents the task. `{ROLE}` is the name of a role's object,
             `{ROLE.preposition}` the object's preposition, "on" or "in". `{first_arm}` and `{second_arm}` are "right"
             or "left".
@@ -387,18 +387,18 @@ class ProgramTask(Config):
         return self
 
     def of_cloth(self, name: str) -> bool:
-        """Return whether the role or object with a name may be cloth."""
+        """Return whether the role or the object called `name` may be cloth."""
         names = {thing: role for role in self.things for thing in (role, *self.possible_names(role))}
         return name in names and any(item.cloth is not None for item in self.things[names[name]].of)
 
     @property
     def objects(self) -> tuple[ObjectConfig, ...]:
-        """All object configs of all roles, each once, in the order of records."""
+        """All object configs of all roles in the order of `things`, each once."""
         return tuple({item.name: item for role in self.things.values() for item in role.of}.values())
 
     @property
     def language_prompt(self) -> str:
-        """The first training instruction with the names of `typical_roles`."""
+        """The first training instruction, with the first object config of each role as its placeholders' values."""
         return _filled(self.phrasings.training[0], _without_underscores(self._words(self.typical_roles)))
 
     @property
@@ -408,7 +408,7 @@ class ProgramTask(Config):
 
     @property
     def target_predicate(self) -> On | None:
-        """The goal's first `on` with a radius, which measures the distance from the target."""
+        """The goal's first predicate `on` with a radius, which measures the distance from the target; None if none."""
         return next((on for _, on in self._scored()), None)
 
     @property
@@ -424,7 +424,7 @@ class ProgramTask(Config):
         )
 
     def _scored(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
-        """Yield each `on` with a radius in the goal, with its key path."""
+        """Yield the key path and the predicate for each `on` with a radius in the goal."""
         for path, predicate in self.goal.predicates():
             if isinstance(predicate, On) and predicate.radius is not None:
                 yield path, predicate
@@ -441,7 +441,7 @@ class ProgramTask(Config):
 
     @property
     def typical_roles(self) -> RoleAssignment:
-        """The role assignment with the first configs of each list, for values that do not depend on samples."""
+        """The role assignment with the first object configs of each role, for uses before any sampling."""
         return self.assign_roles(
             {role: tuple(k % len(one.of) for k in range(one.count)) for role, one in self.things.items()}
         )
@@ -482,7 +482,7 @@ class ProgramTask(Config):
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
     def _words(self, roles: RoleAssignment) -> dict[str, str]:
-        """Return placeholder -> its text."""
+        """Return each placeholder of the instructions -> the text that replaces it."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
             if one.count == 1:
@@ -503,7 +503,7 @@ class ProgramTask(Config):
         )
 
     def with_objects_of(self, roles: RoleAssignment) -> ProgramTask:
-        """Return the task with the objects of a role assignment, under their assigned names."""
+        """Return the task with only the objects of a role assignment, scaled and named as assigned."""
         words = self._words(roles)
         things = {}
         for role, one in self.things.items():

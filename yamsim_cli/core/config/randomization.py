@@ -58,7 +58,7 @@ class LightRanges(Config):
 
 
 class HeadlightRanges(Config):
-    """Ranges of the factors on the camera's headlight and on the ambient light."""
+    """Ranges of the factors on the brightness of the light at the camera, and of the ambient light."""
 
     diffuse: Factor
     ambient: Factor
@@ -128,7 +128,7 @@ class Distractors(Config):
 
 
 class PictureRanges(Config):
-    """Ranges of the image noise of a camera and its cable.
+    """Ranges of brightness, contrast and noise that are added to rendered images.
 
     Attributes:
         brightness: offset of every pixel, as a share of the largest value; sampled for each image.
@@ -164,13 +164,13 @@ class ArmRanges(Config):
 class RandomizationConfig(Config):
     """Ranges of the values that vary between attempts; a part that is left out does not vary.
 
-    Each part has its own random stream, so that leaving a part out does not change the others.
+    Each part has its own random stream, so that leaving a part out does not change the samples of the others.
 
     Attributes:
         mass: range of the factor on each object's mass.
         friction: range of the factor on the friction of each object and of the table. Only mass, friction and
             arm_dynamics affect physics.
-        lens_deg: range of the change of the scene camera's field of view, degrees.
+        lens_deg: range of the change of the scene camera's vertical field of view, degrees.
         arm_dynamics: delays, noise and gravity compensation of arms.
     """
 
@@ -190,10 +190,10 @@ class RandomizationConfig(Config):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the parts that vary."""
+        """Keys of the parts of this config that are given, and so vary between attempts."""
         return tuple(key for key in type(self).model_fields if key != "name" and getattr(self, key) is not None)
 
     @property
     def extras(self) -> tuple[ObjectConfig, ...]:
-        """The distractors to sample from."""
+        """The object configs from which distractors are sampled; empty without distractors."""
         return self.distractors.objects if self.distractors else ()

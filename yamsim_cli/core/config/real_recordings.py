@@ -31,8 +31,8 @@ class ArmTopics(Config):
     """Names of an arm's topics in another program's file of messages.
 
     Attributes:
-        state, action: topics whose `RecordingNames.field` contains the measured and the commanded joints, rad.
-        gripper_state, gripper_action: topics whose `RecordingNames.field` begins with the gripper.
+        state, action: topics whose messages have the measured and the commanded joints, rad, in `RecordingNames.field`.
+        gripper_state, gripper_action: topics whose messages have the gripper as first number in `RecordingNames.field`.
     """
 
     state: _ForeignName
@@ -74,8 +74,8 @@ class RealConfig(Config):
 
     Attributes:
         source: `real`, for data that is not simulated.
-        rig: the recorded rig.
-        imported: the format of the recordings.
+        rig: the arms, with grippers and cameras, that were recorded.
+        imported: name of the format from which the recordings were imported.
         gripper: the unit of grippers in the recordings; the dataset has metres.
     """
 

@@ -27,7 +27,7 @@ SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
 ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
 
-_RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # suggested rigs of one arm and of two arms
+_RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # rigs that messages suggest, of one arm and of two
 
 
 class RecordConfig(Config):
@@ -41,9 +41,9 @@ class RecordConfig(Config):
             out, the first grasp of the task.
         episodes: number of successful episodes to record, or of trials to run.
         workers: number of processes; the data does not depend on this number.
-        action: "joints" also records `state` and `action`, see `core.dataset.lowdim.frame_data`.
+        action: "drives" records the commands to all drives; "joints" also `state` and `action` as YAM stations do.
         seed: determines, with an attempt's number, everything random in the attempt.
-        wrist: whether to record the wrist camera too.
+        wrist: whether to record wrist cameras too; see `cameras`.
         cameras: the cameras to record, in order. If left out, a rig's own cameras and the wrist cameras. If the rig has
             no own cameras, the scene camera, and with `wrist` the wrist cameras of the acting arms.
         boards: whether to show the base boards and their mounts, as on a real arm.
@@ -78,7 +78,7 @@ class RecordConfig(Config):
         if given is not None:
             return given
         task = info.data.get("task")
-        # Validation reports an invalid task in any case, so any value is sufficient here.
+        # For an invalid task, validation fails anyway, so the value returned here does not matter.
         return task.valid_grasps[0] if isinstance(task, ProgramTask) else "contact"
 
     @model_validator(mode="after")
@@ -173,14 +173,14 @@ class RecordConfig(Config):
 
     @property
     def table(self) -> Table:
-        """The table, widened for the rig."""
+        """The table, widened along y by the distance between the rig's arms."""
         table = self.surroundings.table
         assert table is not None  # checked by `_task_fits_the_scene`
         return table
 
     @property
     def surroundings(self) -> SceneConfig:
-        """The scene, widened for the rig."""
+        """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms."""
         return self.scene.for_span(self.rig.span)
 
     @property
@@ -196,12 +196,12 @@ class RecordConfig(Config):
 
     @property
     def second_arm(self) -> int:
-        """Index in the rig of the other arm; in a rig of one arm, of the same arm."""
+        """Index in the rig of the arm that is not `first_arm`; in a rig of one arm, of the only arm."""
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property
     def starts(self) -> Mapping[str, Start]:
-        """Role -> start of its objects, with all regions in `world`."""
+        """Role -> ranges of the initial poses of its objects, all in `world`."""
         places = {"first": self.rig.base_y(self.first_arm), "second": self.rig.base_y(self.second_arm)}
         return {
             role: start if start.from_arm is None else start.moved(places[start.from_arm])
@@ -210,7 +210,7 @@ class RecordConfig(Config):
 
     @property
     def acting_arms(self) -> tuple[ArmConfig, ...]:
-        """The arms at `acting_indices`."""
+        """The arms that do the task, in the order in which they begin."""
         return tuple(self.rig.arms[k] for k in self.acting_indices)
 
     @property
@@ -235,7 +235,7 @@ class RecordConfig(Config):
         return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
 
     def data_config(self) -> dict[str, Any]:
-        """Return all values that determine an episode's bytes, as plain data."""
+        """Return all values that determine an episode's bytes, as data for JSON."""
         return self.model_dump(mode="json", exclude={"episodes", "workers"})
 
 

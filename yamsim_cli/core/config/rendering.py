@@ -47,5 +47,5 @@ class RenderConfig(Config):
     slices: int = Field(ge=8, le=128, multiple_of=4)
 
     def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Return width and height (px) of images before they are averaged."""
+        """Return width and height (px) at which an image of `size` is rendered before supersampling averages it."""
         return round(size[0] * self.supersampling), round(size[1] * self.supersampling)

@@ -35,7 +35,7 @@ from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_fo
 from ..robots.robot import Robot, assemble
 
 _OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # coordinate of a printed mount
-_MIN_MM = 1.0  # mm, least extent of a mount and distance from the base; smaller values were probably given in m
+_MIN_MM = 1.0  # mm, least size of a mount and distance of a board from the base; less was probably meant in m
 
 
 def _require_off_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
@@ -65,7 +65,7 @@ class BasePose(Config):
 
     @property
     def T(self) -> Array:
-        """The pose (4, 4)."""
+        """The pose as a matrix (4, 4)."""
         return pose(self.position, rotation_z(math.radians(self.yaw_deg)))
 
 
@@ -75,7 +75,7 @@ class BoardConfig(Config):
     Attributes:
         marker_length_mm: edge of a marker, measured on the print.
         gap_mm: gap between markers, measured on the print.
-        position_mm, quat: pose of the `board` frame (centre of the board, z out of the paper) in the base mesh's frame.
+        position_mm, quat: pose of the board's frame (origin in its centre, z out of the paper) in `ArmModel.base_mesh`.
     """
 
     name: Name
@@ -90,7 +90,7 @@ class BoardConfig(Config):
 
     @property
     def board(self) -> Board:
-        """The board, in m."""
+        """The board with all lengths in m."""
         return Board(
             self.name,
             self.first_id,
@@ -103,17 +103,17 @@ class BoardConfig(Config):
 
     @property
     def T_in_base_mesh(self) -> Array:
-        """Pose (4, 4) of the `board` frame in the base mesh's frame."""
+        """Pose (4, 4) of the board's frame in the frame `ArmModel.base_mesh`."""
         return pose_from_quat(np.asarray(self.position_mm) / 1000, self.quat)
 
 
 class MountConfig(Config):
-    """The printed plate that carries a board, in the base mesh's frame.
+    """The printed plate that carries a board, in the frame `ArmModel.base_mesh`.
 
     Attributes:
-        stl: the user's mesh (mm, in the base mesh's frame); if left out, a plain plate of the same outline is drawn.
-        mirror_x: whether the outline or the mesh is mirrored at x = 0.
-        x_mm, y_mm, z_mm: extent of the outline.
+        stl: file with the user's mesh (mm, in the same frame); if left out, a plain plate of the given extent is shown.
+        mirror_x: whether the plate or the mesh is mirrored at x = 0.
+        x_mm, y_mm, z_mm: lower and upper end of the plate along each axis.
     """
 
     name: str
@@ -142,9 +142,9 @@ class ArmConfig(Config):
             the name of the model.
         dynamics: identified dynamics of this arm.
         gripper: a folder of `robot_models/grippers/` that fits the model.
-        grasp_offset: distance of `grasp_site` from the flange along the gripper, m; the gripper's if left out.
-        base: pose of the base relative to the arm's place in the rig.
-        wrist_camera: the wrist camera; the gripper's if left out.
+        grasp_offset: distance of the site `grasp_site` from the flange along the gripper, m; default: as in its MJCF.
+        base: pose of the base relative to the arm's point on the world y axis, see `RigConfig.margin`.
+        wrist_camera: pose and field of view of the wrist camera; the gripper's if left out.
     """
 
     name: Name
@@ -200,7 +200,7 @@ class ArmConfig(Config):
 
     @property
     def wrist_camera_name(self) -> str:
-        """Name of the wrist camera's recorded images."""
+        """Name of the images that the wrist camera records."""
         return self.wrist_camera.name or f"{self.side}_wrist_camera"
 
 
@@ -212,7 +212,7 @@ class RigCamera(Config):
         arm: name of the arm whose base frame is the pose's frame; if left out, that frame is `world`.
         position, quat: pose of the camera's OpenCV frame (x right, y down, z forward), m.
         fovy_deg: vertical field of view.
-        modes: image sizes with another field of view.
+        modes: image sizes at which the field of view differs from `fovy_deg`.
         housing: name of the visual model `robot_models/cameras/<housing>.xml`, in the camera's frame.
         mesh_sets: the asset sets of the housing's meshes.
     """
@@ -235,8 +235,8 @@ class RigConfig(Config):
     """The arms of a station. Each file in `configs/rigs/` states the sources of its figures.
 
     Attributes:
-        margin: distance between the places of neighbouring arms along world y, m. The places are centred on the world's
-            origin; the first arm is the rightmost.
+        margin: distance between neighbouring arms along world y, m. Each arm has a point on the world y axis, to which
+            its base pose is relative. The points are centred on the origin; the first arm is the rightmost.
         cameras: fixed cameras of the station. If given, recordings have these and every wrist camera, but no scene
             camera.
     """
@@ -248,21 +248,21 @@ class RigConfig(Config):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the station's cameras, then of the wrist cameras, from the left arm."""
+        """Names of the station's fixed cameras, then of the wrist cameras, that of the left arm first."""
         return (
             *(camera.name for camera in self.cameras),
             *(self.arms[k].wrist_camera_name for k in self.recording_order),
         )
 
     def T_cam_in_world(self, camera: RigCamera) -> Array:
-        """Return the pose (4, 4) of a station camera's OpenCV frame."""
+        """Return the pose (4, 4) in `world` of the OpenCV frame of a fixed camera."""
         T = pose_from_quat(camera.position, camera.quat)
         bases = {arm.name: self.T_base_in_world(k) for k, arm in enumerate(self.arms)}
         return T if camera.arm is None else bases[camera.arm] @ T
 
     @property
     def span(self) -> float:
-        """Distance between the places of the outermost arms, m; 0 for one arm."""
+        """Distance along world y between the outermost arms' points (see `margin`), m; 0 for one arm."""
         return (len(self.arms) - 1) * self.margin
 
     @property
@@ -272,15 +272,15 @@ class RigConfig(Config):
 
     @property
     def drives(self) -> int:
-        """Number of drives of each arm: its joints, and its fingers if any."""
+        """Number of drives of each arm: one for each joint, and one for the fingers if any."""
         return len(self.arms[0].robot.drives)
 
     def base_y(self, arm: int) -> float:
-        """Return the position of an arm's place along world y, m."""
+        """Return the world y (m) of the point to which the base pose of an arm is relative."""
         return (arm - (len(self.arms) - 1) / 2) * self.margin
 
     def T_base_in_world(self, arm: int) -> Array:
-        """Return the pose (4, 4) of an arm's base."""
+        """Return the pose (4, 4) in `world` of an arm's base."""
         return pose((0.0, self.base_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Families of arms and their revisions."""
+"""Finds robot models by product (family) and version (revision), such as `yam_ultra` and `v2`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Families = Mapping[str, Mapping[str, str]]
 
 
 def find_families(locations: Locations) -> Families:
-    """Return all families of arms, see `ArmModel`.
+    """Return the families of all robot models, each with its revisions.
 
     Raises ConfigError if a model cannot be read, or two models of a family have the same revision.
     """
@@ -27,7 +27,7 @@ def find_families(locations: Locations) -> Families:
 
 
 def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigError]]:
-    """Return the families of all valid models, and model -> error of each invalid model.
+    """Return the families of all valid models, and a mapping of each invalid model to its error.
 
     Of two models with the same revision, the one in the later data root is valid, so that the error names the user's
     file, not the built-in one.
@@ -75,7 +75,7 @@ def resolve_model_name(name: str, locations: Locations) -> str:
 
 
 def other_revision(model: str, revision: str, locations: Locations) -> str:
-    """Return the model of another revision of a model's family. Raises ConfigError if the revision does not exist."""
+    """Return the model that is version `revision` of the family of `model`. Raises ConfigError if none is."""
     for family, revisions in find_families(locations).items():
         if model in (family, *revisions.values()):
             if revision not in revisions:

@@ -27,7 +27,7 @@ class Table(Config):
         return self.position[2] + self.half_size[2]
 
     def widened(self, by: float) -> Table:
-        """Return the table, wider along world y by `by` metres."""
+        """Return the table with its full width along world y increased by `by` metres."""
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
 
@@ -47,7 +47,7 @@ class Light(Config):
     castshadow: bool = False
 
 
-_STEP_BACK = 0.5  # m per m, backward shift of the scene camera for a wider scene
+_STEP_BACK = 0.5  # m of backward shift of the scene camera for each m between two arms
 
 
 class FixedCamera(Config):
@@ -71,7 +71,7 @@ class FixedCamera(Config):
 
 
 class SceneConfig(Config):
-    """A station's surroundings.
+    """The surroundings of the arms: table, floor, sky, lights and a fixed camera.
 
     Attributes:
         table: the work surface; if left out, the rig stands on the floor.
@@ -79,7 +79,7 @@ class SceneConfig(Config):
         floor_rgba: the two colours of the floor's tiles.
         sky: the two colours of the sky's gradient.
         ambient: colour of the ambient light.
-        scene_camera: the camera of recordings.
+        scene_camera: the fixed camera that recordings use.
     """
 
     name: Name

@@ -1,4 +1,4 @@
-"""A session: a config and the locations of its files, as one value for all jobs."""
+"""The config of a recording and the locations of its files, as one value for all jobs and worker processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Session:
-    """A config with its files, as plain data for workers on any machine; `session_opener` opens a session.
+    """A config and the locations of its files, which can be pickled for worker processes on any machine.
 
     Attributes:
         config: the validated config.
@@ -24,7 +24,7 @@ class Session:
     locations: Locations
 
     def with_values(self, **values: Any) -> Session:
-        """Return the session with other values of its config, by their keys, without validation."""
+        """Return the session with the given keys of its config replaced by `values`, without validation."""
         return replace(self, config=self.config.model_copy(update=values))
 
     def without_meshes(self) -> Session:

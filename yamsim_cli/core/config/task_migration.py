@@ -9,15 +9,15 @@ from .program_task import PROGRAM
 
 _ROLES = ("object", "target")
 
-_HOLD_S = 0.25  # s, hold time of the goal
+_HOLD_S = 0.25  # s, time for which the goal of an upgraded task has to hold
 
-# Former placeholder -> placeholder.
+# Placeholder in the instructions of former kinds -> its present name.
 _PLACEHOLDERS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
 
 # Keys without a counterpart, since skills plan heights and the handover.
 _DROPPED = ("heights", "exchange")
 
-# Kind -> (keys of all its tasks, steps between pick and place).
+# Former kind -> (keys and values of all its upgraded tasks, skills between pick and place).
 _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
     "handover": (

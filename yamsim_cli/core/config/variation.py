@@ -1,4 +1,4 @@
-"""Samples of the domain randomization of one attempt, as frozen values."""
+"""Samples of the domain randomization of one attempt, as immutable dataclasses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class LookVariation:
 
 @dataclass(frozen=True)
 class ArmVariation:
-    """Changes of one arm's dynamics, see `config.randomization.ArmRanges`; `gravity` has an error for each joint."""
+    """Values added to one arm's dynamics; `gravity`: error of gravity compensation per joint, as share of its load."""
 
     command_delay_ms: float
     sensor_delay_ms: float
@@ -51,12 +51,12 @@ class Variation:
     Attributes:
         headlight: factors on the camera's headlight and on the ambient light.
         mass, friction: body -> factor.
-        lens_deg: change of the scene camera's field of view.
+        lens_deg: change of the scene camera's vertical field of view, degrees.
         camera: shift (m) and rotation (rad) of the scene camera, along and about the axes of `world`.
         looks: object -> its appearance.
         distractors: object -> its pose `[x, y, z, yaw]` in `world`, m and rad.
-        noise, salt_pepper: image noise, see `config.randomization.PictureRanges`.
-        arm_dynamics: samples of each arm, in the scene's order of arms.
+        noise, salt_pepper: standard deviation of image noise (0..255); share of pixels that turn white or black.
+        arm_dynamics: samples for each arm, in the order of arms in the compiled scene.
     """
 
     lights: tuple[LightVariation, ...] = ()

@@ -47,7 +47,7 @@ class Mount:
 
     @property
     def is_network(self) -> bool:
-        """Whether the files are or may be on another machine: FUSE and automounters do not state this."""
+        """Whether the files are, or may be, on another machine. For FUSE and automounters, the table does not say."""
         return bool(_NETWORK.fullmatch(self.kind)) or (
             self.kind.startswith("fuse.") and not _LOCAL_FUSE.fullmatch(self.kind)
         )
@@ -82,7 +82,7 @@ def parse_mounts(text: str) -> list[Mount]:
 
 
 def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
-    """Return the mount of an absolute path without links; None if the table has no such mount.
+    """Return the mount that contains an absolute path without symbolic links; None if no mount does.
 
     The search goes down from the root, which excludes mounts that later mounts cover.
     """
@@ -101,7 +101,7 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 
 
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
-    """Return the network mount that contains a path, or None.
+    """Return the network mount that contains a path; None if the path is on a local filesystem.
 
     Links on local filesystems are followed until the path reaches a network mount.
 

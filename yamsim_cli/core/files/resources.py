@@ -9,13 +9,13 @@ from pathlib import Path
 
 from ..errors import ConfigError, ResourceError, suggest
 
-AUTO = ("quality", "auto")  # kind and name that stand for the config `Locations.auto_quality`
-IMPORTED = "imported"  # asset set of the user's meshes: a folder of the cache without an entry in a lock file
+AUTO = ("quality", "auto")  # kind and name of a config for which `Locations.auto_quality` is loaded instead
+IMPORTED = "imported"  # folder of the asset cache with meshes that the user imported; no lock file lists them
 _CONFIG_SUFFIXES = (".yaml", ".yml")  # suffixes of config files
 _CAMERA_SUFFIXES = (*_CONFIG_SUFFIXES, ".json", ".xml")  # suffixes of camera files, also of other programs
 _KITCHEN = "kitchen_"  # prefix of the names of kitchen objects
 
-# Asset set -> folder of its meshes; None for primitives instead.
+# Asset set -> folder of its mesh files; None if scenes show primitives instead.
 Meshes = Mapping[str, Path | None]
 
 # Kind -> path of its configs below a data root, with `*` for the name.
@@ -31,7 +31,7 @@ def _built_in() -> Path:
 
 
 def config_path_pattern(kind: str) -> str:
-    """Return the path of the configs of a kind below a data root, with `*` for the name."""
+    """Return the path pattern of configs of a kind below a data root, with `*` for the name of a config."""
     return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
 
@@ -45,13 +45,13 @@ def camera_file(name: str) -> tuple[Path, str] | None:
 
 @dataclass(frozen=True)
 class Locations:
-    """The directories that a job may read, as plain data for workers on any machine.
+    """The directories that a job may read, as a value that can be pickled for worker processes on any machine.
 
     Attributes:
-        data: roots with `configs/`, `robot_models/` and `assets/`; earlier roots have priority.
+        data: data roots: folders with `configs/`, `robot_models/` and `assets/`; earlier ones have priority.
         assets: the cache of fetched meshes.
-        auto_quality: the quality for the name `auto`; depends on the GPU.
-        meshes: folders of the meshes that scenes show; empty for primitives.
+        auto_quality: name of the rendering quality that the name `auto` stands for.
+        meshes: asset set -> folder of the meshes that scenes show; without an entry, scenes show primitives.
     """
 
     data: tuple[Path, ...]
@@ -119,7 +119,7 @@ class Locations:
         return self.file(config_path_pattern(kind).replace("*", chosen))
 
     def _prefixed(self, kind: str, name: str) -> str | None:
-        """Return the only config named by a number and `name` (`013_apple`), or else `kitchen_` and `name`; or None."""
+        """Return the only config `<number>_<name>` (`013_apple`), or else `kitchen_<name>`; None if none or several."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
         if not found and (ours := f"{_KITCHEN}{name}") in names:

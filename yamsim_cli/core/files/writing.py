@@ -96,7 +96,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 
 def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
-    """Write a command's only output file, see `write_outputs`."""
+    """Write the only output file of a command, with the arguments and errors of `write_outputs`."""
     write_outputs({path: data}, flag)
 
 
@@ -195,10 +195,10 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
 
 @dataclass
 class StagedDirectory:
-    """A directory under construction.
+    """A directory that a block of `staged_directory` fills.
 
     Attributes:
-        path: the directory to write to.
+        path: the hidden temporary directory to write to, which is renamed after the block.
         moved_aside: after the block, the backup of an earlier directory; None without an earlier directory.
     """
 

@@ -22,7 +22,7 @@ class JointDynamics(Config):
         frictionloss: Coulomb friction, N m.
         kp, kv: gains of the drive, N m/rad and N m s/rad.
         offset_rad: encoder reading while the drive holds the joint at 0.
-        gravity_factor: gravity compensation as a factor of the joint's gravity load; 1 is exact.
+        gravity_factor: the arm's gravity compensation as a multiple of the joint's gravity load; 1 is exact.
     """
 
     armature: Annotated[FiniteFloat, QuantityBounds("kg m2", 0, 100)] | None = None
@@ -35,13 +35,13 @@ class JointDynamics(Config):
 
 
 class Dynamics(Config):
-    """A named revision of a robot model with the measured dynamics of one arm.
+    """Measured dynamics of one real arm, as a named variant ("revision") of a robot model.
 
     Attributes:
         revision: name of the revision.
-        base: the robot model of which this is a revision.
+        base: name of the robot model whose values these dynamics replace.
         side: `left` or `right`, the arms of a rig that have these dynamics; if left out, all arms of the model.
-        source: the data of the identification, in a few words.
+        source: description of the recordings from which the values were identified.
         joints: joint -> its dynamics; other joints keep those of the model.
         command_delay_ms: delay between a command and its effect.
         sensor_delay_ms: age of the encoders' readings.
@@ -66,7 +66,7 @@ class Dynamics(Config):
         return hash(self.model_dump_json())
 
     def joint(self, name: str) -> JointDynamics:
-        """Return the dynamics of a joint."""
+        """Return the dynamics of a joint; without an entry for it, values that change nothing."""
         return self.joints.get(name, JointDynamics())
 
     def check(self, arm: ArmModel) -> None:

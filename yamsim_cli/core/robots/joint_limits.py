@@ -1,4 +1,4 @@
-"""Checks joints from files, flags and programs against the joint limits of an arm."""
+"""Checks joint positions from files, flags and programs against the joint limits of an arm."""
 
 from __future__ import annotations
 

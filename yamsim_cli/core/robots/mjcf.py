@@ -21,7 +21,7 @@ _ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 # Elements that read files or load plugins, which MJCFs of robots must not have. Includes are expanded before the check.
 _FORBIDDEN_ELEMENTS = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
-# Sites of every gripper: the point where the fingers meet, and the frame of recorded poses.
+# Sites that every gripper must have: where the fingers meet, and the hand frame whose pose is recorded.
 _SITES = ("pinch_site", "grasp_site")
 
 # Attributes outside `worldbody` that name a body.
@@ -37,7 +37,7 @@ _ATTRIBUTES = {
     "kv": ("drive", "kv"),
     "torque": ("drive", "forcerange"),
 }
-_TIP_SITE = "pinch_site"
+_TIP_SITE = "pinch_site"  # site at which the additional mass `tip_mass_g` of identified dynamics is placed
 _POINT_INERTIA = 1e-9  # kg m2, inertia of a point mass: MuJoCo needs an inertia above 0
 
 
@@ -46,7 +46,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
 
-    Raises ConfigError if a file is no MJCF of a robot, or the files contradict each other.
+    Raises ConfigError if a file is not a valid MJCF of an arm or gripper, or the files contradict each other.
     """
     root, hand = parse_mjcf(arm.mjcf), parse_mjcf(gripper.mjcf)
     if gripper.finray is not None:
@@ -77,7 +77,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
 def parse_mjcf(mjcf: Mjcf) -> Element:
     """Return the root element of an MJCF.
 
-    Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes of asset sets.
+    Raises ConfigError if the text is no MJCF, declares entities, or names files other than meshes `<set>/<file>`.
     """
     try:
         root = parse_root(mjcf.text)
@@ -90,7 +90,7 @@ def parse_mjcf(mjcf: Mjcf) -> Element:
 
 
 def _check_files(root: Element, mjcf: Mjcf) -> None:
-    """Make sure that MuJoCo opens no file by itself: an MJCF may only name meshes of asset sets."""
+    """Make sure that MuJoCo opens no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
     for element in root.iter():
         if element.tag in _FORBIDDEN_ELEMENTS:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
@@ -107,7 +107,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the body with a name. Raises ConfigError if the MJCF has no such body."""
+    """Return the body called `name`. Raises ConfigError if the MJCF has no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -115,7 +115,7 @@ def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the joint with a name in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
+    """Return the joint called `name` in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
@@ -134,7 +134,7 @@ def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
 
 
 def format_numbers(values: Iterable[float]) -> str:
-    """Return numbers as the text of an attribute, without loss of precision."""
+    """Return numbers as an MJCF attribute, separated by blanks and without loss of precision."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
@@ -213,7 +213,7 @@ def _rename_body(hand: Element, name: str, new: str) -> None:
 
 
 def _fill(flange: Element, frame: Element, mount: Placement) -> None:
-    """Move the content of the gripper's frame into the flange."""
+    """Move the content of the gripper's only body `frame` into the flange's body, at the pose `mount`."""
     inside = Element("frame")
     if childclass := frame.get("childclass"):
         inside.set("childclass", childclass)
@@ -235,7 +235,7 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
 
 
 def _move(inertial: Element, mount: Placement) -> None:
-    """Transform an inertial from the gripper's frame into the flange's frame."""
+    """Transform an `<inertial>` element from the gripper's frame into the flange's frame."""
     place, turn = (
         [float(number) for number in inertial.get(key, default).split()]
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
@@ -285,7 +285,7 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
 def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dynamics) -> None:
     """Write an arm's dynamics into the merged MJCF of arm and gripper.
 
-    MJCF has no attributes for gravity factors, offsets, sensors and delays. Scenes apply delays during steps.
+    Gravity factors, encoder offsets, sensor errors and delays have no attribute in MJCF, and are not written.
 
     Raises ConfigError if the dynamics have a tip mass and the MJCF has no site for that mass.
     """
@@ -304,7 +304,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
 
 
 def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | JointDynamics) -> None:
-    """Write the values of a joint that are not None."""
+    """Write those values of a joint and its drive into the MJCF that are not None."""
     parts = {"joint": find_joint(root, name, arm.mjcf), "drive": find_position_drive(root, name, arm.mjcf)}
     for key, (part, attribute) in _ATTRIBUTES.items():
         value = getattr(values, key, None)
@@ -314,7 +314,7 @@ def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | Jo
 
 
 def coupling_ratio(root: Element, one: str, other: str) -> float:
-    """Return position of `one` / position of `other` for joints that an equality couples; 1 without an equality."""
+    """Return position of joint `one` / position of joint `other`, as an equality couples them; 1 without equality."""
     for element in _parts(root, "equality"):
         factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])
         match element.get("joint1"), element.get("joint2"):

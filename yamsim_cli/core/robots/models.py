@@ -39,7 +39,7 @@ from .finray.finger import FinRay
 
 Element = ElementTree.Element
 
-# Refusal codes of an include whose file is not in the folder.
+# Codes of a `RefusedError` for an included file that is not in the folder of the MJCF.
 _OUTSIDE_CODES = ("outside", "missing", "not-a-file")
 
 # The name of an element in an MJCF.
@@ -118,24 +118,24 @@ class JointChange(Config):
 
 
 class Placement(Config):
-    """A pose in another frame: position (m) and quaternion wxyz."""
+    """The pose of one frame in another frame: position (m) and quaternion (w, x, y, z)."""
 
     position: OffsetPoint = (0.0, 0.0, 0.0)
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @property
     def T(self) -> Array:
-        """The pose (4, 4)."""
+        """The pose as a matrix (4, 4)."""
         return pose_from_quat(self.position, self.quat)
 
 
 class Fit(Config):
-    """The mounting of a gripper on an arm, and its changes to the arm.
+    """How a gripper is mounted on an arm, and what it changes in the arm.
 
     Attributes:
         mount: pose of the gripper's frame in the flange's frame.
-        joints: joint -> changed values.
-        excludes: pairs of bodies that do not collide with this gripper.
+        joints: joint of the arm -> values that hold with this gripper.
+        excludes: pairs of bodies between which collisions are disabled when this gripper is mounted.
     """
 
     mount: Placement = Placement()
@@ -159,7 +159,7 @@ class WristCamera(Config):
 
     Attributes:
         fovy_deg: vertical field of view.
-        modes: image sizes with another field of view.
+        modes: image sizes at which the field of view differs from `fovy_deg`.
         name: name of the recorded images; if left out, `<side>_wrist_camera`.
     """
 
@@ -176,7 +176,7 @@ class WristCamera(Config):
 
 
 def fovy_for_size(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...]) -> float:
-    """Return a camera's vertical field of view for images of a size (width, height in px), degrees."""
+    """Return the field of view (degrees) of the mode with `size` (width, height in px); `fovy_deg` if none."""
     return next((mode.fovy_deg for mode in modes if mode.size_px == size), fovy_deg)
 
 
@@ -250,13 +250,13 @@ class ArmModel(_FolderConfig):
             each joint, but no joint limits.
         base: the body whose frame is the arm's base frame.
         flange: the last body, which turns with the last joint. A gripper becomes part of this body.
-        base_mesh: pose of the frame of boards and mounts in the base frame.
+        base_mesh: pose, in the base frame, of the frame in which fiducial boards and their mounts are given.
         mesh_sets: the asset sets of the MJCF's meshes.
         joints: joints from the base to the flange.
-        home: the joints at rest, rad.
-        start: the joints at the start of tasks without `start_joints`, rad; `home` if left out.
-        grippers: gripper -> its mounting, unless the gripper's file has an entry for this model.
-        family, revision: family and revision of the model. The name of a family stands for its newest revision.
+        home: joint positions of the idle arm, rad.
+        start: joint positions at the start of tasks without `start_joints`, rad; `home` if left out.
+        grippers: gripper -> how it is mounted on this arm, unless the gripper's file has an entry for this model.
+        family, revision: product and version of the model. A family's name alone stands for its newest version.
     """
 
     base: Part
@@ -298,11 +298,11 @@ class Fingers(Config):
         joints: slide joints of the left and the right finger, which an equality of the MJCF may couple.
         bodies: bodies of the left and the right finger on these joints. Child bodies belong to the finger.
         drive: the actuator of the left finger's joint; its command is that finger's opening, m.
-        range: lower and upper limit of one finger's opening, m; 0 is closed. The MJCF has no range.
+        range: lower and upper limit of one finger's opening, m; 0 is closed. The MJCF must have no range for its joint.
         full_opening: largest opening of one finger in use, m.
         start_opening: opening of one finger at the start of a task, m; `full_opening` if left out.
         radius: half of a finger's width near its tip, m: the space that a finger needs beside an object.
-        pads: whether the fingers can hold an object by friction.
+        pads: whether the fingers have pads that can hold an object by friction.
     """
 
     joints: tuple[Part, Part]
@@ -339,9 +339,9 @@ class Gripper(_FolderConfig):
             added to the arm's. The site `pinch_site` lies where the fingers meet: z into the grasp, y along closing.
         mesh_sets: the asset sets of the MJCF's meshes.
         fingers: None for a gripper without fingers.
-        finray: soft fingers, generated on two bodies of the MJCF.
+        finray: dimensions of soft fingers, which are generated on two bodies of the MJCF.
         wrist_camera: the wrist camera of an arm with this gripper, unless the rig has another.
-        arms: robot model -> the gripper's mounting, unless the model's file has an entry for this gripper.
+        arms: robot model -> how the gripper is mounted on it, unless the model's file has an entry for this gripper.
     """
 
     mesh_sets: tuple[Name, ...] = ()
@@ -352,7 +352,7 @@ class Gripper(_FolderConfig):
 
 
 def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
-    """Return a gripper's mounting on an arm. Raises ValueError if the gripper does not fit, or both files define it."""
+    """Return how a gripper is mounted on an arm. Raises ValueError if neither or both of their files define this."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:
         raise ValueError(

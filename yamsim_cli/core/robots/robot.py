@@ -1,4 +1,4 @@
-"""An arm with its gripper."""
+"""Assembles an arm and a gripper, from their configs and MJCF files, into one robot."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Robot:
         flange: the body that turns with the last joint, and carries the gripper.
         joints: joints from the base to the flange, with their limits for this gripper.
         joint_drives: the actuators of these joints, in the same order.
-        home, start: joints at rest, and at the start of tasks without `start_joints`, rad.
+        home, start: joint positions of the idle arm, and at the start of tasks without `start_joints`, rad.
         fingers: None for a gripper without fingers.
         finger_signs: for the left and the right finger, 1 if its joint increases with the opening, else -1.
-        mesh_sets: the asset sets of the MJCF's meshes.
-        T_base_mesh: pose (4, 4) of the frame of boards and mounts in the base frame.
-        dynamics: identified dynamics; `xml` also has those with an attribute in MJCF.
+        mesh_sets: names of the asset sets (folders of mesh files) of the MJCF.
+        T_base_mesh: pose (4, 4), in the base frame, of the frame in which fiducial boards and mounts are given.
+        dynamics: measured dynamics, or None. `xml` already contains those that MJCF has an attribute for.
     """
 
     model: str
@@ -75,7 +75,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
     """Return an arm with a gripper mounted.
 
     Args:
-        dynamics: identified dynamics of the arm.
+        dynamics: measured dynamics of the arm; None for those of its model.
 
     Raises:
         ValueError: the gripper does not fit the arm, or the dynamics belong to another arm.
@@ -111,7 +111,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
 
 
 def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
-    """Return an arm's joints with the widest limits of all grippers in its file."""
+    """Return an arm's joints, each with its lowest and highest limit over all grippers in the arm's file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
@@ -122,7 +122,7 @@ def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
 
 
 def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:
-    """Write the fingers' joint limits into the MJCF, and return `Robot.finger_signs`."""
+    """Write the fingers' joint limits into the MJCF, and return the fingers' signs as in `Robot.finger_signs`."""
     fingers = gripper.fingers
     assert fingers is not None
     drive = mjcf.find_position_drive(root, fingers.joints[0], gripper.mjcf)

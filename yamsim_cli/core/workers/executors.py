@@ -26,7 +26,7 @@ class JobRunner(Protocol[JobIn, ResultOut]):
         ...
 
 
-# Creates a worker's runner; picklable.
+# Function that creates the runner of a worker, as a context manager; must be picklable.
 Factory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
 
 
@@ -124,12 +124,12 @@ class InlineExecutor(Closable, Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """1 if no job waits, else 0."""
+        """Number of jobs that can be submitted now: 0 while a job waits, else 1."""
         return 1 - len(self._waiting)
 
     @property
     def in_flight(self) -> int:
-        """1 if a job waits, else 0."""
+        """Number of submitted jobs without a returned result: 1 while a job waits, else 0."""
         return len(self._waiting)
 
     def submit(self, job: J) -> None:

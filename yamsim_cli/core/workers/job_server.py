@@ -28,7 +28,7 @@ HEADER = struct.Struct("!QQ")
 
 
 class JobServer:
-    """Runs jobs. Methods never raise: the answer reports errors. Answers are pickled `worker_pool.Event`s."""
+    """Runs jobs. `open` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -40,7 +40,7 @@ class JobServer:
         return self._runner is not None
 
     def open(self, factory: bytes) -> bytes:
-        """Create the runner, and return the answer.
+        """Create the runner, and return a pickled event: `WorkerReady` or an error.
 
         Args:
             factory: a pickled `executors.Factory`; unpickling imports the runner's modules, which takes seconds.
@@ -54,7 +54,7 @@ class JobServer:
         return _answer(make)
 
     def run(self, job: Any) -> bytes:
-        """Run one job, and return the answer."""
+        """Run one job, and return a pickled event: `JobFinished` with the result, or an error."""
         runner = self._runner
         assert runner is not None, "open comes first"
         return _answer(lambda: JobFinished(runner.run(job)))
@@ -69,7 +69,7 @@ def serve_jobs(pipe: Connection, factory: bytes) -> None:
 
     Args:
         pipe: delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
-        factory: see `JobServer.open`.
+        factory: the pickled function that creates the runner.
     """
     # EOFError or OSError mean that the parent closed the pipe, or has ended.
     with contextlib.closing(JobServer()) as server, contextlib.suppress(EOFError, OSError):
@@ -102,8 +102,8 @@ def _answer(work: Callable[[], Event[Any]]) -> bytes:
 def kill_forks_at_exit() -> Iterator[None]:
     """End, at the end of the `with` block, every process that user code forked in the block.
 
-    A fork that returns from a policy would otherwise continue as a second copy of the worker, and answer twice. A fork
-    that exits by itself keeps its exit code.
+    A forked process that returns from user code, such as a policy, would otherwise continue as a second copy of the
+    worker, and answer twice. A forked process that exits by itself keeps its exit code.
     """
     own = os.getpid()
     try:

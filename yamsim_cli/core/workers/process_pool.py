@@ -31,7 +31,7 @@ _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 
 
 class ProcessPool(BaseWorkerPool[J, R]):
-    """An `Executor` over processes of this machine; see `BaseWorkerPool`. `factory` runs in each worker's process."""
+    """An `Executor` that runs jobs in processes of this machine. `factory` creates the runner in each process."""
 
     def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
@@ -39,7 +39,7 @@ class ProcessPool(BaseWorkerPool[J, R]):
         atexit.register(self.close)
 
     def close(self) -> None:
-        """See `Executor.close`."""
+        """End all processes at once, even during a job."""
         super().close()
         atexit.unregister(self.close)
 
@@ -59,7 +59,7 @@ class _Process(Generic[J, R]):
         self.pipe.send((self._sent, job))
 
     def receive(self) -> Event[R] | None:
-        """Return the event that the worker has begun to send; None if the sender or the job is another one."""
+        """Return the event that is arriving; None if a forked copy of the worker sent it, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
@@ -110,13 +110,13 @@ class _Processes(Generic[J, R]):
 
 @contextmanager
 def stop_signals_blocked() -> Iterator[None]:
-    """Block stop signals in the `with` block, and raise them after it. Processes started in it inherit the block."""
+    """Delay stop signals until the end of the `with` block. Processes that start in it inherit blocked signals."""
     # The start of multiprocessing's resource tracker unblocks signals, so the tracker is started first.
     resource_tracker.ensure_running()
     came: list[int] = []
     handlers = {}
     if threading.current_thread() is threading.main_thread():
-        # A library's thread may receive the signal, and Python would run the handler in this thread.
+        # A thread of a library may receive the signal, and Python would then run the handler in this main thread.
         for number in _BLOCKED_SIGNALS:
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda number, frame: came.append(number))

@@ -85,7 +85,7 @@ W = TypeVar("W")
 
 
 class WorkerBackend(Protocol[W, R]):
-    """A kind of worker."""
+    """Starts workers of one kind, such as processes, and receives their events."""
 
     def start(self, number: int) -> W:
         """Start a worker, and return before the worker is ready."""
@@ -120,7 +120,7 @@ class _Slot(Generic[J]):
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
-    """An `Executor` over any kind of worker.
+    """An `Executor` for any kind of worker, which replaces workers that die or hang.
 
     Args:
         workers: number of workers.
@@ -151,7 +151,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
 
     @property
     def in_flight(self) -> int:
-        """See `Executor.in_flight`."""
+        """Number of submitted jobs without a returned result."""
         return self._working + len(self._waiting) + len(self._done)
 
     @property
@@ -159,13 +159,13 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         return sum(slot.task is not None for slot in self._slots)
 
     def submit(self, job: J) -> None:
-        """See `Executor.submit`."""
+        """Give a job to an idle worker; requires `idle` above 0."""
         assert self.idle
         self._waiting.append(_Task(job))
         self._assign()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """See `Executor.result`."""
+        """Wait for the next job that finishes, and return the job and its result. Raises as `Executor.result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:
             assert self.in_flight, "nothing was submitted"
@@ -254,7 +254,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         return self._backend.start(self._started - 1)
 
     def close(self) -> None:
-        """See `Executor.close`."""
+        """End all workers at once, even during a job."""
         for slot in self._slots:
             slot.worker.kill()
         self._slots = []

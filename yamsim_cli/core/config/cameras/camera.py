@@ -35,7 +35,7 @@ class CameraConfig(Config):
 
     @property
     def model(self) -> CameraModel:
-        """The camera model for computations."""
+        """The same camera as a `CameraModel`, which projects points."""
         return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
 
     @field_validator("K", mode="before")
@@ -76,10 +76,10 @@ class CameraConfig(Config):
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """See `read_camera`."""
+        """Return one camera of a calibration file of yamsim, OpenCV, ROS, Kalibr or raiden. Raises as `read_camera`."""
         return read_camera(path)
 
     @classmethod
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
-        """See `cameras_in_file`."""
+        """Return `FILE:CAMERA` for each named camera in a file. Raises as `cameras_in_file`."""
         return cameras_in_file(path)

@@ -109,7 +109,7 @@ class _Converter:
         return isinstance(self._values, dict) and key in self._values
 
     def get(self, key: str, count: int = 0) -> Any:
-        """Return a required value; with a count, a list of that length."""
+        """Return the value of a required key; raise ConfigError if it is missing, or no list of `count` items."""
         if not self.has(key):
             raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
         value = self._values[key]

@@ -13,7 +13,7 @@ _ROOT = "opencv_storage"
 
 _MAX_DEPTH = 50  # levels of nested elements; a calibration has 3, and a deeper file is an attack
 
-# FileStorage writes comments on separate lines. Text has no line breaks, so no other line begins like a comment.
+# FileStorage writes comments on separate lines. Its strings have no line breaks, so only comments begin with `//`.
 _JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
 
 _WORDS = re.compile(r'"([^"]*)"|(\S+)')

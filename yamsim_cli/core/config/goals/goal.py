@@ -38,7 +38,7 @@ class _Clause(Config):
         return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """Return the measures that have to hold: of the best clause for `any`, one inverted measure for `not`."""
+        """Return the measures that all have to hold: for `any`, of its best clause; for `not`, one inverted measure."""
         key, value = self._item
         match key:
             case "all":
@@ -65,7 +65,7 @@ class _Clause(Config):
         return truth[repr(value)]
 
     def predicates(self, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Predicate]]:
-        """Yield every predicate with its key path."""
+        """Yield the key path below `path`, and the predicate, for every predicate of the clause."""
         key, value = self._item
         if key in ("all", "any"):
             for k, clause in enumerate(value):
@@ -86,7 +86,7 @@ def _optional(annotation: Any) -> Any:
     return Annotated[annotation, OMIT_NONE], None
 
 
-# Created from the table of predicates, so that each new predicate becomes a key without further changes.
+# Created from `PREDICATES`, so that a predicate that is added to `PREDICATES` becomes a key without further changes.
 Clause: Any = create_model(
     "Clause",
     __base__=_Clause,
@@ -112,7 +112,7 @@ class Goal(Clause):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class GoalVerdict:
-    """Whether a goal is reached.
+    """The result of checking a goal in one state of a scene.
 
     Attributes:
         measures: all measures that have to hold.
@@ -132,5 +132,5 @@ class GoalVerdict:
 
 
 def evaluate_goal(goal: Goal, world: GoalWorld, roles: RoleAssignment) -> GoalVerdict:
-    """Return the verdict on a goal in the current state of a scene."""
+    """Return whether, and by which margins, a goal holds in the current state of a scene."""
     return GoalVerdict(tuple(goal.measures(world, roles)))

@@ -1,4 +1,4 @@
-"""Finds contradictions within goals."""
+"""Finds goals that can never hold, because their predicates contradict each other."""
 
 from __future__ import annotations
 

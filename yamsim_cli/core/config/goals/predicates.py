@@ -58,7 +58,7 @@ class _OfEachThing(Predicate):
 
 
 class _OfEachPair(Predicate):
-    """A predicate on each object of a role and its counterpart, see `RoleAssignment.pairs`."""
+    """A predicate on each object of a role and the object of another role that `RoleAssignment.pairs` assigns to it."""
 
     thing: str
 
@@ -98,7 +98,7 @@ class On(_OfEachPair):
         thing, surface: roles; the surface may be `table`.
         inside: least distance of the object's middle from the edge of the surface's outline, m.
         radius: instead of `inside`, the largest horizontal distance between the two origins, m. An object that also
-            touches the table leans against the surface, and does not count.
+            touches the table leans against the surface, and fails.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
@@ -158,7 +158,7 @@ class Stacked(Predicate):
     order: Literal["any", "given"] = "any"
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
+        """Return a measure for each object and the object below it."""
         names = list(roles.objects_of(self.things))
         if self.order == "any":
             names.sort(key=lambda name: _bottom(world, name))
@@ -214,14 +214,14 @@ class Piled(Predicate):
     gap: Distance = 0.02
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
+        """Return a measure for each object and the object below it."""
         names = sorted(
             (name for role in self.things for name in roles.objects_of(role)), key=lambda name: _bottom(world, name)
         )
         return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """See `Predicate`."""
+        """Return pairs of an argument that names a role, and the role."""
         return tuple(("things", role) for role in self.things)
 
     def _measure(self, world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
@@ -281,7 +281,7 @@ class Near(Predicate):
         return self
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
+        """Return a measure for each object and its counterpart or the place."""
         if self.other is None:
             return [
                 self._measure(world, thing, "place", np.array(self.place)) for thing in roles.objects_of(self.thing)
@@ -381,7 +381,7 @@ class WasHandedOver(_OfEachThing):
 
 
 class Sorted(Predicate):
-    """The objects of a role lie in a row by their kinds, or each in the container of its kind.
+    """The objects of a role lie in a row ordered by kind (name of their config), or each in the container of its kind.
 
     Attributes:
         things: a role of several objects.
@@ -407,11 +407,11 @@ class Sorted(Predicate):
         return self
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """See `Predicate`."""
+        """Return pairs of an argument that names a role, and the role."""
         return (("things", self.things), *((f"into.{kind}", role) for kind, role in self.into.items()))
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
+        """Return measures of neighbours and of the row, or a measure of each object in its container."""
         things = roles.objects_of(self.things)
         if self.into:
             return [self._in_its_own(world, roles, thing) for thing in things]
@@ -480,7 +480,7 @@ class Swapped(Predicate):
     radius: Annotated[Distance, Field(gt=0)] = 0.03
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """See `Predicate`."""
+        """Return the measure of each of the two objects at the other's start."""
         one, other = roles.object_of(self.thing), roles.object_of(self.other)
         return [self._measure(world, one, other), self._measure(world, other, one)]
 

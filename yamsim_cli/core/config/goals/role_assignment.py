@@ -21,7 +21,7 @@ class RoleAssignment:
     scale_factors: Mapping[str, float] = field(default_factory=dict)
 
     def objects_of(self, role: str) -> tuple[str, ...]:
-        """Return the names of a role's objects; for any other name, that name alone."""
+        """Return the names of a role's objects; for a name that is no role, such as `table`, that name alone."""
         return self.objects_by_role.get(role) or (role,)
 
     def object_of(self, role: str) -> str:

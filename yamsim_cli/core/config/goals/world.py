@@ -1,4 +1,4 @@
-"""The queries of predicates to the state of a scene."""
+"""The protocol by which predicates query the state of a scene."""
 
 from __future__ import annotations
 

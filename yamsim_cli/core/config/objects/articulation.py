@@ -84,7 +84,7 @@ class LinkJoint(Config):
         type: "hinge" rotates; "slide" translates; "screw" rotates, and moves along its axis by `pitch` per turn.
         axis: direction in the part's frame; its length does not matter.
         position: a point on the axis, in the part's frame, m.
-        range: lower and upper joint limit: m, or degrees of a hinge or a screw. At 0, the part has the given pose.
+        range: lower and upper joint limit: m, or degrees of a hinge or a screw. At 0, the part has its config's pose.
         start: initial position, in the same unit.
         damping: viscous damping, N s/m or N m s/rad.
         friction: dry friction, N or N m.

@@ -30,9 +30,9 @@ class Cloth(Config):
         bending_n_m: moment per width that bends the fabric to a radius of 1 m, N m.
         damping_s: time constant of stretching and bending.
         friction: sliding friction against the table, hands and itself.
-        held: "points": a hand holds the points between its pads; "layers": also the nearest point of every layer there.
+        held: "points": a hand holds all points between its pads; "layers": also one point of each layer between them.
         solver: MuJoCo's solver in scenes with the cloth: `cg` takes half the time for large grids (21 x 21).
-        checks: number of checks along x, in the second colour.
+        checks: number of squares along x in a pattern of the second colour; 0 for none.
         colours: colours (RGB) of the fabric and of the checks.
     """
 
@@ -77,7 +77,7 @@ class Cloth(Config):
 
 
 def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of an object's data that follow from its `cloth`, as for a rigid object; empty if not valid."""
+    """Return the keys of an object's config that follow from its `cloth`, as of a flat box; empty if not valid."""
     if not isinstance(data.get("cloth"), dict):
         return {}
     try:

@@ -1,4 +1,4 @@
-"""The config of an object generated from sizes: meshes, primitives, mass properties and grasps."""
+"""Generates the config of an object from its sizes: meshes, primitives, mass properties and grasps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...geometry.shape_generators.generated_shape import GeneratedShape, ShapeGr
 from ...geometry.stl import stl_bytes
 from .shapes import DENSITY, Shape
 
-MADE = "made"  # asset set of the meshes that are generated with each scene
+MADE = "made"  # name of the asset set for meshes that are generated when a scene is built
 
 _BODY = "body"
 _SCALE_POWERS = {"_mm": 1, "_g": 3}  # suffix of a shape's key -> power of the scale factor in its value
@@ -26,26 +26,26 @@ _SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
 _FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction coefficients
 _FLAT_FRICTION = 0.0005  # m, rolling friction of flat objects
 _ROUND_FRICTION = 0.05  # share of the radius, rolling friction of round objects: holds on a slope of 3 degrees
-_PUSH_OUT = 0.006  # s, below MuJoCo's 0.02: a thin object that falls 10 cm would penetrate a table's top
+_PUSH_OUT = 0.006  # s, time constant of contacts; at MuJoCo's 0.02, thin objects sink into a table after a 10 cm fall
 
 _G = 9.81  # m/s2
-_MIN_FORCE = 15.0  # N, least force of a pad
-_FORCE_FACTOR = 8.0  # half weights, force of a pad
-_LEVEL_FACTOR = 1.2  # times the force of a pad that just holds an object level beside its centre of mass
-_MIN_FORCE_FACTOR = 3.0  # half weights, force of a pad below which an object slides out of the pads
+_MIN_FORCE = 15.0  # N, least force of each pad in a grasp
+_FORCE_FACTOR = 8.0  # least force of each pad, as a multiple of half the object's weight
+_LEVEL_FACTOR = 1.2  # multiple of the least pad force that keeps an object, grasped beside its centre of mass, level
+_MIN_FORCE_FACTOR = 3.0  # multiple of half the weight; with less force of each pad, an object slides out of the pads
 # Limits of a pad's force: stiffness of the drive for both pads, N/m; depth of the lowest command below 0 (closed), m;
 # force limit of the drive, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
 _STIFFNESS, _OVERTRAVEL, _MAX_FORCE = 1000.0, 0.005, 50.0
-_WALL_CLEARANCE = 0.006  # m, from a finger to a wall: the outer finger fits between a plate's rim and the table
+_WALL_CLEARANCE = 0.006  # m, from an open finger to a grasped wall: the outer one fits between plate rim and table
 
 
 def generated_mesh_files(name: str, shape: Shape) -> dict[str, bytes]:
-    """Return file name -> binary STL (m) of all pieces of one role."""
+    """Return file name -> binary STL (m), one file for each role of pieces, such as the body and the handle."""
     return {_file(name, role): stl_bytes(*surface) for role, surface in _surfaces(shape.form()).items()}
 
 
 def keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of an object's data that follow from its `shape`; empty without a valid shape."""
+    """Return the keys of an object's config that follow from the sizes in its `shape`; empty without a valid shape."""
     if not isinstance(data.get("shape"), dict):
         return {}
     try:
@@ -72,7 +72,7 @@ def _scaled(key: str, value: Any, factor: float) -> Any:
 
 
 def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
-    """Return the keys of an object's data that follow from a shape."""
+    """Return the keys of an object's config that follow from a shape: meshes, inertia, contact, collision and grasp."""
     form = shape.form()
     mass, centre, inertia = _mass_properties(shape, form)
     moments, axes = np.linalg.eigh(inertia)
@@ -146,7 +146,7 @@ def _contact(form: GeneratedShape) -> dict[str, Any]:
 
 
 def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
-    """Return the grasp by a weld, and by friction if pads can press hard enough."""
+    """Return the data of a grasp by a weld constraint, and of grasps by friction if pads can press hard enough."""
     # In a grasp near the centre of mass, the object rotates less in the pads.
     holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))
     held = [hold for hold in holds if hold.has_flat_contact and _needed_force(hold, mass, centre) <= _max_force(hold)]

@@ -22,7 +22,7 @@ from .object_part import ObjectMesh as ObjectMesh
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
 from .shapes import Shape
 
-_PART = QuantityBounds("m", -1, 1)  # bounds of lengths and coordinates of parts
+_PART = QuantityBounds("m", -1, 1)  # m, bounds of lengths and coordinates of primitives
 
 
 class GraspPoint(Config):
@@ -70,25 +70,25 @@ class FrictionGrasp(Config):
 
 
 class Grasp(GraspPoint):
-    """Grasps of an object from above. The inherited keys are the grasp by a weld.
+    """Grasps of an object from above. The inherited keys are for a grasp in which a weld constraint holds the object.
 
     Attributes:
         clearance: distance between each open finger and its closed position, m.
-        friction: grasps by friction; if left out, only a weld holds the object.
+        friction: grasps by friction; if left out, only a weld constraint holds the object.
     """
 
     clearance: Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 0.1)] = 0.010
     friction: FrictionGrasp | None = None
 
 
-# Families of shapes without an upper side.
+# Families of shapes that may lie on any side.
 _SOLID = ("block", "fruit", "cutlery", "pasta")
 
 
 class ObjectConfig(Config):
     """An object: collision geometry, visual meshes, inertia, grasps, and the links of an articulated object.
 
-    The properties of an articulated object are those of its base.
+    For an articulated object, keys other than `links` describe its base.
 
     Attributes:
         shape: the sizes from which the object is generated. Keys that a file leaves out follow from the sizes. The
@@ -98,7 +98,7 @@ class ObjectConfig(Config):
         rest_height: height of the origin above the surface on which the object lies, m.
         support: height above the origin of the surface that supports objects placed in the middle, m; if left out, the
             height follows from the primitives.
-        preposition: how other objects are placed there: "on" a plate, "in" a bowl.
+        preposition: how instructions name a placement of other objects: "on" a plate, "in" a bowl.
         look: additional visual primitives, such as a banana's brown ends.
         rests: poses in which a hand may place the object: "upright", or "any" stable pose. If left out, hollow, hinged
             and sheet objects are placed upright, and all others in any stable pose.
@@ -179,7 +179,7 @@ class ObjectConfig(Config):
         return self
 
     def with_name(self, name: str) -> ObjectConfig:
-        """Return the object with another name."""
+        """Return the object with another name, which also names its generated mesh files."""
 
         def named(mesh: ObjectMesh) -> ObjectMesh:
             made = mesh.set == MADE
@@ -210,7 +210,7 @@ class ObjectConfig(Config):
             raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
 
     def _made_again(self, shape: Shape) -> ObjectConfig:
-        """Return the object with all values replaced that follow from a shape."""
+        """Return the object with `shape`, and with all keys that follow from the shape generated again."""
         made = object_from_shape(self.name, shape)
         given = self.model_dump(mode="json")
         kept = {key: value for key, value in given.items() if key not in made and key not in ("grasp", "support")}
@@ -230,7 +230,7 @@ class ObjectConfig(Config):
 
     @property
     def rests_in_any_pose(self) -> bool:
-        """Whether a hand may place the object in any stable pose, see `rests`."""
+        """Whether a hand may place the object in any stable pose, not only upright, by `rests` or its geometry."""
         if self.rests is not None:
             return self.rests == "any"
         if self.shape is not None:

@@ -16,7 +16,7 @@ _PUSH_OUT = 0.02  # s, MuJoCo's default
 
 
 class Contact(Config):
-    """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
+    """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension `condim`.
 
     Attributes:
         push_out_s: time constant with which a contact resolves penetration, s. A small falling object penetrates a few
@@ -32,13 +32,13 @@ class ObjectMesh(Config):
     """A visual mesh, such as a scan.
 
     Attributes:
-        set: an asset set of the lock file, or a user's own set, see `core.scene.assets.asset_store`.
+        set: name of the folder of mesh files: an asset set of `assets.lock.json`, or one that the user imported.
         file: STL file, or OBJ file for a mesh with a texture.
         origin: the point of the mesh that becomes the part's origin, m.
         rgba: colour, which also multiplies a texture.
-        texture: a PNG file of the same set for the OBJ's texture coordinates.
-        castshadow: whether the mesh casts a shadow. Under grazing light, a shallow scan has speckles of its own shadow.
-            In that case, let primitives of `look` just below the surface cast the shadow.
+        texture: a PNG file in the folder `set` for the OBJ's texture coordinates.
+        castshadow: whether the mesh casts a shadow. Under grazing light, a scan of a shallow object shows speckles of
+            its own shadow. In that case, let primitives of `look` just below the surface cast the shadow.
     """
 
     set: str

@@ -15,7 +15,7 @@ from ...geometry.shape_generators import boxes, cutlery, pasta, vessels
 from ...geometry.shape_generators.generated_shape import GeneratedShape
 
 _Size = Annotated[FiniteFloat, QuantityBounds("mm", 1, 1000)]
-_Tine = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # tines, which end above the rack's floor and rail
+_Tine = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # height of tines, which end above floor and rail
 _Thin = Annotated[FiniteFloat, QuantityBounds("mm", 0.3, 50)]
 _Length = Annotated[FiniteFloat, QuantityBounds("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
@@ -29,7 +29,7 @@ Stuff = Literal[
     "durum", "fruit", "leaf", "paint",
 ]  # fmt: skip
 
-#: Density of each material, kg/m3, rounded from material tables. Folded cotton is mostly air; paint has no mass.
+#: Density of each material, kg/m3, rounded from material tables. Folded cotton contains air; paint counts as massless.
 DENSITY: Mapping[Stuff, float] = {
     "steel": 7900,
     "aluminium": 2700,
@@ -69,7 +69,7 @@ class _Shape(Config):
     mass_g: _Grams | None = None
 
     def form(self) -> GeneratedShape:
-        """Return the geometry, in m."""
+        """Return the surfaces, collision primitives and grasps that follow from the sizes, in m."""
         return self._form()
 
     @abstractmethod
@@ -91,7 +91,7 @@ class _Shape(Config):
 
 
 class VesselShape(_Shape):
-    """An open round vessel, see `core.geometry.shape_generators.vessels.Vessel`."""
+    """An open round vessel such as a cup or bowl; `shape_generators.vessels.Vessel` describes its sizes."""
 
     family: Literal["vessel"]
     diameter_mm: _Size
@@ -119,7 +119,7 @@ class VesselShape(_Shape):
 
 
 class CapShape(_Shape):
-    """A round cap or screw lid with the hollow side down."""
+    """A round cap or screw lid, its hollow side down, with `grips` ridges around it."""
 
     family: Literal["cap"]
     diameter_mm: _Size
@@ -146,7 +146,7 @@ class FruitShape(_Shape):
 
 
 class ContainerShape(_Shape):
-    """An open box, or a tray of `cells` compartments in a row, see `core.geometry.shape_generators.boxes.Container`."""
+    """An open box, or a tray of `cells` compartments in a row; `shape_generators.boxes.Container` has its sizes."""
 
     family: Literal["container"]
     size_mm: _Box
@@ -176,7 +176,7 @@ class LidShape(_Shape):
 
 
 class BlockShape(_Shape):
-    """A closed box with round edges; `band` is the range of height, as shares, with another colour."""
+    """A closed box with round edges, and a printed `band` from a lower to an upper fraction of its height."""
 
     family: Literal["block"]
     size_mm: _Box
@@ -189,7 +189,7 @@ class BlockShape(_Shape):
 
 
 class TextileShape(_Shape):
-    """Folded cloth as a rigid body."""
+    """Folded cloth as a rigid body with `folds` visible layers."""
 
     family: Literal["textile"]
     size_mm: _Box
@@ -200,7 +200,7 @@ class TextileShape(_Shape):
 
 
 class RackShape(_Shape):
-    """A dish rack of wire with slots between tines, see `core.geometry.shape_generators.boxes.Rack`.
+    """A dish rack of wire with `slots` slots between upright tines, each `slot_mm` wide.
 
     Attributes:
         tine_mm: height of the tines; the rack's height if left out.
@@ -231,7 +231,7 @@ class RackShape(_Shape):
 
 
 class CutleryShape(_Shape):
-    """A spoon, fork, knife or turner, see `core.geometry.shape_generators.cutlery.Cutlery`."""
+    """A spoon, fork, knife or turner; `core.geometry.shape_generators.cutlery.Cutlery` describes its sizes."""
 
     family: Literal["cutlery"]
     kind: Literal["spoon", "fork", "knife", "turner"]

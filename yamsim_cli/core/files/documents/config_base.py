@@ -25,30 +25,30 @@ class Config(BaseModel):
 
     @classmethod
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
-        """Return the path for `read` of each config in a file; most files contain one config."""
+        """Return the paths to pass to `read`, one for each config in a file; by default only the path of the file."""
         return (path,)
 
 
-# Format 0.2 leaves out these keys at their defaults, so that a new key does not change the bytes of datasets' configs.
+# Marks of fields that dataset format 0.2 does not write if None or empty: a new key then changes no written config.
 OMIT_NONE: FieldInfo = Field(exclude_if=lambda value: value is None)
 OMIT_EMPTY: FieldInfo = Field(exclude_if=lambda value: not value)
 
 
 def omit_if_default(default: Any) -> FieldInfo:
-    """Return a mark like `OMIT_NONE`, for a default other than None."""
+    """Return the mark of a field that is not written if it has the value `default`, as with `OMIT_NONE`."""
     field: FieldInfo = Field(exclude_if=lambda value: value == default)
     return field
 
 
 @dataclass(frozen=True)
 class ConfigReference:
-    """Marks a field with a config of another kind, or the name of such a config, as in `rig: single`."""
+    """Marks a field that contains a config of kind `kind`. A file may have its name instead, as in `rig: single`."""
 
     kind: str
 
 
 class ConflictError(ValueError):
-    """A contradiction between several values. The message names the value of a flag, or else the first value.
+    """A contradiction between several values. The message points to the value that a flag set, else to the first value.
 
     Attributes:
         paths: key paths of the values, relative to the model that raises; the most likely mistake first.

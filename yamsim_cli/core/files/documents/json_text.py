@@ -1,4 +1,4 @@
-"""Converts results to JSON text."""
+"""Converts results with NumPy values and paths to JSON text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Quantities with a unit and plausible bounds: a value far outside probably has another unit.
+"""Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit.
 
 The configs of recorded datasets may have values beyond the bounds, see `AS_RECORDED`.
 """
@@ -15,7 +15,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from .config_base import require_ordered
 
-# The validation context of a recorded dataset's config, whose values remain valid after a change of bounds.
+# Pydantic context in which bounds are not checked: a recorded dataset's config stays valid after a change of bounds.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
 
 # Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
@@ -84,11 +84,11 @@ def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # coordinate in a station
-Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # size in a station
+Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # coordinate in `world`
+Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # half-size of a table
 Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # coordinate in the frame of an object
 Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # gap or relative height
-Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
+Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]  # fraction of a whole
 Heading = Annotated[FiniteFloat, QuantityBounds("degrees", -360, 360)]
 FieldOfView = Annotated[
     FiniteFloat, QuantityBounds("degrees", 4, 179)
@@ -96,7 +96,7 @@ FieldOfView = Annotated[
 JointAngle = Annotated[FiniteFloat, QuantityBounds("rad", -2 * math.pi, 2 * math.pi)]
 Reach = Annotated[
     FiniteFloat, QuantityBounds("m", -2.5, 2.5)
-]  # coordinate within the reach of an arm, relative to the arm's place
+]  # x or y of a place that an arm can reach, in `world` or relative to the arm
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]

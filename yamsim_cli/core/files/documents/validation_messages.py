@@ -1,4 +1,4 @@
-"""Error messages for invalid configs: one line with the place, the value and the valid values."""
+"""Error messages for invalid configs: one line with file and line or flag, the value, and the valid values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...errors import count_noun, suggest
 from .config_base import Config, ConflictError, require_ordered
 from .yaml_document import Document, KeyPath, is_setting
 
-BRANCH = "<"  # first character of branch names in unions whose branch is no key of the document
+BRANCH = "<"  # first character of names that pydantic reports for branches of unions, which are no keys
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -22,10 +22,10 @@ _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 def explain_validation_error(
     model: type[Config], document: Document, error: ValidationError, flags: Mapping[KeyPath, str]
 ) -> tuple[str, str]:
-    """Return the place of the first error, and one line about this error with the number of further errors.
+    """Return the place ("file:line" or flag) of the first error, and one line about it with the number of others.
 
     Args:
-        flags: key path -> the flag with the value.
+        flags: key path -> the flag that set its value.
     """
     found = error.errors(include_url=False)
     # Pydantic also reports a list with an invalid item as too short.
@@ -50,7 +50,7 @@ def explain_validation_error(
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
-    """Return the same as `explain_validation_error`, for a conflict that no model checks."""
+    """Return the place ("file:line" or flag) and a message of a conflict raised outside of pydantic's validation."""
     path, place = _offending_value(document, list(error.paths), flags)
     return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
 
@@ -59,7 +59,7 @@ def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapp
     """Return the other kind of config whose keys a file has; None if the keys fit the wanted kind, or no kind.
 
     Args:
-        kinds: kind -> its model.
+        kinds: kind -> its config class.
     """
     keys = set(data) - {"name"}
     # Kinds share some keys. The keys fit if at least half of them, and one required key, belong to the wanted kind.
@@ -73,7 +73,7 @@ def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapp
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Return the models in a field's annotation, also inside tuples, lists and unions."""
+    """Return the pydantic models in a field's annotation, also inside tuples, lists and unions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
@@ -95,7 +95,7 @@ def format_key_path(path: KeyPath) -> str:
 
 
 def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
-    """Return path and place of the first value from a flag, or else of the first value."""
+    """Return key path and place of the first of the values at `paths` that a flag set, or else of the first value."""
     for path in paths:
         # A flag for a whole list also counts for its items.
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):

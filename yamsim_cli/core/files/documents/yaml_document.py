@@ -31,7 +31,7 @@ def is_setting(place: str) -> bool:
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader that reads plain scalars as YAML 1.2 does."""
+    """A safe loader that reads unquoted values as YAML 1.2 does."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
 
@@ -70,7 +70,7 @@ def _float(text: str) -> float:
 
 
 def number_or_text(text: str) -> int | float | str:
-    """Return a plain word of YAML as a number if possible, else the word."""
+    """Return an unquoted word of YAML as a number if possible, else as text."""
     if _INT.fullmatch(text):
         return int(text)
     return _float(text) if _FLOAT.fullmatch(text) else text
@@ -106,7 +106,7 @@ _Dumper.add_representer(str, _represent_text)
 
 @dataclass
 class Document:
-    """Plain data with the place of each value.
+    """The content of a config file, and the place (line or flag) from which each value comes.
 
     Attributes:
         data: nested dicts, lists and scalars.
@@ -228,7 +228,7 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
-    """Return YAML text of plain data in the given order; `parse_yaml` restores the data."""
+    """Return YAML text of nested mappings and lists, with keys in their order; `parse_yaml` restores the data."""
     text: str = yaml.dump(
         _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
     )

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from .refusals import RefusedError
 
-MOST_BYTES = 256_000_000  # bytes, largest total size of all files
-MOST_FILES = 256  # largest number of files
+MOST_BYTES = 256_000_000  # bytes, largest total size of the files that one `ConfinedFolder` reads
+MOST_FILES = 256  # largest number of files that one `ConfinedFolder` reads
 
 _MODEL_SCHEMES = ("model", "package", "fuel")  # URI schemes that identify a model by its name
 
@@ -18,7 +18,7 @@ class ConfinedFolder:
     """Reads files below one folder, with limits on their number and size.
 
     Attributes:
-        refused: the last refusal, for libraries that ignore the exception.
+        refused: the last error of `read`, or None. Callers check it after libraries that swallow exceptions.
 
     Args:
         root: the folder; files outside are not read, not even through links.
@@ -31,7 +31,7 @@ class ConfinedFolder:
         self.refused: RefusedError | None = None
 
     def read(self, name: str, base: Path | None = None) -> bytes:
-        """Return the content of a file by its relative name or `model://` URI; see `find`.
+        """Return the content of a file by its name relative to `base` (default: the root), or its `model://` URI.
 
         Raises:
             RefusedError: the file is outside, missing or not regular, or a limit is exceeded.

@@ -1,10 +1,10 @@
-"""Refusals of untrusted files, each with a stable code and a message."""
+"""The error for untrusted files that are not read, with a stable code and a message."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-#: Code -> its meaning.
+#: Code of a refusal -> its meaning.
 CODES: Mapping[str, str] = {
     "too-large": "the file, or one that it names, has more bytes than a thing needs",
     "too-many-files": "it names more files than a thing needs",

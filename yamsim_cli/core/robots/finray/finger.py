@@ -21,8 +21,8 @@ _Length = Annotated[FiniteFloat, QuantityBounds("mm", 20, 300)]
 _Across = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
 _Thickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.2, 10)]
 
-_MAX_THICKNESS = 0.5  # share of the distance between two stations, largest thickness of walls and ribs
-_TIP_STIFFNESS = 1e3  # times the walls' stretching stiffness, stiffness of the solid tip: rigid in comparison
+_MAX_THICKNESS = 0.5  # largest thickness of walls and ribs, as a share of the distance between two ribs
+_TIP_STIFFNESS = 1e3  # stiffness of the solid tip, as a multiple of the walls' stretching stiffness: nearly rigid
 
 
 class FinRay(Config):
@@ -102,17 +102,17 @@ class FinRay(Config):
 
     @property
     def relaxation(self) -> float:
-        """Ratio of damping to stiffness of each spring, s."""
+        """Damping of each spring divided by its stiffness, s."""
         return self.relaxation_ms / 1000
 
     @property
     def segments(self) -> int:
-        """Number of rigid segments: one from each station to the next, and one to the tip."""
+        """Number of rigid segments: one begins at the base, and one at each rib."""
         return self.ribs + 1
 
     @property
     def bay(self) -> float:
-        """Distance between stations along the front wall, m."""
+        """Distance along the front wall between two ribs, m; also from the base to the first rib, and to the tip."""
         return self.length / self.segments
 
     @property
@@ -128,9 +128,9 @@ class FinRay(Config):
 
 
 def hinge_stiffness(finger: FinRay) -> Array:
-    """Return the stiffness (n,) in N m/rad of the hinge at each station.
+    """Return the stiffness (n,) in N m/rad of the hinges at the base and at each rib.
 
-    A hinge represents the bending of both walls over a bay; the hinge at the base, over half a bay.
+    A hinge represents the bending of both walls over one distance between ribs; at the base, over half of it.
     """
     inertia = finger.width * finger.wall**3 / 12
     stiffness = np.full(finger.segments, finger.modulus * 2 * inertia / finger.bay)
@@ -139,23 +139,23 @@ def hinge_stiffness(finger: FinRay) -> Array:
 
 
 def slip_arms(finger: FinRay) -> Array:
-    """Return the back wall's slip (n, n), m: rows are the ribs and the tip; columns are stations that turn by 1 rad."""
+    """Return the back wall's slip (n, n), m/rad, at ribs and tip (rows) per angle at base and ribs (columns)."""
     spacing = finger.spacing(finger.stations)
-    # At a rib's own station, half of the bend lies below the rib.
+    # Of the bend that the hinge at a rib represents, half lies below the rib.
     through = np.tril(np.broadcast_to(spacing, (finger.segments, finger.segments)))
     ribs = through[1:] - np.diag(spacing)[1:] / 2
     return np.vstack([ribs, spacing])
 
 
 def slip_stiffness(finger: FinRay) -> Array:
-    """Return the stiffness (n, n) in N/m against slip at the ribs, and last at the tip."""
+    """Return the stiffness matrix (n, n), N/m, of the back wall's slips at the ribs and, last, at the tip."""
     n = finger.segments
     inertia = finger.width * finger.rib**3 / 12
     ribs = 12 * finger.modulus * inertia / finger.spacing(finger.stations[1:]) ** 3
     leaning = np.hypot(finger.bay, (finger.spacing(0.0) - finger.spacing(finger.length)) / n)
     stretch = finger.modulus * finger.width * finger.wall / (finger.bay + leaning)
     held = np.diag(np.append(ribs, _TIP_STIFFNESS * stretch))
-    # The stretch of the bays below a rib reduces the rib's slip. The stretch has the values of least energy.
+    # Stretch of both walls below a rib reduces the slip at the rib. The walls stretch so that the energy is least.
     before = np.tril(np.ones((n, n)))
     give = stretch * np.eye(n) + before.T @ held @ before
     stiffness: Array = held - held @ before @ np.linalg.solve(give, before.T @ held)
@@ -163,9 +163,9 @@ def slip_stiffness(finger: FinRay) -> Array:
 
 
 def couplings(finger: FinRay) -> Array:
-    """Return lengths (n, n) in m: each row is a spring of 1 N/m on a weighted sum of the angles.
+    """Return coefficients (n, n) in m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
 
-    Together, the springs have the stiffness against slip.
+    The energy of all springs together is that of `slip_stiffness`.
     """
     rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_arms(finger)
     # Rounding errors of exact zeros differ between linear algebra libraries.

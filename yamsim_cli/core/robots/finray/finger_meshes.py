@@ -36,7 +36,7 @@ def finger_mesh_files(finger: FinRay) -> dict[str, bytes]:
 
 @dataclass
 class _Section:
-    """Convex cells in a plane with shared corners, so that their extrusion is closed."""
+    """A plane figure of convex cells that share their corners, so that its extrusion is a closed surface."""
 
     points: list[Point] = field(default_factory=list)
     cells: list[list[int]] = field(default_factory=list)
@@ -103,7 +103,7 @@ def _segment(finger: FinRay, k: int) -> _Section:
 
 
 def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
-    """Add the solid end: a fan of cells between the walls' inner faces and a rounded outline."""
+    """Add the solid tip of the finger: triangles from its middle to its rounded outline; lengths in m."""
     outline: list[Point] = [(start, -depth - half)]
     middle, across = -depth / 2, depth / 2 + half
     for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:

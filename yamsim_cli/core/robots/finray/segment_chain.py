@@ -10,17 +10,17 @@ from xml.etree.ElementTree import Element, SubElement
 from .finger import FinRay, couplings, hinge_stiffness
 from .finger_meshes import segment_file
 
-# s, oscillation period / (2 pi) of each spring with its armature. Long enough for timesteps of 2 ms; a bay of 1 g alone
-# would swing within 0.1 ms. Short enough that the armatures add only a dozen grams to a grasped object.
+# s, oscillation period / (2 pi) of each spring with its armature. Long enough for timesteps of 2 ms; a segment of 1 g
+# alone would swing within 0.1 ms. Short enough that the armatures add only a dozen grams to a grasped object.
 _OSCILLATION_TIME = 3e-3
 
 
 def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     """Add both fingers to a gripper's MJCF.
 
-    The MJCF has default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs without
-    collisions, and `soft` for meshes. A foot is a body without a joint. Its origin lies on the outer face of the front
-    wall at the base. Its x axis points to the tip, its y axis to the other finger.
+    The MJCF must have default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs
+    without collisions, and `soft` for meshes. Each foot must be a body without a joint. Its origin lies on the outer
+    face of the front wall at the base. Its x axis points to the tip, its y axis to the other finger.
 
     Args:
         name: name of the gripper and of its asset set.
@@ -36,14 +36,14 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
         segments += _chain(bodies[foot], foot, name, finger)
         for spring, lengths in enumerate(couplings(finger), start=1):
             tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger))
-    # The springs model contact within a finger, and the fingers of a gripper do not cross.
+    # Collisions within a gripper are disabled: springs model those within a finger, and the two fingers do not cross.
     hand = [body.get("name", "") for body in _feet_and_ancestors(root, finger.feet)]
     for one, other in [*combinations(segments, 2), *((body, segment) for body in hand for segment in segments)]:
         SubElement(contacts, "exclude", body1=one, body2=other)
 
 
 def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator[str]:
-    """Add the nested segments, and yield their names."""
+    """Add a finger's segments as nested bodies to `foot`, and yield the names of these bodies."""
     body, at = foot, (0.0, -finger.wall / 2, 0.0)
     for k, stiffness in enumerate(hinge_stiffness(finger)):
         body = SubElement(body, "body", name=f"{prefix}_segment_{k + 1}", pos=_text(at), gravcomp="1")
@@ -89,7 +89,7 @@ def _joint_spring_attributes(stiffness: float, finger: FinRay) -> dict[str, str]
 
 
 def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) -> Element:
-    """Return a spring of 1 N/m on a weighted sum of angles."""
+    """Return a tendon as a spring of 1 N/m; its elongation is the sum of `lengths` (m) times the hinges' angles."""
     spring = Element("fixed", {"name": name, "springlength": "0"} | _joint_spring_attributes(1.0, finger))
     for k, length in enumerate(lengths):
         if length:
@@ -110,7 +110,7 @@ def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]
 
 
 def get_section(root: Element, tag: str) -> Element:
-    """Return the section of that name; add the section if missing."""
+    """Return the child of `root` with a tag, such as `asset`; add the child if missing."""
     found = root.find(tag)
     return SubElement(root, tag) if found is None else found
 
