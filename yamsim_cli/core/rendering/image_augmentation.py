@@ -11,8 +11,8 @@ from ..config.variation import Variation
 from ..images.image import Image
 from ..scene.random_streams import Stream, random_generator
 
-_GREY = 127.5  # grey level that a change of contrast leaves unchanged
-_EXTRA = 4  # the noise is longer than an image by 1/4, so that each image uses another part
+_GREY = 127.5  # 0 to 255, grey level that a change of contrast leaves unchanged
+_EXTRA = 4  # sampled noise exceeds an image by 1/4 of its values, so that each image uses another part
 
 
 class PictureAugmenter:

@@ -10,7 +10,7 @@ from ..attempt_data import AttemptJob
 
 
 class Stream(IntEnum):
-    """The purpose of random numbers. Datasets depend on the values: only add new ones, never renumber."""
+    """What a random stream samples. The values are part of the seeds: add new ones, but never renumber."""
 
     LAYOUT = 0
     LIGHTS = 10
