@@ -73,7 +73,7 @@ def open_edges(faces: Faces) -> int:
 
 
 def is_closed(faces: Faces) -> bool:
-    """Return whether a surface has triangles, and every edge joins equally many of each direction."""
+    """Return whether a surface has triangles and no edge that `open_edges` counts."""
     return bool(len(faces)) and open_edges(faces) == 0
 
 

@@ -1,6 +1,6 @@
 """Contacts of cloth: points of a sheet between closed finger pads, and self-intersections.
 
-The pinch frame of a hand has its origin between the pads, y along the closing axis, and z along the fingers to the tips.
+The pinch frame of a hand has its origin between the pads, y along the closing axis, and z along the fingers.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """Return 0 for a flat sheet to about 1, from the displacement from the fit of `fit_flat_places` and the height."""
+    """Return the unevenness, 0 (flat) to about 1, from a sheet's height and its displacement from `fit_flat_places`."""
     away = np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / square_side(rest) + height_range(points) / _HEIGHT_SCALE) / 2
 
@@ -133,11 +133,11 @@ def candidate_pulls(
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
         for point in _select_spread(points, beside, side):
-            yield ClothPull((point,), (_outward_direction(points[point][:2], ridge, scale * side),), 0.0)
+            yield ClothPull((point,), (_outward_target(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
-        to = tuple(_outward_direction(points[point][:2], middle, scale * side) for point in pair)
+        to = tuple(_outward_target(points[point][:2], middle, scale * side) for point in pair)
         yield ClothPull(pair, _limit_distance(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
@@ -169,7 +169,7 @@ def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list
     return chosen
 
 
-def _outward_direction(place: Array, other: Array, side: float) -> Array:
+def _outward_target(place: Array, other: Array, side: float) -> Array:
     offset = place - other
     return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 

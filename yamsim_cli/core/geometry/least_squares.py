@@ -74,7 +74,7 @@ class LeastSquares(ABC, Generic[S, L]):
 
 
 def solve_least_squares(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
-    """Return the state of least cost within `most_steps`, and its problem; None if undefined at the start `state`."""
+    """Return the best state within `most_steps`, and its linearized problem; None if undefined at the start."""
     known = problem.linearize(state, None)
     if known is None:
         return None

@@ -53,8 +53,8 @@ def marker_cells(board: Board) -> Image:
 def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
     """Return a grey image (height, width) of a board on white, with exactly `cell_px` pixels per marker cell.
 
-    The size of a marker is a whole number of pixels. If a gap is not, each marker is drawn within half a pixel of its
-    true position. These errors do not accumulate.
+    A marker is a whole number of pixels wide. If the gap between markers is not, each marker is drawn within half a
+    pixel of its true position. These errors do not accumulate.
 
     Args:
         cell_px: edge of a marker cell, px.
