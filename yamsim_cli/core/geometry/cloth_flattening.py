@@ -67,7 +67,7 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
-    """Fit the flat sheet `rest`, without turning it over, by a planar rigid fit that is reweighted against outliers."""
+    """Fit the flat sheet `rest` with its upper side up by a planar rigid fit that is reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)

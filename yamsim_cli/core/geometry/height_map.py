@@ -27,7 +27,7 @@ class HeightMap:
 
     @property
     def cell(self) -> float:
-        """Distance between columns, m."""
+        """Distance between neighbouring columns, m."""
         return float(self.x[1] - self.x[0])
 
 

@@ -62,7 +62,7 @@ def stable_poses(points: Array, centre: Array) -> list[StablePose]:
 
 
 def placeable_poses(points: Array, centre: Array) -> list[StablePose]:
-    """Return a stable pose for each face on which a hand can place a body; see `stable_poses`. A cube has six."""
+    """Return a stable pose for each face on which a hand can place a body, the most probable first; six for a cube."""
     offsets = _extreme_points(points - centre)
     down, height = _resting_directions(offsets)
     found: list[StablePose] = []

@@ -61,7 +61,7 @@ def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
         quiet_cells: width of the white border, cells. Detectors need at least one cell or a light background.
 
     Raises:
-        ConfigError: see `marker_cells`.
+        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
     """
     markers = marker_cells(board)
     marker_px = markers.shape[1] * cell_px
@@ -84,6 +84,6 @@ def board_texture(board: Board, cell_px: int = 20) -> Image:
     512 x 512 pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
 
     Raises:
-        ConfigError: see `marker_cells`.
+        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
     """
     return board_image(board, cell_px, quiet_cells=0)

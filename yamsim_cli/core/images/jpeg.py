@@ -1,4 +1,4 @@
-"""Encoding, decoding and checks of JPEG data in memory. OpenCV writes no files, because it hides errors of the disk."""
+"""JPEG data in memory. OpenCV's file functions are not used: they report a full disk only by a return value."""
 
 from __future__ import annotations
 

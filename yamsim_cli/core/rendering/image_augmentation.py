@@ -30,7 +30,7 @@ class PictureAugmenter:
         self._noise_parts: tuple[Image, Image] | None = None
 
     def apply(self, image: Image, frame: int, camera: int) -> None:
-        """Augment an image (height, width, 3) in place."""
+        """Augment an RGB image (height, width, 3) in place, seeded by the indices of its frame and camera."""
         self._apply_tone(image, random_generator(self._job, Stream.TONE, frame, camera))
         if self._variation.noise:
             self._apply_noise(image, random_generator(self._job, Stream.NOISE, frame, camera))

@@ -102,7 +102,7 @@ class SceneRenderer(Closable):
         description: name of the OpenGL implementation.
 
     Args:
-        model: the scene, with a sufficient offscreen buffer, see `scene.environment.apply_quality`.
+        model: the scene. `scene.environment.apply_quality` must have made its offscreen buffer large enough.
         size: width and height of images, px.
         fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
 
@@ -148,12 +148,12 @@ class SceneRenderer(Closable):
         context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
-        """Return the intrinsics of a camera's images."""
+        """Return the pinhole intrinsics of the named camera for images of `size`."""
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def upload_texture(self, texture: int) -> None:
-        """Upload the texture of this id after its pixels have changed in the model."""
+        """Copy the texture with the id `texture` to OpenGL again after its pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:

@@ -18,7 +18,7 @@ from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 TABLE, POSTS = "table", "posts"  # label names; the posts are the legs of the table and below the arms
 
 _RAY_START = 0.3  # m, distance from a joint at which rays towards the joint start; larger than any link
-_HIDDEN_GROUP = 3  # first geom group that is not visible, see `scene.objects.object_geoms`
+_HIDDEN_GROUP = 3  # first geom group that images do not show; collision geoms are in this group
 _MAX_LABELS = 254  # labels are rendered as one byte of a colour, where 0 means that no geom is visible
 
 
@@ -65,7 +65,7 @@ class LabelledCloth:
 
     @property
     def keypoints(self) -> Iterator[KeypointRecord]:
-        """The records of the corners."""
+        """The dataset entries of the cloth's corners, in the order of `corners`."""
         for side in self.corners:
             yield KeypointRecord(name=f"{self.name}_{side}", body=self.name, kind="cloth")
 

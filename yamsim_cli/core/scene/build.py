@@ -30,7 +30,7 @@ _MOUNTS = "mounts"  # key, among the asset sets, of the board mounts whose STL f
 
 
 def build_scene(session: Session) -> CompiledScene:
-    """Compose and compile the scene of a recording.
+    """Build and compile the MuJoCo model of a recording's scene, and look up the addresses of its parts.
 
     Raises:
         SimulationError: MuJoCo rejected the composed model.
@@ -57,7 +57,7 @@ def build_scene(session: Session) -> CompiledScene:
 def build_rig_scene(
     rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
 ) -> CompiledScene:
-    """Compose and compile a rig's arms alone, without floor, table and boards.
+    """Build and compile the MuJoCo model of a rig's arms alone, without floor, table and boards.
 
     Args:
         scene: the environment, which has no effect on physics; its table is ignored.

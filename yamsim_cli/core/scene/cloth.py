@@ -33,7 +33,7 @@ def flat_points(cloth: Cloth) -> Array:
 
 @functools.cache
 def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
-    """Return the point indices (m, 3) of each triangle of a grid of `columns` x `rows` points, see `flat_points`.
+    """Return the point indices (m, 3) of each triangle of a grid of points, numbered row by row.
 
     The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both diagonals.
     """

@@ -1,4 +1,4 @@
-"""Named random streams. Each purpose has its own stream, so that a new purpose does not change other samples."""
+"""Named random streams, one for each sampled quantity, so that a new quantity does not change the other samples."""
 
 from __future__ import annotations
 

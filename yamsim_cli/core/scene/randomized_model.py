@@ -140,7 +140,7 @@ class RandomizedModel:
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
         model.light_dir[number] = direction
-        # The position only centres the shadow map, see `environment.add_lights`.
+        # The position of a directional light only centres its shadow map, so the map keeps its centre.
         model.light_pos[number] = centre - direction
         model.light_diffuse[number] *= light.colour
 

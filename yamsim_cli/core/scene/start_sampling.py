@@ -18,9 +18,9 @@ from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
 
 _MAX_TRIES = 60  # sampled placements of one object, after which the round fails
-_MAX_ROUNDS = 20  # rounds, each of which places all objects anew
+_MAX_ROUNDS = 20  # rounds, each of which samples the placements of all objects again
 
-BoundsOf = Callable[[str, Mapping[str, float]], Array]  # see `sample_placements`
+BoundsOf = Callable[[str, Mapping[str, float]], Array]  # the type of `sample_placements.box_of`
 
 
 @dataclass(frozen=True)

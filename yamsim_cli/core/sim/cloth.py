@@ -24,7 +24,7 @@ _PAD_WIDTH = 0.0072  # m, half the width of a finger pad
 _PAD_LENGTH = 0.0082  # m, half the length of a finger pad
 _BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
-# m, x and y of the lines along which layers are found, in the pinch frame (origin between the pads, z along fingers).
+# m, x and y of the lines along which layers are found, in the pinch frame: origin between the pads, z along fingers.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
 _MOVED_MASS = 1.0  # kg, mass of each point while `moving_points` moves it, so that the cloth cannot pull it back
@@ -56,7 +56,7 @@ class ClothState:
 
     @property
     def addresses(self) -> ClothAddresses:
-        """The addresses of the points in MuJoCo's arrays."""
+        """Indices of the points in MuJoCo's arrays."""
         return self._cloth
 
     @property

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..loft import Surface
 from ..se3 import Array
 
-# A collision primitive as plain data, in the format of object configs.
+# A collision primitive as a mapping of YAML values, in the format of object configs.
 PrimitiveData = Mapping[str, Any]
 
 _MIN_WALL = 0.002  # m, least thickness of a collision wall; objects can pass through thinner walls
@@ -121,7 +121,10 @@ def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData
 
 
 def simplify_polyline(profile: Array, tolerance: float) -> Array:
-    """Simplify a polyline (m, n) to corners (k, n) within a tolerance, by the Ramer-Douglas-Peucker algorithm."""
+    """Simplify a polyline (m, n) to some of its points (k, n) by the Ramer-Douglas-Peucker algorithm.
+
+    `tolerance` is the largest distance of an omitted point from the result, in the unit of the polyline.
+    """
     start, end = profile[0], profile[-1]
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
     rest = profile - start

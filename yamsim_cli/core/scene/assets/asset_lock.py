@@ -110,7 +110,7 @@ class AssetSet(_Frozen):
 
     @property
     def directory_name(self) -> str:
-        """Name of the set's folder in a store, with a hash of the locked contents: old and new files never mix."""
+        """Name of the set's folder in a store, with a hash of the files, so that old and new files never mix."""
         digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
         return f"{self.name}-{digest[:12]}"
 

@@ -170,7 +170,7 @@ def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
 
 
 def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
-    """Publish the files of an imported object as a user set in one step, and return the set's name.
+    """Write the files of an imported object into the store as a user set in one step, and return the set's name.
 
     Args:
         thing: name of the object.

@@ -35,7 +35,7 @@ MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 SEEN_GROUP = 2  # geom group of visible geoms
 HIDDEN_GROUP = 3  # geom group of collision geoms with a visual mesh
 _SDF_LEVELS = 6  # octree depth of a signed distance field
-_SOLMIX = 20.0  # weight of a geom with its own solref; other geoms have 1
+_SOLMIX = 20.0  # `solmix`, weight of a geom with its own solref in contacts; other geoms have 1
 
 
 def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
