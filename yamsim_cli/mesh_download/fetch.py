@@ -16,7 +16,7 @@ from ..core.scene.assets.asset_store import AssetStore, MismatchError
 from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 
-STORE = "store"  # source, in a report, of a set that was already in the store
+STORE = "store"  # `FetchedSet.source` of a set that was already in the store
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class FetchedSet:
 
 @dataclass(frozen=True)
 class FetchReport:
-    """All requested sets, in the lock's order."""
+    """The result of `fetch`: all requested sets, in the lock's order."""
 
     sets: tuple[FetchedSet, ...]
 
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
-    """Return all sources in order of preference."""
+    """Return the sources of meshes in the order in which they are tried."""
     return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
@@ -122,7 +122,7 @@ def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchP
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-FAILURE_VALID_S = 3600.0  # s after a failed download, in which commands do not try again
+FAILURE_VALID_S = 3600.0  # s, time after a failed download in which commands do not try again
 IDLE_S = 7.0  # s, longest time without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
 ARCHIVE_S = 300.0  # s, longest time for one archive of at most 33 MB, which requires 110 kB/s
 MENAGERIE_S = 30.0  # s, longest time for Menagerie's model of 5 MB; then the pinned archive is tried

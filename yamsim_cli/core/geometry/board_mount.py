@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from .se3 import Array
 from .stl import Faces
 
-# mm, x of the end and z of the top of the base's foot. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
+# mm, x of the end and z of the top of the arm base's foot in its mesh. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END, _FOOT_TOP = 100.0, 0.6
 _STEP = 5.0  # mm, thickness of the step in front of the foot
 _PAPER = 0.1  # mm, thickness of the board
@@ -29,7 +29,7 @@ def mount_mesh(
     board_size_mm: tuple[float, float],
     mirror_x: bool = False,
 ) -> tuple[Array, Faces]:
-    """Return a closed surface of a mount in the frame of the base's mesh.
+    """Return a closed surface of a mount in the frame of the mesh of the arm's base.
 
     Args:
         x_mm, y_mm, z_mm: lower and upper end of the mount along each axis, before mirroring, mm.
@@ -81,7 +81,7 @@ def mount_mesh(
 def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
     """Return the closed surface of the union of axis-aligned boxes; boxes without volume are ignored.
 
-    The faces of all boxes divide space into cells. The surface has a quad between each full and empty neighbour.
+    The faces of all boxes divide space into cells. The surface has a quad between each full cell and empty neighbour.
 
     Args:
         boxes: low and high corner of each box (k, 2, 3).

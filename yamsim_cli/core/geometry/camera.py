@@ -48,8 +48,8 @@ class CameraModel:
         K: camera matrix, row by row, px.
         distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
         focal_sigma: relative standard deviation of the focal length; a careful calibration gives 0.003.
-        intrinsics_covariance: covariance (4, 4), row by row, of an estimated camera; empty if only `focal_sigma` is
-            known. Order: logarithm of the focal length, principal point (in focal lengths, right and down), `k1`.
+        intrinsics_covariance: covariance (4, 4), row by row, of estimated intrinsics; empty if only `focal_sigma` is
+            given. Order: logarithm of the focal length, principal point (in focal lengths, right and down), `k1`.
     """
 
     width: int
@@ -72,7 +72,7 @@ class CameraModel:
 
     @property
     def intrinsics_cholesky(self) -> Array:
-        """Cholesky factor of `intrinsics_covariance` (4, 4), or of the focal length's logarithm (1, 1)."""
+        """Cholesky factor (4, 4) of `intrinsics_covariance`; without covariance, `focal_sigma` as (1, 1)."""
         return (
             np.linalg.cholesky(np.array(self.intrinsics_covariance))
             if self.intrinsics_covariance

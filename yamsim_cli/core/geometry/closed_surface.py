@@ -14,7 +14,7 @@ from .se3 import Array
 from .stl import Faces
 
 _MERGE_DISTANCE = 1e-6  # distance within which vertices are merged, as a fraction of the surface's longest side
-_PLANES = 800  # tangent planes that approximate a convex hull
+_PLANES = 800  # number of tangent planes that approximate a convex hull
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class UniformMassProperties:
 
 
 def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
-    """Return the mass properties of a uniformly filled surface; overlapping volumes count twice.
+    """Return the mass properties of a closed surface filled with 1 kg/m3; overlapping volumes count twice.
 
     Method: sum over tetrahedra from the mean vertex. Source of their second moments: A. Mirtich, "Fast and Accurate
     Computation of Polyhedral Mass Properties", 1996.
@@ -51,7 +51,7 @@ def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassPropert
 
 
 def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Merge equal vertices, and remove the triangles that thereby lose a corner."""
+    """Merge vertices that agree within `_MERGE_DISTANCE`, and remove the triangles that thereby lose a corner."""
     length = float(np.ptp(vertices, axis=0).max()) or 1.0
     keys = np.round(vertices / (length * _MERGE_DISTANCE)).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -61,7 +61,7 @@ def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: Faces) -> int:
-    """Return the number of edges that two consistently oriented triangles do not share."""
+    """Return the number of directed edges whose opposite edge occurs less or more often; 0 for a closed surface."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(edges.max()) + 1
     forth, back = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
@@ -73,7 +73,7 @@ def open_edges(faces: Faces) -> int:
 
 
 def is_closed(faces: Faces) -> bool:
-    """Return whether there are triangles and no edge is open, see `open_edges`."""
+    """Return whether a surface has triangles and no edge that `open_edges` counts."""
     return bool(len(faces)) and open_edges(faces) == 0
 
 

@@ -1,4 +1,7 @@
-"""Contacts of cloth: points of a sheet between closed pads, and self-intersections."""
+"""Contacts of cloth: points of a sheet between closed finger pads, and self-intersections.
+
+The pinch frame of a hand has its origin between the pads, y along the closing axis, and z along the fingers.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ def nearest_per_layer(
 ) -> NDArray[np.int_]:
     """Return the sorted indices of the points that pads grasp: the nearest point of each layer between the pads.
 
-    Pads grasp only one point per layer. Two points would keep the layer from turning, as fabric does beside pads.
+    Only one point per layer is grasped. Two points would keep the layer from turning about the pads, as fabric does.
 
     Args:
         points: points (n, 3) of the sheet in the pinch frame, m.

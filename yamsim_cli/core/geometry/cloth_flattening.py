@@ -23,19 +23,19 @@ _MIN_SPACING = 0.15  # least distance between candidate points
 _STRAIGHTENING = 0.13  # length of a straightening pull
 
 _FOOTPRINT = 0.028  # m, radius around a point that a hand with open fingers occupies
-_MAX_SURROUNDINGS = 2.2  # layers, largest height of the surroundings over a grasped point
-_MAX_GRASP_HEIGHT = 4.5  # layers, largest height of a grasped point
+_MAX_SURROUNDINGS = 2.2  # layer thicknesses, largest height of the surroundings over a grasped point
+_MAX_GRASP_HEIGHT = 4.5  # layer thicknesses, largest height of a grasped point over the lowest point
 
 # A point covers another if it is more than this many thicknesses higher and more than this many grid cells away.
 _COVERING, _ADJACENT = 0.3, 2
 
-# A point belongs to a ridge above this many layers, and above this fraction of the sheet's height.
+# A point belongs to a ridge if it is higher than this many thicknesses and this fraction of the sheet's height range.
 _RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
 
 _TAUT = 1.05  # largest distance of two pulled points, as a fraction of their distance in the flat sheet
-_MAX_POINTS = 3  # candidate points of each kind
+_MAX_POINTS = 3  # candidate points for unfolding, and as many beside a ridge for straightening
 _ARCH = 0.25  # height of the path of an unfolding pull, as a fraction of its length
-_HEIGHT_SCALE = 0.2  # m, height that has the same weight as a mean displacement of one side
+_HEIGHT_SCALE = 0.2  # m, height range that adds as much to the unevenness as a mean displacement of one side length
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class ClothPull:
     Attributes:
         points: row and column of each grasped point.
         targets: horizontal target position (2,) of each point, m.
-        arch_ratio: height of the path as a fraction of its length.
+        arch_ratio: height of the path over the table as a fraction of its length; 0 for a straight pull.
     """
 
     points: tuple[Point, ...]
@@ -67,7 +67,7 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
-    """See `fit_flat_places`, for a known side up: a rigid fit in the plane, reweighted against outliers."""
+    """Fit the flat sheet `rest` with its upper side up by a planar rigid fit that is reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)
@@ -85,7 +85,7 @@ def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
-    """Return the unevenness of a sheet, from 0 for flat to about 1; see `fit_flat_places` for the arguments."""
+    """Return the unevenness, 0 (flat) to about 1, from a sheet's height and its displacement from `fit_flat_places`."""
     away = np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / square_side(rest) + height_range(points) / _HEIGHT_SCALE) / 2
 
@@ -103,7 +103,7 @@ def max_displacement(points: Array, rest: Array, thickness: float) -> float:
 def candidate_pulls(
     points: Array, rest: Array, thickness: float, spacing: float, scale: float = 1.0
 ) -> Iterator[ClothPull]:
-    """Yield pulls at the border of a sheet that may flatten the sheet; see `fit_flat_places` for the arguments.
+    """Yield pulls at the border of a sheet that may flatten it. `points` to `thickness` are as in `fit_flat_places`.
 
     Args:
         spacing: larger of the distances between neighbouring points along x and along y, m.
@@ -133,11 +133,11 @@ def candidate_pulls(
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
         for point in _select_spread(points, beside, side):
-            yield ClothPull((point,), (_outward_direction(points[point][:2], ridge, scale * side),), 0.0)
+            yield ClothPull((point,), (_outward_target(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
-        to = tuple(_outward_direction(points[point][:2], middle, scale * side) for point in pair)
+        to = tuple(_outward_target(points[point][:2], middle, scale * side) for point in pair)
         yield ClothPull(pair, _limit_distance(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
@@ -169,7 +169,7 @@ def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list
     return chosen
 
 
-def _outward_direction(place: Array, other: Array, side: float) -> Array:
+def _outward_target(place: Array, other: Array, side: float) -> Array:
     offset = place - other
     return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 

@@ -23,7 +23,7 @@ Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
 @dataclass(frozen=True, eq=False)
 class FoldPlan:
-    """The moves and the resulting layers of one fold of a grid of points.
+    """The moves that fold a sheet, a grid of points, and the resulting layers.
 
     Attributes:
         moves: moves in the order of execution.
@@ -37,7 +37,7 @@ class FoldPlan:
 
 
 def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
-    """Return all folds of one kind of a grid of points, from each side or corner; empty if the grid is unsuitable.
+    """Return the plans that fold a grid of points by `kind`, one from each side or corner; empty if impossible.
 
     `diagonal` requires a square grid. `thirds` requires a side of 3 n + 2 cells: the inner third is one cell shorter.
     """

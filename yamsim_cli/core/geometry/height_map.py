@@ -27,12 +27,12 @@ class HeightMap:
 
     @property
     def cell(self) -> float:
-        """Distance between columns, m."""
+        """Distance between neighbouring columns, m."""
         return float(self.x[1] - self.x[0])
 
 
 def compute_height_map(surface: Surface, cells: int) -> HeightMap:
-    """Return the height map of a surface with `cells` columns along its longer side and an empty rim around it."""
+    """Compute the height map of a surface: `cells` columns along its longer side in x or y, with an empty rim."""
     triangles = surface[0][surface[1]]
     low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
     cell = float((high - low)[:2].max()) / cells

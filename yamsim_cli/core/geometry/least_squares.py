@@ -69,12 +69,12 @@ class LeastSquares(ABC, Generic[S, L]):
         """
 
     def select_better(self, better: NDArray[np.bool_], there: tuple[S, L], here: tuple[S, L]) -> tuple[S, L]:
-        """Return the new state where `better` (...), else the old one. Override this method for a batch."""
+        """Return `there` (state and problem after a step) if `better`, else `here`. A batch overrides this method."""
         return there if better else here
 
 
 def solve_least_squares(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
-    """Return the best state found from a start, and the problem there; None if the start is undefined."""
+    """Return the best state within `most_steps`, and its linearized problem; None if undefined at the start."""
     known = problem.linearize(state, None)
     if known is None:
         return None

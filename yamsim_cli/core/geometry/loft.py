@@ -57,7 +57,7 @@ def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
 
 
 def weld_vertices(vertices: Array, faces: ArrayLike) -> Surface:
-    """Merge equal vertices, and remove the triangles that thereby lose a corner."""
+    """Merge vertices that are equal to a nanometre, and remove the triangles that thereby lose a corner."""
     _, kept, index = np.unique(np.round(vertices / _RESOLUTION), axis=0, return_index=True, return_inverse=True)
     whole = index.reshape(-1)[np.asarray(faces)]
     left = (whole != np.roll(whole, 1, axis=1)).all(axis=1)

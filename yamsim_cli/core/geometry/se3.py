@@ -108,7 +108,7 @@ def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> A
 
 
 def tilt(rotation: ArrayLike) -> float:
-    """Return the angle between the z axis of a frame and that of the reference frame, rad."""
+    """Return the angle, rad, between the z axes of a rotated frame (rotation (3, 3)) and of its reference frame."""
     return math.acos(min(1.0, max(-1.0, float(np.asarray(rotation)[2, 2]))))
 
 

@@ -10,12 +10,12 @@ from .closed_surface import sphere_directions
 from .se3 import Array, rotation_from_vector
 
 _STARTS, _STEPS = 240, 220  # start orientations from which the body rolls, and steps of each roll
-_SAME_HEIGHT = 4e-4  # m, difference in the height of the centre of mass below which stable poses count as one
+_SAME_HEIGHT = 4e-4  # m, height difference of the centre of mass below which stable poses count as one
 _MIN_SHARE = 0.04  # least fraction of the start orientations that end in a stable pose
 _MAX_POSES = 6  # stable poses returned
-_SAME_FACE = np.radians(10.0)  # rad, angle below which two directions are one face
-_STEADY = 0.25  # least reach of a placeable face beyond the centre of mass per height: tips at 14 degrees
-_MIN_REACH, _TILT = 1e-3, np.radians(3.0)  # m, least reach of any face; rad, tilt with which the reach is tested
+_SAME_FACE = np.radians(10.0)  # rad, angle between two downward directions below which they belong to one face
+_STEADY = 0.25  # least distance of a face's edge from the centre of mass, over its height: tips at 14 degrees
+_MIN_REACH, _TILT = 1e-3, np.radians(3.0)  # m, least such distance for all faces; rad, tilt that tests it
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def stable_poses(points: Array, centre: Array) -> list[StablePose]:
 
 
 def placeable_poses(points: Array, centre: Array) -> list[StablePose]:
-    """Return a stable pose for each face on which a hand can place a body; see `stable_poses`. A cube has six."""
+    """Return a stable pose for each face on which a hand can place a body, the most probable first; six for a cube."""
     offsets = _extreme_points(points - centre)
     down, height = _resting_directions(offsets)
     found: list[StablePose] = []
@@ -76,7 +76,7 @@ def placeable_poses(points: Array, centre: Array) -> list[StablePose]:
 
 
 def _resting_directions(offsets: Array) -> tuple[Array, Array]:
-    """Return `down` (n, 3) and `height` (n,), m, of the orientations to which a body rolls from each start."""
+    """Roll a body from each start; return `down` (n, 3) and `height` (n,), m, of the final orientations."""
     down = sphere_directions(_STARTS)
     scale = float(np.linalg.norm(offsets, axis=1).max())
     for k in range(_STEPS):
@@ -91,7 +91,7 @@ def _resting_directions(offsets: Array) -> tuple[Array, Array]:
 
 
 def _is_face(offsets: Array, pose: StablePose, reach: float = _MIN_REACH) -> bool:
-    """Return whether each small tilt lifts the centre of mass, so that the face reaches `reach` (m) beyond it."""
+    """Return, by small tilts, whether the supporting face reaches `reach` (m) beyond the centre of mass everywhere."""
     across = np.linalg.svd(pose.down[None])[2][1:]
     angle = 2 * np.pi * np.arange(12) / 12
     tilts = np.column_stack([np.cos(angle), np.sin(angle)]) @ across

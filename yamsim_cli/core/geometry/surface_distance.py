@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from .se3 import Array
 from .stl import Faces
 
-_BATCH = 200  # points that are compared with one selection of triangles at once
-_CELLS = 16  # cells for grouping points, along the longest side of their bounding box
+_BATCH = 200  # points that are compared at once with the triangles near them
+_CELLS = 16  # grid cells, by which points are grouped, along the longest side of their bounding box
 
 
 def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
@@ -42,7 +42,7 @@ def sample_surface(
 
 
 def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: float) -> Array:
-    """Return the distance (n,) of each point (n, 3) from a surface; infinite above `limit`."""
+    """Return the distance (n,) of each point (n, 3) from a surface, in the same unit; infinite above `limit`."""
     vertices, faces = surface
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit
@@ -62,7 +62,7 @@ def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: flo
 
 
 def _squared(points: Array, triangles: Array) -> Array:
-    """Return the squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3), from the plane or an edge."""
+    """Return the squared distance (n, m) of each point (n, 1, 3) from each triangle (m, 3, 3)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     length = _dot(normal, normal)

@@ -53,15 +53,15 @@ def marker_cells(board: Board) -> Image:
 def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
     """Return a grey image (height, width) of a board on white, with exactly `cell_px` pixels per marker cell.
 
-    The size of a marker is a whole number of pixels. If a gap is not, each marker is drawn within half a pixel of its
-    true position. These errors do not accumulate.
+    A marker is a whole number of pixels wide. If the gap between markers is not, each marker is drawn within half a
+    pixel of its true position. These errors do not accumulate.
 
     Args:
         cell_px: edge of a marker cell, px.
         quiet_cells: width of the white border, cells. Detectors need at least one cell or a light background.
 
     Raises:
-        ConfigError: see `marker_cells`.
+        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
     """
     markers = marker_cells(board)
     marker_px = markers.shape[1] * cell_px
@@ -84,6 +84,6 @@ def board_texture(board: Board, cell_px: int = 20) -> Image:
     512 x 512 pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
 
     Raises:
-        ConfigError: see `marker_cells`.
+        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
     """
     return board_image(board, cell_px, quiet_cells=0)

@@ -13,7 +13,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """Size (px) and number of channels of an image, as its file header states them."""
+    """Size (px) and number of colour channels of an image, as its file header states them."""
 
     width: int
     height: int
@@ -25,7 +25,7 @@ class ImageStats:
     """Statistics of a decoded image.
 
     Attributes:
-        brightness, contrast: mean and standard deviation of the image after conversion to grey and reduction, 0..255.
+        brightness, contrast: mean and standard deviation of the grey image, 0..255, after a reduction of its size.
         fingerprint: checksum of the grey pixels; equal images have equal checksums.
         decoder_warning: first line of the decoder's message; "" for an undamaged image.
     """

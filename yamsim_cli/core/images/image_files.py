@@ -50,7 +50,7 @@ def read_mask(path: Path) -> Mask:
     """Read a mask (height, width): True where a PNG is not 0, or where a JPEG, which blurs edges, is above 127.
 
     Raises:
-        ResourceError: see `read_image`.
+        ResourceError: the file cannot be read, is larger than 200 MB, or is not a complete PNG or JPEG.
     """
     lossy = path.suffix.lower() != ".png"
     inside: Mask = read_image(path).max(axis=2) > (127 if lossy else 0)

@@ -16,7 +16,7 @@ from .image import Image, ImageHeader, ImageStats
 from .png import decode_labels
 
 # Brightness and contrast are measured in a reduced image, where noise is averaged away.
-_MAX_REDUCTION = 8  # largest factor by which both sides are reduced
+_MAX_REDUCTION = 8  # largest factor by which width and height are divided
 _MIN_SIDE = 16  # px, least length of the shorter side after the reduction
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
@@ -78,7 +78,7 @@ class JpegReader:
         self._stderr = -1
 
     def header(self, data: bytes) -> ImageHeader | None:
-        """See `jpeg_header`."""
+        """Return size and number of channels from the header alone; None for a truncated JPEG or other data."""
         return jpeg_header(data)
 
     def measure(self, data: bytes) -> ImageStats | None:
@@ -95,11 +95,11 @@ class JpegReader:
         return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), warning)
 
     def labels(self, data: bytes) -> Image | None:
-        """See `decode_labels`."""
+        """Decode a PNG to a segmentation image (height, width) of uint8; return None for other data."""
         return decode_labels(data)
 
     def _take_warning(self) -> str:
-        # Both descriptors share one file position, which has advanced if the decoder has written a warning.
+        # Descriptor 2 (stderr) and `_messages` share a file position, which has advanced if the decoder has written.
         if self._messages is None or not self._messages.tell():
             return ""
         self._messages.seek(0)

@@ -41,7 +41,7 @@ def decode_png(data: bytes) -> Image | None:
 
 
 _AFTER_HEADER = 8 + 25  # bytes, lengths of the signature and of the chunk IHDR
-_UNIT_METRE = 1  # code of the unit in the chunk pHYs
+_UNIT_METRE = 1  # code of the unit "pixels per metre" in the chunk pHYs
 
 
 def _with_scale(png: bytes, px_per_metre: int) -> bytes:
@@ -53,10 +53,10 @@ def _with_scale(png: bytes, px_per_metre: int) -> bytes:
 
 # For labels, run-length encoding is fastest and gives the second smallest files. Source: measured with OpenCV 5.
 _LABEL_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_MAX_PIXELS = 2**26  # largest label image that is decoded; a damaged header can announce gigabytes
-# Width, height, bits per sample and colour type (0 for grey). Source: PNG specification, 11.2.2.
+_MAX_PIXELS = 2**26  # pixels, largest label image that is decoded; a damaged header can announce gigabytes
+# Chunk IHDR: width, height, bits per sample and colour type (0 for grey). Source: PNG specification, 11.2.2.
 _HEADER = struct.Struct(">IIBB")
-_HEADER_OFFSET = 16  # bytes before the header's fields
+_HEADER_OFFSET = 16  # bytes before these fields in the file
 
 
 def encode_labels(labels: Image) -> bytes:

@@ -46,7 +46,7 @@ BT709 = ColorMatrix(0.2126, 0.0722, 1)
 # Decoders for training that ignore the tag assume BT.601. Source: ITU-R BT.601, 2.5.1.
 BT601 = ColorMatrix(0.299, 0.114, 6)
 
-# Y, Cb and Cr of black, and the ranges of luma and colour. Source: ITU-R BT.709, 3.4 and 3.5; the same in BT.601.
+# Y, Cb and Cr of black, and widths of the ranges of luma and colour. Source: ITU-R BT.709, 3.4 and 3.5; as in BT.601.
 _OFFSET = np.array([16.0, 128.0, 128.0])
 _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 
@@ -122,7 +122,7 @@ def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Itera
 
 
 def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
-    """Yield the RGB frames (height, width, 3) of encoded packets, each of which holds one frame.
+    """Yield the RGB frames (height, width, 3) of encoded packets of one frame each; `source` names them in errors.
 
     Raises:
         DatasetError: the packets cannot be decoded, or the codec is not H.264 or H.265.
@@ -152,7 +152,7 @@ _BT709 = 1
 _LIMITED = 1
 
 _KEY_FRAME_SECONDS = 1  # s between key frames, the only frames to which players can jump
-_MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of seconds: 1/30 s is not exact as a float
+_MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of a second; 1/30 s is not exact as a float
 
 
 class VideoWriter:
@@ -171,7 +171,7 @@ class VideoWriter:
         frame_period: time between two images, s.
         overwrite: whether to move an existing file to a backup. Otherwise an existing file is an error.
         key_frame_interval: number of frames between key frames; the default corresponds to one second.
-        matrix: conversion of colours; the stream is tagged with it.
+        matrix: conversion of colours; the stream names it in its metadata.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.

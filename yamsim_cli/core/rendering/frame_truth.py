@@ -30,8 +30,9 @@ class FrameTruth:
 
     Attributes:
         depth_mm: depth z along the camera's axis (height, width), mm; 0 for no surface or beyond 65 m.
-        labels: visible label at each pixel (height, width), see `SceneLabels`.
-        arrays: all other arrays by key, see `dataset.ground_truth_files.array_specs`, without the axis of frames.
+        labels: label of the visible body at each pixel (height, width); 0 for the background.
+        arrays: name -> array for poses, keypoints and boxes, as `dataset.ground_truth_files.array_specs` lists them,
+            but for one frame.
     """
 
     depth_mm: Depth
@@ -42,7 +43,7 @@ class FrameTruth:
 def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
-    """Return the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
+    """Render and compute the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
     labels, distance = renderer.label(data, camera, scene.of_geom, scene.of_flex)
     depth = depth_in_mm(distance)
     K = renderer.intrinsics(camera).K
@@ -141,11 +142,11 @@ def is_visible(
 ) -> bool:
     """Return whether a keypoint at `p` (3,) in the camera's frame, m, is visible to the camera.
 
-    A point inside the arm is visible if its pixel shows one of its links at nearly its depth. A point on a surface is
-    visible if its pixel shows its body at the depth of the tangent plane. A corner lies on the edge of the print, where
-    half of the pixels show another surface. For a corner, each neighbouring pixel counts too.
+    A joint's centre is visible if its pixel shows one of the joint's links, at most `JOINT_COVER` nearer. A point on a
+    surface is visible if its pixel shows its body at the depth of the tangent plane. A board's corner lies on the edge
+    of the print, where half of the pixels show another surface, so its neighbouring pixels count too.
 
-    `normal` (3,) is outward in the camera's frame, or None for a point inside. `pixel` is (column, row).
+    `normal` (3,) is outward in the camera's frame, or None for a joint's centre. `pixel` is (column, row).
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
@@ -203,7 +204,7 @@ def measure_cloth(
 
 
 def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
-    """Return the points (n, 3) of the two sides of a sheet as MuJoCo draws them, m.
+    """Return the points (n, 3) of the upper and the lower side of a cloth as MuJoCo draws them, m.
 
     Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles (m, 3).
     """
@@ -219,7 +220,7 @@ def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tupl
 def _visible_points(
     points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
-    """Return which points (n, 3), in the camera's frame, are visible, as (n,).
+    """Return whether each point (n, 3) of a cloth, in the camera's frame, m, is visible, as (n,).
 
     The pixel of a visible point shows the cloth at the depth of a triangle that faces the camera and has this corner.
     At the rim, where half of the pixels show the background, each neighbouring pixel counts too.

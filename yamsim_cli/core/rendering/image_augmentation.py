@@ -11,8 +11,8 @@ from ..config.variation import Variation
 from ..images.image import Image
 from ..scene.random_streams import Stream, random_generator
 
-_GREY = 127.5  # grey level that a change of contrast leaves unchanged
-_EXTRA = 4  # the noise is longer than an image by 1/4, so that each image uses another part
+_GREY = 127.5  # 0 to 255, grey level that a change of contrast leaves unchanged
+_EXTRA = 4  # sampled noise exceeds an image by 1/4 of its values, so that each image uses another part
 
 
 class PictureAugmenter:
@@ -30,7 +30,7 @@ class PictureAugmenter:
         self._noise_parts: tuple[Image, Image] | None = None
 
     def apply(self, image: Image, frame: int, camera: int) -> None:
-        """Augment an image (height, width, 3) in place."""
+        """Augment an RGB image (height, width, 3) in place, seeded by the indices of its frame and camera."""
         self._apply_tone(image, random_generator(self._job, Stream.TONE, frame, camera))
         if self._variation.noise:
             self._apply_noise(image, random_generator(self._job, Stream.NOISE, frame, camera))

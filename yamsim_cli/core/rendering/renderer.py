@@ -19,7 +19,7 @@ from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
 
-# Process that first used OpenGL. A forked process inherits the number; a spawned process starts with None.
+# Id of the process that first used OpenGL; None if none has. Forked processes inherit it, spawned ones do not.
 _opengl_pid: int | None = None
 
 
@@ -77,7 +77,7 @@ def _opengl_name() -> str:
 
 
 class _Contexts:
-    """The contexts of a renderer. `free` makes the OpenGL context current; otherwise MuJoCo frees foreign objects."""
+    """The contexts of a renderer. `free` makes the OpenGL context current; MuJoCo would free another one's objects."""
 
     def __init__(self) -> None:
         self.gl: Any = None
@@ -102,7 +102,7 @@ class SceneRenderer(Closable):
         description: name of the OpenGL implementation.
 
     Args:
-        model: the scene, with a sufficient offscreen buffer, see `scene.environment.apply_quality`.
+        model: the scene. `scene.environment.apply_quality` must have made its offscreen buffer large enough.
         size: width and height of images, px.
         fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
 
@@ -148,12 +148,12 @@ class SceneRenderer(Closable):
         context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
-        """Return the intrinsics of a camera's images."""
+        """Return the pinhole intrinsics of the named camera for images of `size`."""
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def upload_texture(self, texture: int) -> None:
-        """Upload the texture of this id after its pixels have changed in the model."""
+        """Copy the texture with the id `texture` to OpenGL again after its pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
@@ -162,7 +162,7 @@ class SceneRenderer(Closable):
         return self._colours(out)
 
     def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
-        """Return the id of the geom at each pixel, as int32 (height, width); -1 for no geom."""
+        """Render the id of the visible geom at each pixel, as int32 (height, width); -1 for no geom."""
         self._update(data, camera)
         colours = np.empty((self._height, self._width, 3), np.uint8)
         self._render_ids(colours, None)
@@ -176,7 +176,7 @@ class SceneRenderer(Closable):
         return seen
 
     def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
-        """Return the depth z (height, width) at each pixel along the camera's axis, m."""
+        """Render the depth z (height, width) at each pixel along the camera's axis, m."""
         self._update(data, camera)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(None, buffer)

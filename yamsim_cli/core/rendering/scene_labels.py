@@ -15,11 +15,11 @@ from ..geometry.se3 import Array
 from ..scene.compiled import ClothAddresses
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 
-TABLE, POSTS = "table", "posts"
+TABLE, POSTS = "table", "posts"  # label names; the posts are the legs of the table and below the arms
 
 _RAY_START = 0.3  # m, distance from a joint at which rays towards the joint start; larger than any link
-_HIDDEN_GROUP = 3  # first geom group that is not visible, see `scene.objects.object_geoms`
-_MAX_LABELS = 254  # labels are rendered as one byte of a colour, where 0 stands for no geom
+_HIDDEN_GROUP = 3  # first geom group that images do not show; collision geoms are in this group
+_MAX_LABELS = 254  # labels are rendered as one byte of a colour, where 0 means that no geom is visible
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class LabelledKeypoint:
         body: id of the body.
         position: position (3,) in the body's frame, m.
         normal: outward normal (3,) of the surface at the point, in the body's frame; None for a point inside the body.
-        labels: labels that the point's pixel can show when the point is visible.
+        labels: labels of the bodies, one of which the point's pixel shows if the point is visible.
     """
 
     record: KeypointRecord
@@ -47,7 +47,7 @@ class LabelledCloth:
 
     Attributes:
         label: label of the cloth in segmentation images.
-        row: index of the cloth among the objects with recorded poses.
+        row: index of the cloth in `T_object_in_cam`, the recorded object poses.
         scene: addresses of the cloth's points.
     """
 
@@ -65,7 +65,7 @@ class LabelledCloth:
 
     @property
     def keypoints(self) -> Iterator[KeypointRecord]:
-        """The records of the corners."""
+        """The dataset entries of the cloth's corners, in the order of `corners`."""
         for side in self.corners:
             yield KeypointRecord(name=f"{self.name}_{side}", body=self.name, kind="cloth")
 
@@ -77,10 +77,10 @@ class SceneLabels:
     Attributes:
         names: names of all labels, instances, links, objects and keypoints.
         of_geom, of_flex: label of each geom (ngeom,) and flex (nflex,) in segmentation images.
-        instance_of: label -> index of its instance; -1 for the background.
+        instance_of: label -> index of its instance (a whole arm or object); -1 for the background.
         links, objects: ids of the bodies whose poses are recorded.
         keypoints: keypoints that are fixed to a body. In `names`, the corners of cloths follow them.
-        cloths: all cloths. The body of a cloth never moves, see `scene.cloth.add_cloth`.
+        cloths: all cloths. Their poses follow from their points, because the body of a cloth never moves.
     """
 
     names: TruthLabels

@@ -14,7 +14,7 @@ from ..geometry.camera import Intrinsics, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
 
-_MARGIN = 0.12  # fraction of the image size, free margin around the rig
+_MARGIN = 0.12  # fraction of the image's width and height that stays empty around the rig
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 

@@ -1,4 +1,4 @@
-"""MuJoCo models of an arm: complete for scenes, or kinematics alone."""
+"""MuJoCo models of an arm: complete with gripper and geoms for scenes, or joints and links alone for kinematics."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
 
 
 def _error_text(error: ValueError, *, lines: bool) -> str:
-    """Return MuJoCo's message in one line; without `lines`, strip line numbers, which do not refer to one file."""
+    """Return MuJoCo's message in one line. Unless `lines`, strip line numbers, which are wrong for combined files."""
     reason = " ".join(str(error).split())
     return reason if lines else re.sub(r",? line \d+", "", reason)
 
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
-    """Return the complete arm; its collision primitives are visible unless `meshes` has all of its mesh sets."""
+    """Return an arm with its gripper; its collision primitives are visible unless `meshes` has all its mesh sets."""
     return show_meshes_or_primitives(_load_spec(arm), arm.robot.mesh_sets, meshes)
 
 
 def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
-    """Add the mesh files to a spec if all sets are available; otherwise make its collision primitives visible.
+    """Show the visual meshes of a spec if `meshes` has a folder for all `sets`, else its collision primitives.
 
-    The primitives of a body without meshes are always visible. The function changes and returns `spec`.
+    A body without visual meshes always shows its primitives. The function changes and returns `spec`.
     """
     folders = {name: (meshes or {}).get(name) for name in sets}
     if all(folders.values()):
@@ -100,9 +100,9 @@ def mesh_bytes(path: Path) -> bytes:
 
 
 def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
-    """Return the arm's kinematic model in the base frame, without fingers, geoms and drives; nq is its `dof`.
+    """Return a model of the arm's joints and links in the base frame, without fingers, geoms and drives.
 
-    The model has all sites and another site `tool` on the flange, which inverse kinematics moves.
+    The model has all sites of the arm. Inverse kinematics moves a further site, `tool`, which is on the flange.
     """
     robot = arm.robot
     spec = _load_spec(arm)
@@ -127,7 +127,7 @@ def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
 
 
 def finger_addresses(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
-    """Return the addresses (2,) of the fingers in `qpos` and the signs of their openings; (0,) without fingers."""
+    """Return the indices (2,) of the finger joints in `qpos`, and the sign (2,) of opening; (0,) without fingers."""
     if robot.fingers is None:
         return np.zeros(0, int), np.zeros(0)
     addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])

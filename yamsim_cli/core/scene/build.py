@@ -1,4 +1,4 @@
-"""Compilation of scenes for recordings and for rigs alone, and descriptions of the shown meshes."""
+"""Compilation of scenes for recordings and for rigs without a task, and descriptions of their visual meshes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
 from .compose import READING, WELD, compose, visual_mesh_sets
 
-TIMESTEP = 0.002  # s, time step for a rig alone; the default of tasks
-_MOUNTS = "mounts"  # key of the mounts with a user's STL file
+TIMESTEP = 0.002  # s, default time step of physics for a rig without a task; equal to that of tasks
+_MOUNTS = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
 
 
 def build_scene(session: Session) -> CompiledScene:
-    """Compose and compile the scene of a recording.
+    """Build and compile the MuJoCo model of a recording's scene, and look up the addresses of its parts.
 
     Raises:
         SimulationError: MuJoCo rejected the composed model.
@@ -57,7 +57,7 @@ def build_scene(session: Session) -> CompiledScene:
 def build_rig_scene(
     rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
 ) -> CompiledScene:
-    """Compose and compile a rig's arms alone, without floor, table and boards.
+    """Build and compile the MuJoCo model of a rig's arms alone, without floor, table and boards.
 
     Args:
         scene: the environment, which has no effect on physics; its table is ignored.
@@ -83,9 +83,9 @@ def build_rig_scene(
 
 
 def describe_meshes(session: Session) -> dict[str, str]:
-    """Return mesh set -> description of the meshes that a session shows, see `config.mesh_provenance`.
+    """Return asset set -> `primitives`, `full <SHA-256>` or `reduced <SHA-256>` for the meshes in a session's images.
 
-    A set's files are those of all objects that the task can use, so all role assignments have the same description.
+    The hash covers the files of all objects that the task can use, so it is equal for all role assignments.
     """
     blueprint, folders = recording_blueprint(session.config), session.locations.meshes
     spec = compose(blueprint, session.locations)
@@ -110,7 +110,7 @@ def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
 
 
 def state_meshes(session: Session) -> Session:
-    """Return the session with `describe_meshes` in its config."""
+    """Return a copy of the session whose config has the result of `describe_meshes` in its field `meshes`."""
     return session.with_values(meshes=describe_meshes(session))
 
 
@@ -140,7 +140,7 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
 
 
 def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """Return the attributes of `ArmAddresses` for identified dynamics and for the sensors of delayed readings."""
+    """Return those attributes of `ArmAddresses` that describe identified dynamics and the delayed encoder sensors."""
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
     read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]

@@ -1,4 +1,4 @@
-"""Cameras of a scene as plain values."""
+"""Conversion of camera configs to `SceneCamera` in MuJoCo's convention, and their addition to a scene."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ class SceneCamera:
 
 
 def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
-    """Return a fixed camera that looks at a point."""
+    """Convert a camera config with a position and a target point to a `SceneCamera`."""
     return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
 
 
 def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> SceneCamera:
-    """Return one of a rig's own cameras, for images of `size` (width, height), px."""
+    """Convert a fixed camera of a rig's config to a `SceneCamera`, for images of `size` (width, height), px."""
     T = rig.T_cam_in_world(camera)
     return SceneCamera(camera.name, WORLD, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
-    """Return an arm's wrist camera, for images of `size` (width, height), px."""
+    """Convert an arm's wrist camera to a `SceneCamera` on the flange, for images of `size` (width, height), px."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
@@ -54,7 +54,7 @@ def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
 
 
 def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:
-    """Add a camera to a composed scene."""
+    """Add a camera to the spec of a scene."""
     T = camera.T_in_body
     spec.body(camera.body).add_camera(
         name=camera.name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]), fovy=camera.fovy_deg

@@ -1,4 +1,4 @@
-"""Stored certificates: the results of an object's checks, identified by a hash of the checked inputs."""
+"""Files (certificates) with the results of an object's checks, named by a hash of the object's config and meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CONTENT = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an import
 
 
 class CertificateStatus(StrEnum):
-    """The state of an object's certificate."""
+    """The state of an object's certificate; `STALE` if it was made for another config, other meshes or other checks."""
 
     NONE = "not certified"
     GOOD = "certified"
@@ -32,7 +32,7 @@ class CertificateStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Certificate:
-    """A stored result: its present state, the codes of the failed checks, and its file, if any."""
+    """The result of an object's checks: state, codes of the failed checks, and file; None without a certificate."""
 
     status: CertificateStatus
     failed: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
 def store_certificate(
     assets: Path, item: ObjectConfig, lock: AssetLock, found: Mapping[str, Any], made_with: Mapping[str, str]
 ) -> Path:
-    """Write the certificate of an object's present content, and return its file. Other certificates stay.
+    """Write the certificate of an object's present config and meshes, and return its file. Older ones are kept.
 
     Args:
         assets: folder of the asset store.
@@ -80,9 +80,9 @@ def store_certificate(
 
 
 def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
-    """Return the certificate of an object's present content, else the newest one of other contents, as stale.
+    """Return the certificate of an object's present config and meshes, else its newest older one, as `STALE`.
 
-    Unreadable certificates are ignored.
+    Without any, the status is `NONE`. Unreadable certificates are ignored.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -110,7 +110,7 @@ def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
 
 
 def _older(path: Path, item: ObjectConfig) -> list[Path]:
-    """Return certificates of other contents of the same object, the newest first.
+    """Return the certificate files of an object for any config and meshes, the newest first and that of 0.2.0 last.
 
     Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """
@@ -120,5 +120,5 @@ def _older(path: Path, item: ObjectConfig) -> list[Path]:
 
 
 def _identity(item: ObjectConfig, mesh_set: str) -> str:
-    """Return a digest of the mesh, which distinguishes objects of the same name."""
+    """Return 8 hex digits of a hash of the mesh's name, which distinguish objects of the same name."""
     return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]

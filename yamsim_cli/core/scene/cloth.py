@@ -1,4 +1,4 @@
-"""Cloth in a scene: a flex of freely moving points, and the constraints by which hands hold these points."""
+"""Cloth in a scene: a MuJoCo flex of freely moving points, and constraints by which hands hold these points."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..config.objects.object_config import ObjectConfig
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 
-_CHECK_PX = 16  # px, edge of a check in the texture
+_CHECK_PX = 16  # px, edge of one square of the checker texture
 _TIME_CONSTANT = 0.01  # s, time constant of cloth contacts and grasp constraints; at least two time steps
-# `solimp` of grasps by layers. With MuJoCo's 0.9 and 0.95, cloth with points of 0.1 g lags 4 cm behind the hand.
+# MuJoCo's `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
 _GRASP_SOLIMP = (0.999, 0.9999)
 _CONDIM = 3  # MuJoCo's contact dimension: normal and tangential forces
 # Tolerance of the CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
-_INERTIA_PER_MASS = 1e-6  # m2, of a point, as of a ball of a millimetre; no torque acts on points
+_INERTIA_PER_MASS = 1e-6  # m2, inertia over mass of a point, about that of a 1 mm ball; no torque acts on points
 
 
 def flat_points(cloth: Cloth) -> Array:
-    """Return the points (n, 3) of a flat cloth in the cloth's frame, m, by rows along x."""
+    """Return the points (n, 3) of a flat cloth in the cloth's frame, m, row after row; a row runs along x."""
     (x, y), (columns, rows) = cloth.size, cloth.grid
     across, along = np.meshgrid(np.linspace(-x / 2, x / 2, columns), np.linspace(-y / 2, y / 2, rows))
     points: Array = np.column_stack([across.ravel(), along.ravel(), np.zeros(columns * rows)])
@@ -33,7 +33,7 @@ def flat_points(cloth: Cloth) -> Array:
 
 @functools.cache
 def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
-    """Return the point indices (m, 3) of each triangle of a grid.
+    """Return the point indices (m, 3) of each triangle of a grid of points, numbered row by row.
 
     The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both diagonals.
     """
@@ -49,7 +49,7 @@ def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def grid_edges(columns: int, rows: int) -> NDArray[np.int_]:
-    """Return the point indices (m, 2) of each edge of a grid's triangles."""
+    """Return the point indices (m, 2) of each edge of the triangles of `grid_triangles`, each edge once."""
     corners = grid_triangles(columns, rows)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -113,7 +113,7 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
 
 
 def set_cloth_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
-    """Set the integrator and solver of a scene with a cloth."""
+    """Set the integrator and the solver that a scene with this cloth needs."""
     # No other integrator supports the elasticity of flexes.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     if cloth.solver == "cg":

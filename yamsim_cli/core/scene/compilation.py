@@ -19,7 +19,7 @@ _FATAL = (
 
 
 def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimError] = SimulationError) -> mujoco.MjModel:
-    """Compile a spec.
+    """Compile a spec, or raise an error with MuJoCo's reason.
 
     Args:
         called: subject of the error message; by default the scene with its name.
@@ -34,7 +34,7 @@ def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimErro
 
 
 def keep_warnings_quiet() -> None:
-    """Silence MuJoCo's warnings in this process, unless the program has set a handler; see `physics_failure`."""
+    """Silence MuJoCo's warnings in this process, unless a handler is set. `physics_failure` reports fatal ones."""
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: None)
 

@@ -28,7 +28,7 @@ class GeomOwner(IntEnum):
     TABLE = 4
 
 
-# Pairs of kinds that must not touch: an arm or finger, and the table.
+# Element [i, j]: whether geoms of kinds i and j must not touch, which are an arm or finger and the table.
 FORBIDDEN = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
 for _part in (GeomOwner.ARM, GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER):
     FORBIDDEN[_part, GeomOwner.TABLE] = FORBIDDEN[GeomOwner.TABLE, _part] = True
@@ -44,8 +44,8 @@ class FingerAddresses:
         ctrl: address of the drive in `ctrl`.
         gain: position gain of the drive, N/m; both fingers share the force.
         ctrl_range: range of the drive's commands (2,), m.
-        opening_limits: least and largest opening of one finger, m.
-        stroke: full opening of one finger in use, m.
+        opening_limits: mechanical lower and upper limit of one finger's opening, m.
+        stroke: largest opening of one finger that commands use, m.
         pads: whether the fingers can hold an object by friction.
     """
 
@@ -77,7 +77,7 @@ class ArmAddresses:
         joint_range: joint limits (dof, 2), rad.
         motor_speed, max_torque: largest speed (dof,), rad/s, and torque (dof,), N m, of the joints.
         fingers: addresses of the fingers; None for an arm without fingers.
-        gravity: relative error of each joint's gravity compensation (dof,); None if exact.
+        gravity: error of each joint's gravity compensation (dof,), as a fraction of the compensation; None if exact.
         offset: encoder reading of each joint at position 0 (dof,), rad, or 0 for all.
         sensors: ids of the delayed sensors of the joints and the left finger (drives,); None without delay.
         command_delay, sensor_delay: delay of commands and of readings, s.
@@ -145,7 +145,7 @@ class ClothAddresses:
         grips: ids (arms, n) of the equalities by which each hand can hold each point.
         radius: half the thickness, m.
         spacing: larger of the distances between neighbouring points along x and along y, m.
-        held_by_layers: whether hands grasp a point of each layer, see `config.objects.cloth.Cloth.held`.
+        held_by_layers: whether a hand also grasps the nearest point of each layer between its pads.
     """
 
     flex: int
@@ -231,7 +231,7 @@ class CompiledScene:
 
     @functools.cached_property
     def _forbidden(self) -> NDArray[np.bool_]:
-        """Forbidden contacts (ngeom + 1, ngeom + 1); the last row and column are for cloth, which has geom -1."""
+        """Whether two geoms must not touch (ngeom + 1, ngeom + 1); the last row and column are for cloth, geom -1."""
         kinds, arms = self.geom_kind, self.geom_arm
         two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
         return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))
@@ -262,7 +262,7 @@ class CompiledScene:
         The result is the same bit for bit, whatever `data` contained before.
 
         Args:
-            commanded: past commands (nu,) that delayed drives still execute; by default the same positions.
+            commanded: past commands (nu,) that delayed drives still execute; by default the present positions.
         """
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos
@@ -279,8 +279,8 @@ class CompiledScene:
     def step(self, data: mujoco.MjData, steps: int = 1) -> None:
         """Step physics. Use only this method to step a scene.
 
-        Before each step, the method applies the error of each arm's gravity compensation. MuJoCo has such factors only
-        for bodies, and several bodies load one joint.
+        Before each step, the method applies the gravity compensation error of each joint. MuJoCo's own `gravcomp`
+        scales the compensation of a body, not of a joint.
         """
         if not self._gravity_errors:
             mujoco.mj_step(self.model, data, steps)

@@ -51,7 +51,7 @@ def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
 
 
 def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
-    """Compose a scene. All names of an arm begin with the arm's prefix, which may be empty.
+    """Build the spec of a scene from its blueprint. All names of an arm begin with its prefix, which may be empty.
 
     Raises:
         ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
@@ -113,7 +113,7 @@ def set_friction_cones(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
 
 
 def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
-    """Add the delays of an arm's drives and encoders; if randomized, the longest delays, see `RandomizedArms`."""
+    """Add the delays of an arm's drives and encoders: the longest ones, which `RandomizedArms` shortens."""
     own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
     most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
@@ -180,7 +180,7 @@ def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locatio
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
-    """Let arms with the same meshes share files. Attaching an arm has renamed its copies."""
+    """Let equal mesh files of several arms share one asset. Attaching an arm has renamed the arm's copies."""
     first: dict[tuple[str, bytes], str] = {}
     shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
@@ -194,7 +194,7 @@ def add_home_key(
     joints: Sequence[Sequence[float]] | None = None,
     parts: Mapping[str, float] | None = None,
 ) -> mujoco.MjModel:
-    """Add a keyframe `home` in which the arms are at rest, and compile.
+    """Add a keyframe `home`, in which the drives hold the arms at rest, and return the compiled model.
 
     Args:
         start: object -> pose (4, 4) in `world`, in the keyframe and in the model's default state.

@@ -17,7 +17,7 @@ from .objects.object_geoms import SEEN_GROUP, contact_numbers
 
 _HALF_FLOOR, _TILE = 5.0, 0.5  # m, half the edge of the floor, and the edge of a tile
 _TILE_HEIGHT = 0.001  # m, height of the tiles above the floor, sufficient for the depth buffer
-_CORE_DEPTH = 0.003  # m, depth of the shadow caster below a box's faces: about two texels of the default shadow map
+_CORE_DEPTH = 0.003  # m, inset of the inner box that casts a box's shadow: about two texels of the default shadow map
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -139,7 +139,7 @@ def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, i
     visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
     visual.quality.offsamples = quality.multisamples
     visual.quality.shadowsize = quality.shadow_map_px
-    # The shadow clip of a composed scene includes the default reach, see `compose`.
+    # `compose` has set the shadow clip for the default reach, `SHADOW_REACH`.
     visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
     visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
     for number, light in enumerate(spec.lights):

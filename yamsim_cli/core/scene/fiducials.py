@@ -1,4 +1,4 @@
-"""Base boards and their mounts, as mocap bodies.
+"""Adds the marker board beside an arm's base, and the board's mount, to a scene as mocap bodies.
 
 Each body has the pose of its arm's base, from the rig or from a photo. Its geom has the constant pose of the board or
 mount in the base's frame.
@@ -67,7 +67,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
     T = arm.robot.T_base_mesh
     file = f"meshes/mounts/{config.name}.stl"
     spec.assets = {**spec.assets, file: _mount_stl(config, arm.board)}
-    # The scale mirrors a user's STL. `mount_mesh` mirrors yamsim's own mount.
+    # A negative scale mirrors a user's STL. `mount_mesh` has already mirrored a generated mount.
     scale = (-_STL_SCALE[0], *_STL_SCALE[1:]) if config.stl and config.mirror_x else _STL_SCALE
     spec.add_mesh(name=name, file=file, scale=scale)
     material = spec.add_material(name=name, rgba=(0.93, 0.93, 0.93, 1), specular=0.1, shininess=0.1)
@@ -85,7 +85,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """Return the mount's STL, mm, in the frame of the base's mesh: the user's file, or yamsim's own mount."""
+    """Return the mount's STL, mm, in the frame of the base's mesh: the user's file, or a generated mesh."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()

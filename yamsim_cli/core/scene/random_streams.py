@@ -1,4 +1,4 @@
-"""Named random streams. Each purpose has its own stream, so that a new purpose does not change other samples."""
+"""Named random streams, one for each sampled quantity, so that a new quantity does not change the other samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..attempt_data import AttemptJob
 
 
 class Stream(IntEnum):
-    """The purpose of random numbers. Datasets depend on the values: only add new ones, never renumber."""
+    """What a random stream samples. The values are part of the seeds: add new ones, but never renumber."""
 
     LAYOUT = 0
     LIGHTS = 10

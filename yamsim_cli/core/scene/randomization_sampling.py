@@ -16,13 +16,13 @@ from .random_streams import Stream, random_generator
 
 _REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
 _SEEDS = 2**31  # number of possible seeds of a texture
-TABLE = "table"  # key of the table among the friction factors
+TABLE = "table"  # key of the table in `Variation.friction`, whose other keys are objects
 
 
 def sample_variation(
     config: RandomizationConfig, job: AttemptJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
 ) -> Variation:
-    """Sample an attempt's variation, except for distractors: `sim.placement` places these after the motion.
+    """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
     Args:
         lights: number of lights in the scene.
@@ -112,7 +112,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceV
 
 
 def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:
-    """Return the name at a fraction (0 to 1) of the sum of the weights, in alphabetical order."""
+    """Return the name at a fraction `share` (0 to 1) of the weights, summed up in alphabetical order."""
     rest = share * sum(weights.values())
     for name in sorted(weights):
         if rest < weights[name]:

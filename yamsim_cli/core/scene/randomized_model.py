@@ -19,15 +19,15 @@ from .compiled import ArmAddresses, CompiledScene
 from .objects.object_geoms import HIDDEN_GROUP
 from .objects.scene_object import add_object
 
-_ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group and position (m) of absent distractors
+_ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group and position, m, of unused distractors
 _TEXTURED = "_textured"
 _TEXTURE_SIZE = 256  # px, edge of a texture
 _OCTAVES = 4  # number of noise grids, each twice as fine as the previous one
 _TILES = "floor_tiles"
 _FLOOR_REPEAT = 8  # repetitions of the floor's texture per repetition of the table's: the floor is ten times as wide
-_SURFACES = {"table": "table", "floor": "safety_plane"}  # surface -> geom
+_SURFACES = {"table": "table", "floor": "safety_plane"}  # surface in the config -> name of its geom
 
-_SAVED = (
+_SAVED = (  # fields of `MjModel` that a variation can change; `apply` resets them
     "light_diffuse", "light_dir", "light_pos",
     "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat",
     "dof_M0", "dof_invweight0", "tendon_invweight0", "actuator_acc0", "cam_poscom0", "light_poscom0",
@@ -38,13 +38,13 @@ _SAVED_HEADLIGHT = ("ambient", "diffuse")
 
 
 def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
-    """Return whether a surface may need a texture. The floor's checker pattern is geometry."""
+    """Return whether an attempt may give a surface an image texture. The floor's checker pattern is a mesh."""
     untextured = {"plain", "checker"} if part == "floor" else {"plain"}
     return ranges is not None and not untextured.issuperset(ranges.textures)
 
 
 def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
-    """Add the distractors and textured materials of a randomization to a composed scene."""
+    """Add the distractors of a randomization config, and materials with an image texture, to a scene's spec."""
     for item in config.extras:
         add_object(spec, item, meshes, fixed=True)
     for part in _SURFACES:
@@ -69,7 +69,7 @@ class RandomizedModel:
     """A compiled model that is varied for each attempt.
 
     Attributes:
-        textures: ids of the textures that the last variation changed. Renderers must upload these textures.
+        textures: ids of the textures that the last `apply` changed. Renderers must upload these textures.
 
     Args:
         model: the model as compiled, with the parts of `add_randomized_parts`.
@@ -140,7 +140,7 @@ class RandomizedModel:
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
         model.light_dir[number] = direction
-        # The position only centres the shadow map, see `environment.add_lights`.
+        # The position of a directional light only centres its shadow map, so the map keeps its centre.
         model.light_pos[number] = centre - direction
         model.light_diffuse[number] *= light.colour
 
@@ -191,7 +191,7 @@ def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
 
 
 def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
-    """Return the image (size, size, 3) of a surface's pattern. Opposite edges match, except for a gradient."""
+    """Return the RGB image (size, size, 3) of a surface's pattern. Opposite edges match, except for a gradient."""
     first, second = np.array(surface.colours) * 255.0
     match surface.texture:
         case "checker":
@@ -229,15 +229,16 @@ class RandomizedArms:
     """A compiled scene whose arms vary between attempts in delays, readings and gravity compensation.
 
     Args:
-        scene: the compiled scene, with histories for the longest delays and with arms without variation.
+        scene: the compiled scene, whose model was compiled for the longest delays. Its `arms` have the delays of an
+            attempt without variation.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
         self._scene = scene
-        self.apply(())  # the model was compiled with the longest delays
+        self.apply(())  # replaces the longest delays, with which the model was compiled
 
     def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
-        """Return the scene with varied arms, or with its own arms without variations. The model changes in place."""
+        """Return the scene with one variation applied to each arm, or none if empty. The model changes in place."""
         arms, model = self._scene.arms, self._scene.model
         if variations:
             arms = tuple(_randomized_arm(arm, by) for arm, by in zip(arms, variations, strict=True))

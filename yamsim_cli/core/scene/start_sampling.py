@@ -17,10 +17,10 @@ from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
 
-_MAX_TRIES = 60  # sampled placements of an object before the round fails
-_MAX_ROUNDS = 20  # rounds, each of which places all objects anew
+_MAX_TRIES = 60  # sampled placements of one object, after which the round fails
+_MAX_ROUNDS = 20  # rounds, each of which samples the placements of all objects again
 
-BoundsOf = Callable[[str, Mapping[str, float]], Array]
+BoundsOf = Callable[[str, Mapping[str, float]], Array]  # the type of `sample_placements.box_of`
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ObjectPlacement:
     """The initial placement of an object, before the object settles.
 
     Attributes:
-        T: pose (4, 4) in `world`; the height is not final before settling.
+        T: pose (4, 4) in `world`; settling corrects the height.
         on: name of the supporting object, or `table`.
         open: part -> opening of its joint as a fraction of the joint's range.
     """
@@ -39,7 +39,7 @@ class ObjectPlacement:
 
 
 def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
-    """Sample the role assignment of an attempt."""
+    """Sample which objects play which roles in an attempt, and the sizes of these objects."""
     rng, drawn, sizes = random_generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
@@ -52,7 +52,7 @@ def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
 
 
 def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
-    """Sample the prompt of an attempt."""
+    """Sample the language instruction of an attempt from the task's training phrasings."""
     prompts = task.phrasings.training
     return prompts[int(random_generator(job, Stream.PHRASING).integers(len(prompts)))]
 
@@ -64,7 +64,7 @@ def sample_placements(
 
     Args:
         box_of: function of an object and `ObjectPlacement.open` that returns the local bounding box (2, 3), m.
-        number: index of the sample; samples are repeated if earlier ones are not usable.
+        number: how many samples of this attempt the caller has already rejected.
 
     Returns:
         Object -> placement, in the order in which objects settle. If 20 rounds of 60 tries find no free placement for
@@ -85,7 +85,7 @@ def sample_placements(
 def _arranged_placements(
     task: ProgramTask, roles: RoleAssignment, job: AttemptJob, number: int
 ) -> dict[str, ObjectPlacement]:
-    """Return the arrangement of an attempt. All attempts of a seed follow one random order of arrangements."""
+    """Return the placements of one arrangement of the task's list. Attempts use the list in a random order per seed."""
     order = random_generator(AttemptJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
     one = task.arrangements[order[(job.attempt + number) % len(order)]]
     return {
@@ -153,7 +153,7 @@ _CORNERS = tuple(itertools.product((0, 1), repeat=3))  # corners of a box: 0 (lo
 
 
 def footprint_corners(box: Array, T: Array) -> Array:
-    """Return the corners (8, 2) of a box at a pose (4, 4), seen from above, m."""
+    """Return x and y (8, 2), m, of the corners of a box (2, 3: low and high corner) at a pose (4, 4)."""
     corners: Array = (box[_CORNERS, (0, 1, 2)] @ T[:3, :3].T + T[:3, 3])[:, :2]
     return corners
 
@@ -164,7 +164,7 @@ def _on_table(corners: Array, table: Table) -> bool:
 
 
 def footprint_distance(one: Array, other: Array) -> float:
-    """Return a lower bound of the distance of two footprints of corners (n, 2), m; negative if they may overlap."""
+    """Return a lower bound of the distance of the convex hulls of two footprints (n, 2), m; negative for overlap."""
     edges = np.concatenate([corners[1:] - corners[0] for corners in (one, other)])
     lengths = np.linalg.norm(edges, axis=1)
     along = edges[lengths > 1e-6] / lengths[lengths > 1e-6, None]

@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.se3 import Array, pose
 from .geom_shapes import geom_points
 
-_INNER_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
+_INNER_POINTS = 24  # number of points inside an object through which lines are tried, besides the centre of mass
 
 # Unit vectors in the object's frame: its axes, and the bisectors of two and of three axes.
 _DIRECTIONS = tuple(
@@ -23,7 +23,7 @@ _DIRECTIONS = tuple(
 
 _MAX_SLOPE = math.tan(math.radians(15))  # tangent, largest slope of a face against the plane normal to the line
 _SLOPE_OFFSET = 0.003  # m, offset from the line of the rays that measure slopes
-_SQUARED_RADIUS_FACTOR = 1.001  # enlarges the bounding spheres of geoms against rounding errors
+_SQUARED_RADIUS_FACTOR = 1.001  # factor of the squared radius of geoms' bounding spheres, against rounding errors
 _RAY_START = 1.0  # m, distance of a ray's start from a point in an object; larger than any object on a table
 
 
@@ -45,7 +45,10 @@ class AntipodalPair:
 
 
 def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) -> list[AntipodalPair]:
-    """Return a body's pairs of at most `widest` (m), those near the centre of mass and perpendicular to faces first."""
+    """Return the antipodal pairs of a body at most `widest` m apart, those near the centre of mass first.
+
+    Among equally near pairs, those on faces perpendicular to the line come first.
+    """
     T = pose(data.xpos[body], data.xmat[body].reshape(3, 3))
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body and model.geom_contype[g]]
     points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _INNER_POINTS)

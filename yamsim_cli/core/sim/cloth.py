@@ -1,4 +1,4 @@
-"""The state of simulated cloth, constraints that hold it in hands, and simulations with moved points."""
+"""The state of simulated cloth, the switching of its grasp constraints, and simulated drops and pulls of cloth."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from .settling import settle_objects
 
 _CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grasps cloth
 _MIN_FORCE = 2.0  # N, least force of each finger at which a hand grasps cloth
-_RELEASE_OPENING = 0.002  # m, excess of the commanded opening over the present one that releases cloth
+_RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening exceeds the present one by more
 
-_PAD_WIDTH = 0.0072  # m, half the width of a pad
-_PAD_LENGTH = 0.0082  # m, half the length of a pad
+_PAD_WIDTH = 0.0072  # m, half the width of a finger pad
+_PAD_LENGTH = 0.0082  # m, half the length of a finger pad
 _BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
-# m, x and y in the pinch frame of the lines along which layers are found: in the middle and at the edges of a pad.
+# m, x and y of the lines along which layers are found, in the pinch frame: origin between the pads, z along fingers.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
-_MOVED_MASS = 1.0  # kg, mass of each point while `moving_points` moves it, see there
+_MOVED_MASS = 1.0  # kg, mass of each point while `moving_points` moves it, so that the cloth cannot pull it back
 
 _LIFT_SPEED = 0.3  # m/s, speed of the point by which cloth is lifted before a drop
-# Least height of a lift, m, and as a fraction of half the diagonal; the smaller of the two applies.
+# Least height of a lift before a drop: the smaller of this height, m, and this fraction of half the cloth's diagonal.
 _MIN_LIFT, _MIN_LIFT_SHARE = 0.08, 0.3
-_MAX_HEADING = 0.5  # rad, largest deviation of a lifted point's path from the direction to the middle
+_MAX_HEADING = 0.5  # rad, largest deviation of a lifted point's path from the direction to the cloth's middle
 
 # Crumpled cloth must not pass through itself or into the table.
-_MAX_DROPS = 40  # drops; if all have faults, the one with the fewest faults is used
-_MAX_SINK = 0.5  # thicknesses, depth below the flat cloth at which a point has sunk into the surface
-_MIN_CRUMPLED = 4.0  # layers, least height of crumpled cloth
+_MAX_DROPS = 40  # drops; if all have faults (crossings, sunk points, too flat), the best is used
+_MAX_SINK = 0.5  # thicknesses, depth below the flat cloth from which a point counts as sunk into its support
+_MIN_CRUMPLED = 4.0  # layer thicknesses, least height of crumpled cloth
 _SETTLINGS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
 
 _REST_SECONDS = 0.5  # s, simulated after the points of a pull are released
@@ -56,7 +56,7 @@ class ClothState:
 
     @property
     def addresses(self) -> ClothAddresses:
-        """The addresses of the points in MuJoCo's arrays."""
+        """Indices of the points in MuJoCo's arrays."""
         return self._cloth
 
     @property
@@ -72,7 +72,7 @@ class ClothState:
 
     @property
     def pose(self) -> Array:
-        """Pose (4, 4) in `world`, see `ClothAddresses.pose`."""
+        """Pose (4, 4) in `world` of an upright frame at the centroid of the points, with their mean yaw."""
         return self._cloth.pose(self._data.qpos)
 
     @property
@@ -94,7 +94,7 @@ class ClothState:
 
     @property
     def contacts(self) -> NDArray[np.bool_]:
-        """Which sides of the present contacts are this cloth (n, 2)."""
+        """Whether each of the two sides of each present contact is this cloth (n, 2)."""
         found: NDArray[np.bool_] = self._data.contact.flex == self._cloth.flex
         return found
 
@@ -104,7 +104,7 @@ class ClothState:
 
 
 class ClothGrips:
-    """Switches the constraints that hold cloth in hands. Friction alone does not hold a grid of points.
+    """Switches the constraints that hold cloth in hands, because friction does not hold a grid of points.
 
     A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
     releases the cloth when its fingers are commanded to open.
@@ -119,7 +119,7 @@ class ClothGrips:
         ]
 
     def update(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
-        """Switch the constraints for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
+        """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
         Args:
             data: present poses and contacts. The constraints are switched in `data`; their anchors are written into

@@ -12,17 +12,17 @@ from ..scene.random_streams import Stream, random_generator
 
 
 def delayed_positions(scene: CompiledScene, data: mujoco.MjData) -> Array | None:
-    """Return the delayed positions (arms, drives) of joints and left fingers, rad and m; None without any delay."""
+    """Return the delayed positions (arms, drives) of joints and left fingers, rad and m; None if no arm has a delay."""
     if all(arm.sensors is None for arm in scene.arms):
         return None
     return np.array([_delayed_arm_positions(scene.model, data, arm) for arm in scene.arms])
 
 
 def encoder_readings(scene: CompiledScene, positions: Array, job: AttemptJob, tick: int) -> Array:
-    """Return the encoder readings (arms, drives) for given positions, rad and m.
+    """Add offset, noise and resolution to joint positions, and return the readings (arms, drives), rad and m.
 
     Args:
-        positions: positions of the joints and the left finger (arms, drives), see `delayed_positions`.
+        positions: positions of the joints and the left finger (arms, drives), delayed by `delayed_positions`.
         tick: number of the control tick. The noise depends only on the attempt, the tick and the arm.
     """
     if all(arm.has_ideal_encoders for arm in scene.arms):

@@ -15,7 +15,7 @@ _GEOM = mujoco.mjtGeom
 
 _MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
 
-_SIDES = 24  # sides of the polygon for a circle; the error is less than 1 % of the radius
+_SIDES = 24  # sides of the polygon that replaces a circle; the error is less than 1 % of the radius
 
 
 def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:

@@ -11,8 +11,8 @@ from ..geometry.height_map import compute_height_map
 from ..geometry.loft import Surface
 from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 
-_CELLS = 64  # rays along the longer side of a view: 2 mm apart for a mug, 4 mm for a bin
-_HORIZONTAL_VIEWS = 8  # horizontal directions; with four, the space beside a slanted handle counts as enclosed
+_CELLS = 64  # rays along the longer side of a body seen from one direction: 2 mm apart for a mug, 4 mm for a bin
+_HORIZONTAL_VIEWS = 8  # horizontal ray directions; with four, the space beside a slanted handle counts as enclosed
 
 _SIDEWAYS = rotation_from_vector([0.0, -math.pi / 2, 0.0])
 
@@ -46,7 +46,7 @@ class Interior:
         grids = [compute_height_map((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
         self._first = np.array([(grid.x[0], grid.y[0]) for grid in grids])
         self._cell = np.array([grid.cell for grid in grids])
-        # Coordinate of the last hit along each ray of each view. Rays along the edges hit nothing.
+        # Coordinate, m, of the last hit along each ray of each direction; -inf for no hit, as for rays at the edges.
         self._reach = np.full((len(grids), *np.max([grid.top.shape for grid in grids], axis=0)), -np.inf)
         for reach, grid in zip(self._reach, grids, strict=True):
             reach[: len(grid.x), : len(grid.y)] = grid.top
@@ -62,7 +62,7 @@ class Interior:
         return held
 
     def _hits(self, points: Array) -> NDArray[np.bool_]:
-        """Return whether the nearest ray of each view hits the body beyond each point (n, 3), as (views, n)."""
+        """Return whether the nearest ray of each of _VIEWS hits the body beyond each point (n, 3), as (views, n)."""
         x, y, z = (points @ _VIEWS[:, axis].T for axis in range(3))
         _, nx, ny = self._reach.shape
         i = np.clip(np.rint((x - self._first[:, 0]) / self._cell), 0, nx - 1)

@@ -1,4 +1,4 @@
-"""Placement of distractors clear of all motions of an attempt, and a collision check for arm postures."""
+"""Placement of distractors where no motion of an attempt comes near, and a collision check for arm postures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..scene.random_streams import Stream, random_generator
 from ..scene.randomized_model import RandomizedModel
 
 _MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out
-_MAX_OVERLAP = 5e-4  # m, penetration up to which bodies only touch
+_MAX_OVERLAP = 5e-4  # m, penetration up to which a contact is no collision
 
 
 class DistractorPlacer:

@@ -12,7 +12,7 @@ from ..scene.compiled import CompiledScene
 
 SETTLE_SECONDS = 2.0  # s, longest simulated time
 CHECK_STEPS = 25  # physics steps between two checks of the speeds
-AT_REST = 0.01  # m/s and rad/s, speed below which an object is at rest
+AT_REST = 0.01  # m/s and rad/s, speed below which an object counts as at rest
 
 
 class SettledScene(NamedTuple):

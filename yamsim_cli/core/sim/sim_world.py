@@ -1,4 +1,4 @@
-"""Queries of MuJoCo's state by object names, for goals and skills."""
+"""Queries of a scene's state (poses, contacts, holders, containers) by object names, for goals and skills."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class SimWorld:
         return self._data
 
     def pose(self, thing: str) -> Array:
-        """See `GoalWorld.pose`."""
+        """Return the pose (4, 4) in `world` of an object, a region or a cloth."""
         if region := self._regions.get(thing):
             return self.pose(region.thing) @ region.T_in_thing
         if cloth := self._cloths.get(thing):
@@ -100,12 +100,12 @@ class SimWorld:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
-        """See `GoalWorld.handle_pose`."""
+        """Return the pose (4, 4) in `world` of a handle of an object; z points into the handle."""
         site = self._data.site(f"{self._check(thing)}_{handle}")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def start_pose(self, thing: str) -> Array:
-        """See `GoalWorld.start_pose`; the pose is that of the last `store_start`."""
+        """Return the pose (4, 4) in `world` that an object had at the last `store_start`."""
         return self._starts[self._check(thing)]
 
     def store_start(self) -> None:
@@ -115,7 +115,7 @@ class SimWorld:
         self._handovers = {name: [] for name in self.things}
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
-        """See `GoalWorld.aabb`. The box is exact for the collision geoms: primitives, and vertices of meshes."""
+        """Return the lowest and highest corner (3,) of the bounding box of all collision geoms in `world`, m."""
         if region := self._regions.get(thing):
             T = self.pose(thing)
             corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _box_corners(region.corners)])
@@ -139,20 +139,20 @@ class SimWorld:
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
     def touching(self, one: str, other: str) -> bool:
-        """See `GoalWorld.touching`; a contact with an object counts as a contact with all its regions."""
+        """Return whether two objects touch. A contact with an object counts for all its regions."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
         first, second = (self._in_contact(name) for name in (one, other))
         return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 
     def _in_contact(self, thing: str) -> NDArray[np.bool_]:
-        """Return which sides of the present contacts are an object (n, 2)."""
+        """Return whether each of the two sides of each present contact is an object (n, 2)."""
         if cloth := self._cloths.get(thing):
             return cloth.contacts
         found: NDArray[np.bool_] = self._geom_object[self._data.contact.geom] == self._numbers[self._check(thing)]
         return found
 
     def cloth_points(self, thing: str) -> Array:
-        """See `GoalWorld.cloth_points`."""
+        """Return the points (rows, columns, 3) of a cloth in `world`, m; rows run along the cloth's x axis."""
         return self._cloths[thing].rows
 
     def cloth_addresses(self, thing: str) -> ClothAddresses:
@@ -160,11 +160,11 @@ class SimWorld:
         return self._cloths[thing].addresses
 
     def holding_sides(self, thing: str) -> frozenset[str]:
-        """See `GoalWorld.holding_sides`. Constraints hold cloth; both fingers' contacts or welds hold other objects."""
+        """Return the sides of the hands that hold an object by both fingers or a weld, or a cloth by constraints."""
         return self.holding_sides_by_object()[self._check(thing)]
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
-        """Return object -> its `holding_sides`, in the order of `things`."""
+        """Return object -> sides of the hands that hold the object, in the order of `things`."""
         pairs = self._data.contact.geom
         things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
         # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
@@ -201,19 +201,19 @@ class SimWorld:
         )
 
     def holders_since_rest(self, thing: str) -> tuple[str, ...]:
-        """See `GoalWorld.holders_since_rest`; recorded by `update_handovers`."""
+        """Return the sides of the hands that held an object since it last lay down, as `update_handovers` saw."""
         return tuple(self._hands[self._check(thing)])
 
     def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
-        """See `GoalWorld.handovers`; recorded by `update_handovers`."""
+        """Return giver's and receiver's side of all handovers in the attempt, as `update_handovers` saw."""
         return tuple(self._handovers[self._check(thing)])
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
-        """See `GoalWorld.volume_fraction_inside`; estimated with points spread evenly over the object's volume."""
+        """Return the fraction, 0..1, of an object's volume in a container's interior, estimated by sample points."""
         return self._fraction(thing, lambda points: self.points_inside(container, points))
 
     def volume_fraction_in_box(self, thing: str, container: str) -> float:
-        """Return the fraction, 0..1, of an object's volume that lies in a container's `local_box`."""
+        """Return the fraction, 0..1, of an object's volume that lies in a container's local bounding box."""
         return self._fraction(thing, lambda points: self._in_local_box(container, points))
 
     def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
@@ -240,7 +240,7 @@ class SimWorld:
         return held
 
     def joint_opening(self, thing: str, joint: str) -> float:
-        """See `GoalWorld.joint_opening`."""
+        """Return the opening of an articulated object's joint: 0 at the lower end of its range, 1 at the upper end."""
         found = self._model.joint(f"{self._check(thing)}_{joint}")
         low, high = found.range
         return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
@@ -251,9 +251,9 @@ class SimWorld:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def update_handovers(self) -> dict[str, frozenset[str]]:
-        """Update `holders_since_rest` and `handovers`, and return `holding_sides_by_object`.
+        """Update the results of `holders_since_rest` and `handovers`; return `holding_sides_by_object()`.
 
-        `holders_since_rest` is cleared when no hand holds the object and the object touches another one or the table.
+        The holders are cleared when no hand holds the object and the object touches another one or the table.
         """
         holding_sides_by_object = self.holding_sides_by_object()
         for thing, holders in holding_sides_by_object.items():
@@ -278,7 +278,7 @@ class SimWorld:
         return thing
 
     def local_box(self, thing: str) -> Array:
-        """Return the local bounding box of an object at its present joint positions: two corners (2, 3), m."""
+        """Return the lowest and highest corner (2, 3) of an object at its present joint positions, in its frame, m."""
         if region := self._regions.get(thing):
             return region.corners
         if cloth := self._cloths.get(thing):

@@ -15,7 +15,7 @@ from .cloth import ClothState
 
 
 class StateReplay:
-    """Joints and poses of a recorded state. Poses are in the base frame of the only arm, or of the left one of two."""
+    """Reads joints and poses from recorded states. Poses are in the base frame of the only arm, or the left one."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -28,7 +28,7 @@ class StateReplay:
         """Set the state to positions `qpos` (nq,), and compute the poses of bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos
-        # Randomization changes the poses of mocap bodies in the model, so the poses are copied from there.
+        # Randomization changes the poses of mocap bodies in the model, so the poses are copied from the model.
         for body in self._fixed:
             number = int(model.body_mocapid[body])
             self.data.mocap_pos[number], self.data.mocap_quat[number] = model.body_pos[body], model.body_quat[body]
@@ -47,7 +47,7 @@ class StateReplay:
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
     def T_object_in_base(self, name: str) -> Array:
-        """Return the pose (4, 4) of a body, or of a cloth as in `ClothState.pose`."""
+        """Return the pose (4, 4) of a body, or of a cloth's upright frame at the centroid of its points."""
         if cloth := self._cloths.get(name):
             return self._T_world_in_base @ cloth.pose
         body = self.data.body(name)

@@ -11,9 +11,9 @@ from ..loft import Surface, loft, loft_closed, rounded_rectangle, transform_surf
 from ..se3 import Array
 from .generated_shape import GeneratedShape, PrimitiveData, ShapeGrasp, ShapePiece, box_data, capsules_along
 
-_RIM_DEPTH = 0.008  # m, depth of the pads' middle below a rim
+_RIM_DEPTH = 0.008  # m, depth of the finger pads' middle below a grasped rim
 _MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
-_WIDEST = 0.091  # m, largest width between the pads
+_WIDEST = 0.091  # m, largest object width between the pads
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from .generated_shape import (
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
-_CLEAR_HEIGHT = 0.018  # m, height of the pads' middle at which the pads of a tilted hand clear the table
+_CLEAR_HEIGHT = 0.018  # m, height of the finger pads' middle at which the pads of a tilted hand clear the table
 _MAX_RAISE = 0.004  # m, largest height of the pads' middle over that of the handle
 
 

@@ -1,4 +1,4 @@
-"""A generated object: visual surfaces, collision primitives and grasps."""
+"""The data of a generated object (visual surfaces, collision primitives and grasps), and helpers to build it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..loft import Surface
 from ..se3 import Array
 
-# A collision primitive as plain data, in the format of object configs.
+# A collision primitive as a mapping of YAML values, in the format of object configs.
 PrimitiveData = Mapping[str, Any]
 
 _MIN_WALL = 0.002  # m, least thickness of a collision wall; objects can pass through thinner walls
@@ -38,7 +38,7 @@ class ShapeGrasp:
         width: thickness of the object between the pads, m.
         has_flat_contact: whether both pads touch with their faces. On a line contact, the object pivots.
         tilt_deg: tilt of the hand from vertical towards `axis_deg`, degrees. With this tilt, the pads are parallel to
-            the grasped wall. None for other grasps.
+            the grasped wall. None for grasps that do not need it.
         depth: length of the object between the fingers, along the fingers, m. A longer lever resists rotation better.
     """
 
@@ -59,10 +59,10 @@ class GeneratedShape:
         pieces: visual surfaces.
         collision: collision primitives.
         grasps: grasps, the best first; empty if no grasp from above is possible.
-        carries: preposition for objects that are placed there, "in" or "on".
+        carries: "in" or "on", the preposition for placing other objects in or on this one.
         support: height of the surface in the middle for placing objects, m; None if no object would stay there.
-        rolls: least radius of the round contacts with the ground, m; 0 for a flat foot.
-        turned: whether the object is rotationally symmetric, so that all grasps of one kind are equivalent.
+        rolls: least radius of the round surface on which the object can roll, m; 0 for a flat foot.
+        turned: whether the object is rotationally symmetric, so that all grasps of the same `where` are equivalent.
     """
 
     pieces: tuple[ShapePiece, ...]
@@ -75,13 +75,13 @@ class GeneratedShape:
 
 
 def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:
-    """Return a box with its full size (3,), m."""
+    """Return the data of a box from its centre (3,) and full size (3,), m, turned about z."""
     plain = {"type": "box", "centre": _plain(centre), "half_size": _plain(np.divide(size, 2))}
     return plain | ({"yaw_deg": yaw_deg} if yaw_deg else {})
 
 
 def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
-    """Return an upright cylinder about the z axis between two heights, m."""
+    """Return the data of an upright cylinder about the z axis between two heights, m."""
     return {
         "type": "cylinder",
         "centre": [0.0, 0.0, _short((low + high) / 2)],
@@ -91,23 +91,23 @@ def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
 
 
 def sphere_data(centre: Sequence[float], radius: float) -> PrimitiveData:
-    """Return a sphere, m."""
+    """Return the data of a sphere from its centre (3,) and radius, m."""
     return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
 
 
 def capsule_data(start: ArrayLike, end: ArrayLike, radius: float) -> PrimitiveData:
-    """Return a capsule between two points (3,), m."""
+    """Return the data of a capsule from the ends (3,) of its axis and its radius, m."""
     return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
 
 
 def capsules_along(path: ArrayLike, radius: float, *, closed: bool = False) -> list[PrimitiveData]:
-    """Return capsules along a path (n, 3), m, and back to its start if `closed`."""
+    """Return the data of capsules along a path (n, 3), m, and back to its start if `closed`."""
     points = list(np.asarray(path, float))
     return [capsule_data(a, b, radius) for a, b in itertools.pairwise([*points, points[0]] if closed else points)]
 
 
 def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData]:
-    """Return one ring of boxes for each segment of the profile (n, 2) of an inner surface, m."""
+    """Return the data of a ring of boxes for each piece of an inner surface's profile (n, 2: radius, height), m."""
     return [
         {
             "type": "ring",
@@ -121,7 +121,10 @@ def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData
 
 
 def simplify_polyline(profile: Array, tolerance: float) -> Array:
-    """Simplify a polyline (m, n) to corners (k, n) within a tolerance, by the Ramer-Douglas-Peucker algorithm."""
+    """Simplify a polyline (m, n) to some of its points (k, n) by the Ramer-Douglas-Peucker algorithm.
+
+    `tolerance` is the largest distance of an omitted point from the result, in the unit of the polyline.
+    """
     start, end = profile[0], profile[-1]
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
     rest = profile - start

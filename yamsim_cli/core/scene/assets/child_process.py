@@ -50,7 +50,7 @@ def run_child(
         scratch: folder for files with the program's output, so that no full pipe can block the program.
         limit_s: longest total time, s.
         idle_s: longest time without a change of `watch`, s. This limit ends dead downloads but not slow ones.
-        watch: returns the progress of the program; called ten times a second.
+        watch: returns a number that changes as the program progresses, such as bytes; called ten times a second.
 
     Raises:
         SourceError: the program cannot be started, or a time limit is reached.

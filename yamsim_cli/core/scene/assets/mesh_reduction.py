@@ -1,7 +1,7 @@
 """Reduced meshes with fewer faces for rendering, stored beside their source sets.
 
 Quadric collapse stalls on the slivers of CAD meshes, so the slivers are removed first. The remaining mesh is collapsed
-to the number of faces in the lock. A result that deviates too much from its source is not used.
+to the number of faces in the asset lock. A result that deviates too much from its source is not used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .asset_store import AssetStore
 
 LIMIT_MM = 0.5  # mm, largest Hausdorff distance between a reduced mesh and its source
 _SLIVERS_MM = 0.2  # mm, largest displacement by sliver removal for a mesh without a `Reduction` in the lock
-_AGGRESSIVENESS = 6.0  # 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
+_AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
 _SAMPLES = 1000  # sample points on each surface for the distance; the tests use twenty times as many
 _MM = 1000.0  # mm per metre; the STL files are in metres
 
@@ -35,7 +35,7 @@ Surface = tuple[Array, Faces]
 
 
 def reduction_fingerprint() -> str:
-    """Return as text all parameters of a reduction, except the source and its `Reduction`.
+    """Return a text of all constants and library versions on which the result of a reduction depends.
 
     Raises:
         ImportError: a library for reduction is not installed.
@@ -45,7 +45,7 @@ def reduction_fingerprint() -> str:
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
-    """Return a binary STL (m) with fewer faces within `LIMIT_MM` of the given one, else the given one.
+    """Return a binary STL (m) with fewer faces that deviates from `data` by at most `LIMIT_MM`, else `data`.
 
     Raises:
         ResourceError: `data` is not a binary STL.
@@ -73,13 +73,13 @@ def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
 
 
 def _without_slits(vertices: Array, triangles: Faces) -> Faces:
-    """Return the triangles that have an area at the precision of an STL file."""
+    """Return the triangles without those whose area is zero at the precision of an STL file (float32)."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
 
 
 def remove_slivers(source: Surface, tolerance: float) -> Surface:
-    """Return a surface (mm) without slivers, moved by at most about `tolerance`; unchanged if it is not a manifold."""
+    """Return a surface (mm) without slivers, moved by at most about `tolerance` mm; unchanged if not a manifold."""
     import manifold3d
 
     if not tolerance:
@@ -106,7 +106,7 @@ class ReducedSet:
 
 
 def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
-    """Return a set's reduced meshes, verified by SHA-256; None if missing or made with other parameters.
+    """Find a set's reduced meshes and verify their SHA-256; None if missing, changed or made with other parameters.
 
     Raises:
         ResourceError: a library for reduction is not installed.
@@ -130,7 +130,7 @@ def make_reduced(
     If two processes call this function at once, one creates the meshes and the other waits.
 
     Args:
-        source: folder of the set's own files, from `AssetStore.resolve`.
+        source: folder of the set's unreduced files, from `AssetStore.resolve`.
         notice: licence text that is published with the meshes.
 
     Raises:
@@ -185,7 +185,7 @@ def _reduced_set(folder: Path, files: dict[str, dict[str, Any]]) -> ReducedSet:
 
 
 def _folder_name(assets: AssetSet) -> str:
-    """Return the folder's name, which contains a hash of all parameters of the reduction."""
+    """Return the name of a set's folder of reduced meshes, with a hash of all parameters of the reduction."""
     try:
         how = [reduction_fingerprint()] + [
             f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())

@@ -1,4 +1,4 @@
-"""The protocol of the sources of asset sets."""
+"""The interface of asset sources, which download or generate the mesh files of asset sets."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from .asset_lock import AssetSet
 
 
 class SourceError(Exception):
-    """A source cannot provide a set. `fetch` collects the reasons and tries the next source."""
+    """A source cannot provide a set. `mesh_download.fetch` collects the reasons and tries the next source."""
 
 
 class FetchProgress(Protocol):
-    """A callback for the progress of a download in bytes; called in the thread that called `fetch`."""
+    """A callback for the progress of a download in bytes; called in the thread that fetches."""
 
     def __call__(self, label: str, done_bytes: int, total_bytes: int, /) -> None:
         """Show the progress. The callback must return quickly."""
 
 
 def no_progress(label: str, done_bytes: int, total_bytes: int) -> None:
-    """Ignore progress."""
+    """Do nothing: the callback for fetching without a progress display."""
 
 
 class AssetSource(Protocol):
@@ -31,7 +31,7 @@ class AssetSource(Protocol):
         """The source's name in reports and errors."""
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether the source may have the set, without I/O."""
+        """Return whether to try this source for the set, decided without I/O."""
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
         """Return file name -> content for the set's files.

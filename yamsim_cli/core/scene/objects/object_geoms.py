@@ -35,16 +35,16 @@ MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 SEEN_GROUP = 2  # geom group of visible geoms
 HIDDEN_GROUP = 3  # geom group of collision geoms with a visual mesh
 _SDF_LEVELS = 6  # octree depth of a signed distance field
-_SOLMIX = 20.0  # weight of a geom with its own solref; other geoms have 1
+_SOLMIX = 20.0  # `solmix`, weight of a geom with its own solref in contacts; other geoms have 1
 
 
 def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
-    """Return the content of a file of a set; see `mesh_bytes` for errors."""
+    """Return the content of a file of an asset set; raise `ResourceError` if it cannot be read from the disk."""
     return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
 
 
 def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshFiles) -> str:
-    """Add the material of a mesh, with its texture if the set is available, and return the material's name."""
+    """Add the material of a mesh, with its texture if `meshes` has the mesh's asset set, and return `name`."""
     material = spec.add_material(name=name, rgba=mesh.rgba, specular=mesh.specular, shininess=mesh.shininess)
     folder = meshes.get(mesh.set)
     if mesh.texture is not None and folder is not None:
@@ -59,7 +59,7 @@ def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshF
 def add_visual_mesh(
     spec: mujoco.MjSpec, body: Any, name: str, mesh: ObjectMesh, material: str, meshes: MeshFiles
 ) -> None:
-    """Add a visual mesh as geom `<name>_look` if its set is available."""
+    """Add a visual mesh as geom `<name>_look` if `meshes` has the mesh's asset set."""
     folder = meshes.get(mesh.set)
     if folder is None:
         return
@@ -93,11 +93,11 @@ def add_collision(
     *,
     hidden: bool,
 ) -> None:
-    """Add a collision geom.
+    """Add one collision part of an object to a body: a primitive, a convex hull or a signed distance field.
 
     Args:
         files: name of the asset set with the mesh file, and the folders of all sets.
-        hidden: whether a visual mesh is shown instead.
+        hidden: whether the geom is invisible, because a visual mesh is shown instead.
 
     Raises:
         ResourceError: the collision mesh is not available. No other shape would have the same physics.
@@ -141,7 +141,7 @@ def contact_numbers(contact: Contact) -> dict[str, Any]:
 def add_primitive(
     body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
 ) -> None:
-    """Add a primitive; without `contact`, the primitive is only visual."""
+    """Add a primitive geom to a body (a ring as several boxes); without `contact`, the geom is only visual."""
     common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
     common |= {"rgba": part.rgba} if part.rgba else {"material": material}
     if contact is None:
@@ -167,7 +167,7 @@ def add_primitive(
 
 
 def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
-    """Add a visual ring as one mesh, which renders faster than dozens of boxes."""
+    """Add a ring, a sloping rim around z, as one visual mesh, which renders faster than dozens of boxes."""
     file = f"meshes/objects/{name}.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
     spec.add_mesh(name=name, file=file)
@@ -201,7 +201,7 @@ def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
 
 
 def _ring_box(ring: Ring, k: int) -> dict[str, Any]:
-    """Return position, quaternion and half-size of a ring's box. Boxes meet at the corners of their wider edge."""
+    """Return position, quaternion and half-size of box k of a ring. Boxes meet at the corners of their wider edge."""
     (r0, z0), (r1, z1) = ring.inner, ring.outer
     run, rise = r1 - r0, z1 - z0
     length = math.hypot(run, rise)

@@ -17,11 +17,11 @@ _DETENT_RADIUS = 0.05  # m, radius of a hinge's detent; any radius gives the sam
 _MAX_LENGTH = 10.0  # m, upper spring length; longer than any detent's spring becomes, so that the spring never pulls
 _DETENT_STEPS = 400  # joint positions at which a detent's force is computed
 _THREAD_SOLREF = (0.004, 1.0)  # solref of a thread: the stiffest one that a time step of 2 ms allows
-_FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # with MuJoCo's default, joints creep by millimetres a second
+_FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # of dry friction; with the default, joints creep by mm a second
 
 
 def joint_transform(joint: LinkJoint, value: float) -> Array:
-    """Return the motion (4, 4) of a part from joint position 0 to `value`, m or rad, in its frame at position 0."""
+    """Return the pose (4, 4) of a part at joint position `value`, m or rad, in the part's frame at position 0."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if not joint.turns:
         return pose(value * axis)
@@ -38,7 +38,7 @@ def start_pose(link: Link) -> Array:
 
 
 def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link) -> None:
-    """Add the joint `name` of a link, with its thread and detents."""
+    """Add the joint `name` of a moving part, with the thread of a screw joint and the springs of detents."""
     joint = link.joint
     start = joint.to_si(joint.start)
     rubs = {"damping": [joint.damping, 0, 0], "frictionloss": joint.friction, "armature": joint.armature}
@@ -107,7 +107,7 @@ def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Li
 
 
 def add_handles(body: Any, name: str, handles: Sequence[Handle]) -> None:
-    """Add handles as sites `<name>_<handle>`, whose frames are the pinch frames of their grasps."""
+    """Add each handle as a site `<name>_<handle>`: the target of the frame between the finger pads in a grasp."""
     for handle in handles:
         T = handle.T_pinch_in_part
         body.add_site(

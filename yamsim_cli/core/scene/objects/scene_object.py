@@ -17,8 +17,8 @@ from ..cloth import add_cloth
 from .object_geoms import MeshFiles, add_collision, add_material, add_primitive, add_visual_mesh, add_visual_ring
 from .object_joints import add_handles, add_link_joint, start_pose
 
-# A fixed base has a free joint, so that each attempt can place the base. With this armature (kg, kg m2) and damping
-# (N s/m, N m s), no hand moves the base by 0.1 mm in a minute.
+# An object with `base: fixed` has a free joint, so that each attempt can place it. With this armature (kg, kg m2) and
+# damping (N s/m, N m s), no hand moves it by 0.1 mm in a minute.
 _FIXED_ARMATURE, _FIXED_DAMPING = 1e4, 1e7
 
 
@@ -27,7 +27,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
 
     Args:
         meshes: asset set -> folder. Where visual meshes are not available, the collision primitives are visible.
-        fixed: whether to add a mocap body instead of a free body.
+        fixed: whether to add a mocap body, which physics never moves, instead of a free body.
 
     Raises:
         ResourceError: a collision mesh is not available.
@@ -77,7 +77,10 @@ def _fill_body(
     files: tuple[str, MeshFiles],
     plain: ObjectMesh | None = None,
 ) -> None:
-    """Add inertia, visual meshes and collision geoms to a body. Without meshes, the body has the colour of `plain`."""
+    """Add inertia, collision geoms, visual meshes (`looks`) and visual primitives (`look`) to a body.
+
+    A body without meshes has the colour of `plain`. `files`: set of the collision meshes, and set -> files.
+    """
     body.mass, body.ipos = inertia.mass, inertia.centre
     body.inertia = inertia.diagonal
     body.iquat = np.asarray(inertia.quat) / np.linalg.norm(inertia.quat)
