@@ -59,7 +59,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
     Args:
-        sides: of the acting arms; None if unknown.
+        sides: "left" and "right", of the acting arms; None if unknown.
 
     Raises:
         ConflictError: the program or the goal is impossible; the error's path leads from the task's root.
