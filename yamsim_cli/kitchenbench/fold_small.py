@@ -28,8 +28,8 @@ from .object_poses import T_in_world
 
 _AREA_MARGIN = 0.96  # share of the required area at which the predicted area of a fold is sufficient
 
-_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # distance of creases from a side or corner, as a share of the cloth
-_LINE_GAP = 0.008  # m, gap between lines of points along a crease
+_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # limits of a crease's distance from a side or corner, as shares of the cloth
+_LINE_GAP = 0.008  # m, points farther apart across a crease belong to different lines of points
 
 _MIN_REDUCTION = 0.06  # share by which a fold must reduce the area
 _MAX_FOLDS = 5  # folds in a run of the skill
@@ -51,9 +51,9 @@ _FLAT_LAYERS = 8.0  # layer thicknesses, largest height of cloth that counts as 
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _FIRST_PULLS, _LATER_PULLS = 4, 2  # largest numbers of flattening pulls, at first and after a slide
 
-_LAYER_HEIGHT = 0.005  # m, height of a layer
+_LAYER_HEIGHT = 0.005  # m, height that counts as one layer of cloth
 _CORNER_TOLERANCE = (
-    0.006  # m, largest extra distance from a corner of points that count as being there; the uppermost is grasped
+    0.006  # m; of the points at most this much farther from a corner than the nearest, the uppermost is grasped
 )
 
 

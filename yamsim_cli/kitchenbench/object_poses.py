@@ -51,7 +51,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
 
     Args:
-        simulator: of a scene with the same objects.
+        simulator: has a compiled scene with all objects of the blueprint.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = make_sim_world(simulator.scene, simulator.replica.data, ())

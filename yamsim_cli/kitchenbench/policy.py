@@ -68,7 +68,7 @@ class YamsimExpert:
         """Return the actions of the next motion; after the last motion, an action that holds the joints.
 
         Raises:
-            RuntimeError: the observed joints differ from the expert's simulation, so the actions were changed.
+            RuntimeError: observed and simulated joints differ, so something changed the actions.
         """
         assert self._scene is not None, "reset comes first"
         if self._planning is None:

@@ -38,8 +38,8 @@ _HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a 
 
 _GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
 _HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
-_FREE_DISTANCE = 0.003  # m, distance to all other objects at which a place is free, and so preferred
-_MAX_PLACES = 12  # places that are tried: free ones for each orientation, and occupied ones
+_FREE_DISTANCE = 0.003  # m, a place at least this far from all other objects is free, and preferred
+_MAX_PLACES = 12  # largest number of free places tried for each orientation, and of occupied places
 _DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
 _TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
 _MAX_ASIDE_DISTANCE = 0.30  # m, largest distance of a place on the table from the object
@@ -178,7 +178,7 @@ class PutBesideTray(PlaceSkill):
     then: PlaceSkill | None = None
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return poses (4, 4) on free places of the table: first where `then` is possible, then by distance."""
+        """Return poses (4, 4) on free places of the table: by the best grasp for `then`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
         others = [footprint_corners(world.local_box(name), world.pose(name)) for name in world.things if name != thing]
         block, now = world.local_box(thing), world.pose(thing)[:2, 3]
@@ -344,7 +344,7 @@ def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Arra
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind. Objects that are there already stay.
+    """Put each object into the compartment of its kind. Objects that are in their compartment stay.
 
     Attributes:
         things: a role; its objects are sorted.

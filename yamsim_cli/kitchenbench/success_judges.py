@@ -107,13 +107,13 @@ class KitchenWorld:
         return self.scene.volume_fraction_in_box(self._require_known(item), self._require_known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
-        """Return the mass of an object in a container, g. Nothing is poured here, so a substance is an object."""
+        """Return the mass of an object in a container, g. No scene has liquids, so a substance is an object."""
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)
 
     def opening_fraction(self, name: str) -> float:
-        """Return 0: no realized object has a part that opens."""
+        """Return 0: no object of the built scenes has a part that opens."""
         self._require_known(name)
         return 0.0
 

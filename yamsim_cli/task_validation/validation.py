@@ -33,7 +33,7 @@ MIN_REACH = 0.9  # share of the points of a start region that hands have to reac
 _GRID_POINTS = 8  # points along each side of a start region, where the reach is checked
 _HAND_HEIGHT = 0.03  # m, height of the hand over the surface
 _MIN_MOTION = 0.05  # m, distance from the start above which an object counts as moved
-_STILL_SECONDS = 2.0  # s, for which no arm moves before the goal is judged
+_STILL_SECONDS = 2.0  # s, for which the arms hold still, besides the hold time, before the goal is evaluated
 _MAX_ATTEMPTS = 3  # attempts of each check in which the goal must not be reached
 
 # Keys of a batch report that are also in a validation report.

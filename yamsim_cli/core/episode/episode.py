@@ -106,10 +106,10 @@ class Episode:
         start: MuJoCo's positions (nq,); everything starts at rest.
         timing: durations of the task's physics steps, control ticks and frames.
         sides: "left" or "right" for each of the scene's arms.
-        goal: the goal that is judged; None if the caller judges.
+        goal: the goal that is evaluated; None if the caller decides about success.
         rules: which events end the episode; `EpisodeRules()` by default.
         world: makes the `SimWorld` that answers queries of the state; by default one with all objects of the scene.
-        on_step: is called after every physics step, see `OnStep`.
+        on_step: function that is called with MuJoCo's state after every physics step.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class Episode:
 
     @property
     def actions(self) -> ActionSequence:
-        """All actions so far."""
+        """The actions of all control ticks that have passed."""
         return ActionSequence(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
 
     @property

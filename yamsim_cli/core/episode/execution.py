@@ -166,7 +166,7 @@ def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
 def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float | None, float | None, float | None]:
     """Return an object's final distance from its target, horizontal and vertical, m; and the object's speed, m/s.
 
-    All are None for a goal without such a distance.
+    All are None for a goal that measures no distance from a target.
     """
     task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate

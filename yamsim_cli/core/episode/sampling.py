@@ -140,7 +140,7 @@ def require_start(session: Session) -> None:
     """Check that one of the first attempts of a task has a start.
 
     Raises:
-        ConflictError: in each, objects have no room or the goal holds; its path leads from the config's root.
+        ConflictError: none has a start, for lack of room or as the goal already holds; the path is from the root.
         SimulationError: a scene cannot be compiled.
     """
     task = session.config.task

@@ -76,7 +76,7 @@ class Simulator(Closable):
 
     @functools.cached_property
     def expert_tools(self) -> ExpertPlanner:
-        """The expert's planner; making it reads files."""
+        """The expert's planner, made at the first use, which reads files."""
         return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
@@ -112,7 +112,7 @@ def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
     try:
         task_of_roles = task.with_objects_of(roles)
     except ValueError as error:
-        # Such a task is from a dataset: its objects could be made in their sizes at the time of the recording.
+        # Only tasks of datasets fail here: their objects could be made in these sizes when they were recorded.
         raise SimulationError(f"task {task.name!r}: {error}") from error
     return session.with_values(task=task_of_roles.model_copy(update={"starts": session.config.starts}))
 

@@ -136,7 +136,7 @@ def count_outcomes(
     """Return counts and rates of outcomes, JSON-ready.
 
     Args:
-        task: its goal judged the outcomes.
+        task: the task of the outcomes; its goal gives the task's own threshold.
         thresholds: distances from the target (m) that are scored as successes, if the goal measures one.
         valid: whether each outcome may count as a success at any threshold.
 

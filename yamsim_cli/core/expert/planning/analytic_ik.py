@@ -40,7 +40,7 @@ _SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that
 _LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit that counts as rounding
 _REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
 _VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
-_CACHE_SIZE = 4096  # poses whose solutions are cached: a search asks for the same pose up to five times
+_CACHE_SIZE = 4096  # poses whose solutions are cached: a search solves each pose up to five times
 _HAND_LENGTH = 0.13  # m, from the flange to the fingertips; in `nearest`, a joint's weight is its distance from them
 
 
@@ -120,7 +120,7 @@ class AnalyticIk:
         z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
         along_1 = self._h1[2] * (wrist @ h1)
         bent = self._upper.conjugate() * self._fore
-        # Poses are dropped once a joint violates the margin. `k` indexes the arrays of the step before.
+        # Each block drops the poses whose joint is too near to a limit. `k` indexes the arrays of the previous block.
         a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
         q1, number = self._solve_all(0, a1, b1, c1, margin)
         before_6 = np.einsum("nji,nj->ni", R[number], _rotate_all(z, h1, q1))

@@ -23,7 +23,7 @@ class ArmSolvers:
 
 
 def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
-    """Return the solvers of each arm in a rig's scene; building them reads files."""
+    """Return the solvers of each arm in a rig's scene, built from the arms' model files."""
 
     def tools(number: int) -> ArmSolvers:
         arm = rig.arms[number]

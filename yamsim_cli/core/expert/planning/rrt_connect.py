@@ -47,7 +47,7 @@ def plan_rrt_connect(
 
     Args:
         bounds: joint limits (dof, 2), rad.
-        find_contact: joints -> description of a contact there; None without contact.
+        find_contact: returns a description of a contact at joints (dof,); None without contact.
     """
     if find_contact(goal):
         return None

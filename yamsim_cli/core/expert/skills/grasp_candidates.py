@@ -42,13 +42,13 @@ _DEFAULT_FORCE = 15.0  # N, of each finger
 
 # Antipodal grasps, found from the object's shape.
 _MAX_PAIRS = 12  # antipodal pairs that are tried; each adds 16 candidates
-_MIN_PAIR_DISTANCE = 0.015  # m, pairs with nearer middles and similar directions count as the same
+_MIN_PAIR_DISTANCE = 0.015  # m; of pairs with nearer middles and similar directions, only the first is tried
 _APPROACH_ANGLES = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, of the hand about the closing line
 
 
 @dataclass(frozen=True, eq=False)
 class GraspCandidate:
-    """A pose of the hand relative to an object, and how the fingers close there.
+    """A pose of the hand relative to an object, with the opening and the force of the fingers at that pose.
 
     Attributes:
         T_pinch_in_thing: the pinch frame (4, 4) in the object's: z along the approach, y along the closing axis.

@@ -28,7 +28,7 @@ _APPROACH = 0.08  # m, length of the receiver's straight approach
 
 _HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m, distances in front of the midpoint between the bases, in the order tried
 
-_MIN_ANGLE = math.radians(50)  # rad, hands whose directions differ by less collide unless side by side
+_MIN_ANGLE = math.radians(50)  # rad, hands whose fingers' directions differ by less collide unless side by side
 # rad, hands whose directions differ by more face each other, and the object may roll about the line between them
 _FACING_ANGLE = math.radians(165)
 _MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other

@@ -42,7 +42,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 
 _GRAVITY = 9.81  # m/s^2
 
-# Free places on the table.
+# Constants of the search for places on the table where nothing lies.
 _FREE_MARGIN = 0.02  # m, least distance from other objects required around an object that is put down
 _CENTRAL_X = (0.34, 0.42, 0.28)  # m, distances in front of the midpoint between the bases, in the order tried
 _CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m, distances to the side of that midpoint, in the order tried

@@ -135,7 +135,7 @@ def _read_each(
 
     `given` has the keys `of`, a role, and `do`, the steps. In the steps, `it` is the present object, `previous` the
     object before, and `number` the index of the object. The optional `skip` is the number of objects that are left out
-    at the start. The optional `order` lists the kinds of objects that are visited, in order.
+    at the start. The optional `order` lists config names: only their objects are visited, in this order.
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(

@@ -1,4 +1,4 @@
-"""Put a held object down where there is room."""
+"""Skills that put a held object down on a free place of the table, or grasp it anew."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _places_in_rings(place: Array) -> list[Array]:
 
 
 def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
-    """Put an object down where there is room, else straight below; add its grasp to the hand's `failed_grasps`.
+    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`.
 
     Raises:
         SkillFailedError: no hand holds the object any more, or it cannot be lowered.

@@ -76,7 +76,7 @@ class SetUpright(PlaceSkill):
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
 _SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
 
-_DROP_FROM = 0.2  # m over the table; the search for the resting height starts there
+_DROP_FROM = 0.2  # m over the table, height at which the search for the resting height starts
 
 
 class Turn(PlaceSkill):

@@ -176,7 +176,7 @@ def _point_placements(points: Array, pull: ClothPull, share: float, thickness: f
 
 
 def _on_cloth(points: Array, point: Point, to: Array, thickness: float) -> Array:
-    """Return the position (3,) of a point moved to `to` (2,): on the cloth that stays there, or on the table."""
+    """Return the position (3,) of a point moved to `to` (2,): on the cloth that lies at `to`, or on the table."""
     flat, place = points.reshape(-1, 3), points[point]
     there = np.linalg.norm(flat[:, :2] - to, axis=1) < _TARGET_LAYERS * thickness
     follows = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _FOLLOWING_LAYERS * thickness
