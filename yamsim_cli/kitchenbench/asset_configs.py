@@ -1,4 +1,4 @@
-"""Configs of the benchmark's assets: kitchen objects and cloth, in the sizes that a scene requires."""
+"""Object configs of KitchenBench's assets: kitchen objects and cloth, in the sizes that a scene requires."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ _COURGETTE_WIDTH = 55.0  # mm, width and height of a long produce item; fingers 
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
 _RIM_GRASP_DEPTH = 0.012  # m, distance below a cup's rim of the grasp for nesting the cup into another one
-_NO_SLOT_LENGTH = 40.0  # mm, length of a rack without slots
+_NO_SLOT_LENGTH = 40.0  # mm, part of a rack's length that has no slots
 _SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes except the walls
 
-#: The kind of goal whose objects are cloth.
+#: The kind of KitchenBench's goals in which cloth is folded.
 FOLD = "fold"
 #: Asset -> sheet config of the asset's nominal size.
 SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
-#: The condition of a scene with crumpled cloth.
+#: The condition of a scene that says how much its cloth is crumpled.
 CRUMPLED = "crumple_level"
 _CRUMPLES = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
 
-_CLOTH_MARGIN = 0.05  # m, of the table around cloth
+_CLOTH_MARGIN = 0.05  # m, width of the table's border around flat cloth
 _REFINEMENT = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
@@ -60,11 +60,11 @@ def object_config_of(
     """Return the config of a blueprint's object, under the object's name.
 
     Args:
-        conditions: of the scene; the rack realizes `slot_width_cm`.
+        conditions: of the scene; `slot_width_cm` sets the width of the rack's slots.
         nests: whether a cup may be put into another one, so that grasps just under its rim come first.
 
     Raises:
-        LookupError: the asset is not realized.
+        LookupError: no object config exists for the asset.
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
@@ -122,7 +122,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     """Return the config of a blueprint's cloth, under its name. `size_cm` is the width; the length is proportional.
 
     Raises:
-        LookupError: the asset is not a realized cloth.
+        LookupError: no cloth config exists for the asset.
     """
     if item.asset not in SHEETS:
         raise LookupError(
@@ -143,7 +143,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires; a function of the blueprint's values.
+    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires, the same for the same blueprint.
 
     Args:
         start: MuJoCo's positions (nq,) with flat cloths.

@@ -1,4 +1,4 @@
-"""The station's session, and scenes of the benchmark realized on its table, with all objects at rest."""
+"""Sessions of the two-arm YAM station, and KitchenBench's scenes built on its table, with all objects at rest."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from .asset_configs import (
 )
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 
-STATION = "yam_station_linear_4310_d405"
+STATION = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
-#: Kinds of goals that are realized.
+#: Kinds of KitchenBench's goals whose scenes can be built.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
 _HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another object
 
-_PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of the benchmark replaces
+_PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of KitchenBench replaces
 _PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # physics steps in a control tick, without and with cloth
 
 _TABLE_MARGIN = 0.10  # m, from a scene's objects to the edge of a table that is widened for them
@@ -55,9 +55,9 @@ _DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height 
 _SPARE_HEIGHT = 2.0  # m, between objects that wait above the table until they are placed
 _SPAWN_GAP = 0.001  # m, between a placed object and its support
 _TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
-_MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported as unrealized
+_MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported in `unrealized`
 
-# Conditions of a blueprint that depend on how a policy acts, and conditions that are realized.
+# Conditions of a blueprint that depend on how a policy acts, and conditions that built scenes fulfil.
 _POLICY_CONDITIONS = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
@@ -71,7 +71,7 @@ def open_station_session(size: str, *, images: bool, quality: str = "fast", task
     """Open a session of the station.
 
     Args:
-        task: a task of yamsim; scenes of the benchmark replace it.
+        task: a task of yamsim; scenes of KitchenBench replace it.
 
     Raises:
         UsageError: the size, the quality or the task is not valid.
@@ -89,13 +89,13 @@ def open_station_session(size: str, *, images: bool, quality: str = "fast", task
 
 @dataclass(frozen=True)
 class BenchmarkScene:
-    """A scene of the benchmark, compiled and at rest. Close its simulator after use.
+    """A scene of KitchenBench, compiled and at rest. Close its simulator after use.
 
     Attributes:
         start: MuJoCo's positions (nq,) with everything at rest.
         regions: name of a blueprint's object that is a part of another object -> that part.
         offsets_mm: object -> horizontal distance from its required place to its resting place, mm.
-        unrealized: requirements of the blueprint that are not realized, as sentences.
+        unrealized: requirements of the blueprint that the built scene does not fulfil, as sentences.
     """
 
     blueprint: SceneBlueprint
@@ -121,7 +121,7 @@ class BenchmarkScene:
         return arm_sides(self.simulator.config)
 
     def episode(self) -> Episode:
-        """Return a new episode without a goal: the benchmark's checker judges."""
+        """Return a new episode without a goal: KitchenBench's checker decides about success."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
         return Episode(
             scene,
@@ -142,7 +142,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         base: a session of the station, whose task is replaced.
 
     Raises:
-        LookupError: the blueprint has a kind of goal or an object that is not realized.
+        LookupError: the blueprint has a kind of goal or an object that yamsim does not have.
         SimulationError: the scene cannot be compiled.
     """
     if blueprint.target_kind not in KINDS:
@@ -184,7 +184,7 @@ def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
 
 
 def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
-    """Return the scene as a task. Its goal and its expert are placeholders: the benchmark's checker judges."""
+    """Return the scene as a task. Its goal and its expert are placeholders: KitchenBench's checker decides."""
     first = next(iter(objects))
     folds = objects[first].cloth is not None
     steps = _CLOTH_PHYSICS_STEPS if any(item.cloth is not None for item in objects.values()) else _PHYSICS_STEPS
@@ -206,7 +206,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
 
 
 def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
-    """Return the table, widened if a scene's objects need that."""
+    """Return the station's table, widened if a scene's objects would not fit onto it."""
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded

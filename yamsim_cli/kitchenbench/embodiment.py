@@ -1,4 +1,4 @@
-"""The station with two arms as an embodiment of Inspect Robots."""
+"""`YamsimEmbodiment`: the simulated two-arm YAM station as an embodiment of the framework Inspect Robots."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from .scene_stepper import ACTION_DIM, ARM_JOINTS, CLOSING, SceneStepper
 from .success_judges import GoalJudge, Judge, KitchenJudge
 from .yamsim_scene import BENCHMARK, GOAL_KIND, build_task_scene
 
-#: State keys: the joints of a real station, and the seed of a realization, which only an expert may use.
+#: Keys of observed states: joint positions, and the seed from which the scene was built, for the expert alone.
 JOINTS, SEED = "joint_pos", "realization_seed"
-CAMERAS = ("top", "left", "right")
+CAMERAS = ("top", "left", "right")  # names of the cameras in observations
 
 CONTROL_HZ = 3.0  # Hz, default rate of actions in simulated time
 
@@ -50,7 +50,7 @@ evenly from the last targets to the new ones, as far as motors' speeds let them.
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
-    """Return the action space: joint targets and gripper shares of both arms.
+    """Return the action space: joint targets in rad and gripper openings, 0..1, of both arms.
 
     Args:
         period: duration of an action, s, which limits the steps of the joints.
@@ -83,11 +83,11 @@ def ticks_per_action(control_hz: float) -> int:
 class YamsimEmbodiment:
     """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or of a yamsim task.
 
-    The benchmark's own checker alone judges its scenes, after each action. A yamsim task is judged by its goal.
+    After each action, KitchenBench's own checker judges its scenes, and a yamsim task's own goal judges that task.
 
     Attributes:
         info: the description for compatibility checks.
-        world: the KitchenBench scene that was reset last, for checkers' queries.
+        world: answers checkers' queries about the KitchenBench scene that was reset last.
 
     Args:
         control_hz: actions per second of simulated time; each lasts a whole number of control ticks of 1/30 s.
@@ -129,7 +129,7 @@ class YamsimEmbodiment:
         """Put a scene's objects onto the table, at rest, and the arms into their start postures.
 
         Raises:
-            LookupError: the scene is not KitchenBench's or yamsim's, or is not realized.
+            LookupError: the scene is not KitchenBench's or yamsim's, or yamsim cannot build it.
             SimulationError: the scene cannot be compiled.
         """
         self.close()

@@ -1,4 +1,4 @@
-"""A skill that folds cloth until its bounding box, seen from above, is as small as the benchmark requires."""
+"""A skill that folds cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from .object_poses import T_in_world
 
 _AREA_MARGIN = 0.96  # share of the required area at which the predicted area of a fold is sufficient
 
-_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # distance of creases from a side or corner, as a share of the cloth
-_LINE_GAP = 0.008  # m, gap between lines of points along a crease
+_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # limits of a crease's distance from a side or corner, as shares of the cloth
+_LINE_GAP = 0.008  # m, points farther apart across a crease belong to different lines of points
 
 _MIN_REDUCTION = 0.06  # share by which a fold must reduce the area
 _MAX_FOLDS = 5  # folds in a run of the skill
@@ -41,19 +41,19 @@ _LAYERED_OVERSHOOT = 2.0  # overshoot with several layers, as a multiple of the 
 _MAX_OVERSHOOT = 0.08  # share of the path, limits the overshoot
 _SINGLE_OVERSHOOT = 1.0  # overshoot with a single layer, as a multiple of the folded part's height
 
-_SPEED = 0.2  # m/s, of hands with cloth: the number of actions is limited
-_SLOW_SPEED = 0.08  # m/s, with several layers, which slip at a higher speed
+_SPEED = 0.2  # m/s, speed of hands that carry cloth: the number of actions is limited
+_SLOW_SPEED = 0.08  # m/s, speed of hands that carry several layers, which slip at a higher speed
 
 _MAX_THIRD = 0.36  # share of the cloth, largest first third
 _FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, goal of a pulled cloth's far edge, limit of its near edge
 
-_FLAT_LAYERS = 8.0  # layers, largest height of cloth that counts as flat
+_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of cloth that counts as flat
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _FIRST_PULLS, _LATER_PULLS = 4, 2  # largest numbers of flattening pulls, at first and after a slide
 
-_LAYER_HEIGHT = 0.005  # m, height of a layer
+_LAYER_HEIGHT = 0.005  # m, height that counts as one layer of cloth
 _CORNER_TOLERANCE = (
-    0.006  # m, largest extra distance from a corner of points that count as being there; the uppermost is grasped
+    0.006  # m; of the points at most this much farther from a corner than the nearest, the uppermost is grasped
 )
 
 
@@ -77,7 +77,7 @@ class FoldSmall(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that flatten, slide and fold the cloth, until its box is small enough; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         if self.crumpled:
             yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _FIRST_PULLS)
@@ -120,7 +120,7 @@ class FoldSmall(Skill):
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
     def _sorted_folds(self, points: Array, first: bool) -> list[CreaseFold]:
-        """Return folds of a cloth: sufficient ones first, then by few layers, whole sides, and small area."""
+        """Return folds of a cloth, the best first: by sufficient area, few layers, whole sides, and small area."""
         before = bounding_box_area(points)
         folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_REDUCTION) * before]
         if self.thirds and first:
@@ -178,7 +178,7 @@ class CreaseFold:
         area: predicted area of the bounding box after the fold, m2.
         layers: number of folded layers beyond one.
         beneath: number of points under the grasped ones, which hands may miss.
-        share: folded part of the cloth, across the crease.
+        share: folded part of the cloth's length across the crease, 0..1.
     """
 
     corners: tuple[tuple[Point, Array], ...]
@@ -273,7 +273,7 @@ def _heading(points: Array) -> float:
 
 
 def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
-    """Return the largest bounding box of a folded cloth that the benchmark's checker accepts, m2."""
+    """Return the largest bounding box of a folded cloth that KitchenBench's checker accepts, less 2 %, m2."""
     given = blueprint.success_params
     if given.get("baseline") == "nominal":
         asset = ASSETS[item.asset]

@@ -1,4 +1,4 @@
-"""Poses of a benchmark scene's objects in `world`, displaced where the required pose is not feasible."""
+"""Poses of a KitchenBench scene's objects in `world`, displaced where the required pose is not feasible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .asset_configs import COMPARTMENT, FOLD
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
 AHEAD, BESIDE = 0.35, 0.25
-#: The same for scenes with cloth, which lies around the origin and needs both arms.
+#: Position of that origin, m, for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
 _STEP = 0.002  # m, steps in which an object is displaced
@@ -46,12 +46,12 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
 
 def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """Return the poses (4, 4) of a blueprint's objects, as required where that is feasible.
+    """Return name -> pose (4, 4) of a blueprint's objects in `world`: the required pose where it is feasible.
 
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
 
     Args:
-        simulator: of a scene with the same objects.
+        simulator: has a compiled scene with all objects of the blueprint.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = make_sim_world(simulator.scene, simulator.replica.data, ())

@@ -1,4 +1,4 @@
-"""Tasks of yamsim as tasks of Inspect Robots, such as `yamsim/tower`."""
+"""Factories that return yamsim's tasks as tasks of the framework Inspect Robots, such as `yamsim/tower`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from inspect_robots import Epochs, Scene, Target, Task
 from .benchmark_scene import open_station_session
 from .yamsim_scene import BENCHMARK, GOAL_KIND
 
-_DEFAULT_TRIALS = 5  # trials without `--epochs`, as in KitchenBench's scenes
+_DEFAULT_TRIALS = 5  # trials of a task without the option `--epochs`, as in KitchenBench's scenes
 
 
 def make_task(name: str) -> Task:

@@ -1,4 +1,4 @@
-"""An expert for the benchmark's tasks and yamsim's, which plans in its own simulation of the same realization."""
+"""`YamsimExpert`: a policy for KitchenBench's and yamsim's tasks that plans in a second simulation of the scene."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
 from .yamsim_scene import BENCHMARK, TaskScene, build_task_scene
 
-_STATE_TOLERANCE = 1e-6  # rad and shares, largest difference of observed and simulated state: rounding
+_STATE_TOLERANCE = 1e-6  # rad and gripper shares, largest difference of observed and simulated state: rounding
 _MAX_PATH_ERROR = 0.01  # rad, largest distance of a joint from its path between two actions: 5 mm at an arm's length
-_MAX_WAITS = 2  # actions after a motion, until everything is at rest
+_MAX_WAITS = 2  # largest number of waiting actions after a motion, until everything is at rest
 
 _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Plans skills for the benchmark's tasks and yamsim's in a simulation of the realization, by the observed seed.
+    """Plans skills for KitchenBench's and yamsim's tasks, in a second simulation built from the observed seed.
 
     The seed is privileged: no other policy may use it. A skill that fails is tried again from the resulting state.
     After three failures the arms stay where they are.
@@ -60,7 +60,7 @@ class YamsimExpert:
         self._bind(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
-        """Begin a scene; its first observation has the seed of the realization."""
+        """Begin a scene; its first observation has the seed from which the expert builds its simulation."""
         self.close()
         self._scene = scene
 
@@ -68,7 +68,7 @@ class YamsimExpert:
         """Return the actions of the next motion; after the last motion, an action that holds the joints.
 
         Raises:
-            RuntimeError: the observed joints differ from the expert's simulation, so the actions were changed.
+            RuntimeError: observed and simulated joints differ, so something changed the actions.
         """
         assert self._scene is not None, "reset comes first"
         if self._planning is None:
@@ -102,14 +102,14 @@ class YamsimExpert:
 
 
 class PlanningScene:
-    """A second simulation of a realization, moved by the same actions; skills plan from its state.
+    """A second simulation of a scene, moved by the same actions as the first; skills plan from its state.
 
     Attributes:
-        motion: the realization in motion.
+        motion: executes the actions in this simulation.
         context: the planning context of the skills.
 
     Args:
-        seed: of the realization, for random searches.
+        seed: the scene's seed, from which the random path searches are seeded.
         ticks: control ticks in an action.
     """
 
@@ -131,7 +131,7 @@ class PlanningScene:
         self.step_action(program, simulator.roles)
 
     def step_action(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
-        """Begin a program; `next_actions` returns its motions as actions."""
+        """Begin a list of skills; afterwards, `next_actions` returns their motions as actions."""
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
@@ -165,7 +165,7 @@ class PlanningScene:
 
 
 def is_still(segment: MotionSegment) -> bool:
-    """Return whether a segment only waits for objects to come to rest."""
+    """Return whether a segment only waits: no joint, finger opening or finger force changes in it."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )

@@ -1,4 +1,4 @@
-"""A realized scene in motion, driven by actions of a YAM station: joint targets and gripper shares."""
+"""`SceneStepper`: moves a compiled scene by actions of a YAM station: joint targets and gripper openings, 0..1."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ARM_JOINTS = 6
 _ARM_DIM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM_DIM
 
-CLOSING = 0.35  # s, in which fingers move through their whole range
+CLOSING = 0.35  # s, least time in which fingers move through their whole range
 _REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
 _FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
 _PRESS_SHARE = 0.05  # gripper share below which the gripper presses; at 0 it presses with its drive's full force
 
 
 class RealizedScene(Protocol):
-    """A compiled scene at rest, see `benchmark_scene.BenchmarkScene` and `yamsim_scene.TaskScene`."""
+    """A compiled scene at rest: a `benchmark_scene.BenchmarkScene` or a `yamsim_scene.TaskScene`."""
 
     @property
     def simulator(self) -> Simulator:
@@ -36,7 +36,7 @@ class RealizedScene(Protocol):
 
 
 class SceneStepper:
-    """A scene in motion. The same actions from the same realization give the same bits.
+    """Execute actions in a scene. The same actions from the same scene give bit-identical states.
 
     An action lasts several control ticks of 1/30 s. Each joint's reference moves linearly from the last target to the
     new one, or as far as its motor's speed allows. Finger references move likewise.
@@ -71,7 +71,7 @@ class SceneStepper:
 
     @property
     def reference(self) -> Array:
-        """The references (14,) at the end of the last action, as in `state`."""
+        """The references (14,) at the end of the last action: joints in rad and gripper openings, 0..1."""
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
@@ -80,7 +80,7 @@ class SceneStepper:
         return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 
     def act(self, action: Array) -> None:
-        """Execute an action (14,)."""
+        """Execute an action (14,): target joints in rad and gripper openings, 0..1; the left arm's first."""
         scene, start = self._scene, self._reference
         limit = self._max_changes * self._ticks
         goal = start + np.clip(np.asarray(action, dtype=float) - start, -limit, limit)
@@ -90,7 +90,7 @@ class SceneStepper:
         self._reference = goal
 
     def broken(self) -> str | None:
-        """Return how physics broke down; None if it did not."""
+        """Return MuJoCo's fatal warning that ended the episode, as text; None without one."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 

@@ -1,4 +1,4 @@
-"""Scenes of the benchmark as yamsim tasks, for recordings that do not need the benchmark."""
+"""Conversion of KitchenBench scenes to yamsim tasks, which can be recorded without KitchenBench."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .benchmark_scene import STATION, build_benchmark_scene, open_station_sessio
 from .object_poses import feasible_poses
 from .skill_programs import build_scene_program
 
-_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # realizations of a scene in a task, and epochs that are searched for them
-_HOLD_SECONDS = 0.5  # s, hold time of the goal; the benchmark's checkers require a single state
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # largest numbers of arrangements in a task, and of epochs searched for them
+_HOLD_SECONDS = 0.5  # s, hold time of the goal; KitchenBench's checkers require a single state
 _KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
 
 
 def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
-    Objects, sizes, the instruction and the expert are those of one realization of the scene. The arrangements are the
-    realizations with the same objects among the first epochs.
+    Objects, sizes, the instruction and the expert are those of one epoch of the scene, which determines its seed. The
+    arrangements are the object poses of up to 100 epochs with the same objects.
 
     Args:
         name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
@@ -127,7 +127,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """Return the goal that is equivalent to the benchmark's own checker."""
+    """Return the goal, as data of a task's YAML, that is equivalent to KitchenBench's own checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

@@ -1,4 +1,4 @@
-"""The expert's skills for a scene of the benchmark, by the kind of its goal."""
+"""`build_scene_program`: the expert's skills for a scene of KitchenBench, by the kind of its goal."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .sorting import Sort
 
 _BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of the release of a stacked object: the fingers around its rim reach below it
-_PLATE_DROP = 0.015  # m over a plate, height of the release of cutlery: the rim, the plate's top in the benchmark
-_COMPARTMENT_PREFIX = "compartment_"  # prefix of the kind of cutlery in a compartment's name
+_PLATE_DROP = 0.015  # m, height over a plate at which cutlery is released: KitchenBench takes the rim as the top
+_COMPARTMENT_PREFIX = "compartment_"  # start of a compartment's name; the kind of its cutlery follows
 
 
 def build_scene_program(

@@ -29,30 +29,30 @@ from ..core.sim.sim_world import SimWorld
 
 _LOG = logging.getLogger("yamsim")
 
-_MIN_SHARE_INSIDE = 0.85  # share of an object's volume in its compartment; the benchmark requires a little less
-_MAX_TRIES = 4  # tries of each object
-_OUTSIDE_PENALTY = 1.5  # tries by which objects outside the tray wait for those inside
+_MIN_SHARE_INSIDE = 0.85  # share of an object's volume in its compartment; KitchenBench requires a little less
+_MAX_TRIES = 4  # tries to bring each object to its compartment
+_OUTSIDE_PENALTY = 1.5  # tries that are added for objects outside the tray, so that those inside come first
 _PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
 _LIFT_HEIGHT = 0.06  # m, height at which cutlery that hangs in the fingers clears the tray's wall
 _HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a handover
 
 _GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
 _HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
-_FREE_DISTANCE = 0.003  # m, distance to all other objects at which a place is free, and so preferred
-_MAX_PLACES = 12  # places that are tried: free ones for each orientation, and occupied ones
+_FREE_DISTANCE = 0.003  # m, a place at least this far from all other objects is free, and preferred
+_MAX_PLACES = 12  # largest number of free places tried for each orientation, and of occupied places
 _DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
 _TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
-_MAX_ASIDE_DISTANCE = 0.30  # m, of such a place from the object
-_ASIDE_GAP = 0.015  # m, between an object on such a place and other objects
-_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of an object on such a place
-_MAX_GRASPS = 8  # grasps of each hand for which such a place is searched: each costs an IK search per place
+_MAX_ASIDE_DISTANCE = 0.30  # m, largest distance of a place on the table from the object
+_ASIDE_GAP = 0.015  # m, least distance of an object on the table from other objects
+_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of an object on the table
+_MAX_GRASPS = 8  # grasps of each hand that are tested at the places on the table: each costs an IK call per place
 
 _UPRIGHT_COSINE = math.cos(math.radians(3.0))  # cosine of the tilt; an object with a larger one stays upright
 _TILTED_COSINE = 0.6  # cosine of the tilt; an object with a smaller one stays on its side or on its head
 
-_REACH = 0.040  # m, limit of the search for free distance on both sides of an object
+_REACH = 0.040  # m, largest free distance that is measured on each side of an object before a slide
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
-_MIN_MOTION = 0.002  # m, least motion of an object that slid
+_MIN_MOTION = 0.002  # m; an object that moved less has not slid
 _FLAT_HEIGHT = 0.006  # m, largest height of a pressed top over the object's lowest point; a higher part would roll
 _PRESS_SPACING = 0.012  # m, between places to press
 _APPROACH_HEIGHT = 0.07  # m, height over the pressing pose from which the hand comes down
@@ -79,11 +79,11 @@ class PlaceInCompartment(PlaceSkill):
     beside: str
 
     def support(self, roles: RoleAssignment) -> str:
-        """See `PlaceSkill`."""
+        """Return the name of the compartment."""
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`."""
+        """Return goal poses (4, 4) along the compartment: free places first, then the lowest ones on other objects."""
         world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
         others = [
             footprint_corners(world.local_box(name), world.pose(name))
@@ -125,7 +125,7 @@ class PlaceInCompartment(PlaceSkill):
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """See `PlaceSkill`. If that finds none, start the search from joints that reach the place itself."""
+        """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal; else None."""
         joints = super()._hover_joints(hand, T_pinch)
         if (
             joints is None
@@ -178,7 +178,7 @@ class PutBesideTray(PlaceSkill):
     then: PlaceSkill | None = None
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`."""
+        """Return poses (4, 4) on free places of the table: by the best grasp for `then`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
         others = [footprint_corners(world.local_box(name), world.pose(name)) for name in world.things if name != thing]
         block, now = world.local_box(thing), world.pose(thing)[:2, 3]
@@ -258,7 +258,7 @@ class Slide(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that press on the object and slide it; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         across = _slide_direction(context, thing)
         one, other = (
@@ -344,11 +344,11 @@ def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Arra
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind. Objects that are there already stay.
+    """Put each object into the compartment of its kind. Objects that are in their compartment stay.
 
     Attributes:
-        things: a role.
-        into: kind of object -> its compartment.
+        things: a role; its objects are sorted.
+        into: name of an object's config, such as `fork` -> its compartment.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
@@ -358,7 +358,7 @@ class Sort(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that sort one object after the other, until all are done or one has failed four times."""
         tries: dict[str, int] = {}
         failures: dict[str, str] = {}
 
@@ -405,8 +405,8 @@ class Sort(Skill):
     def _bring(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
-        """Bring an object to its compartment. Each try uses another way: directly, by the arm that reaches both; slid
-        free before; put beside the tray before; by a handover.
+        """Bring an object to its compartment. Try 1 picks and places it with one arm. Try 2 slides it free first.
+        Try 3 puts it beside the tray first. Try 4 hands it over to the other arm.
         """
         pick = Grab(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
@@ -443,7 +443,7 @@ class Grab(Pick):
 
 
 def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
-    """Release a held object: where there is room, else at its present place, a little lower."""
+    """Yield the motions that put a held object onto a free place of the table, else release it a little lower."""
     hand = holding_hand(context, name)
     if hand is None:
         return

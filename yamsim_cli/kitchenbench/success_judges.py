@@ -1,4 +1,4 @@
-"""Verdicts on a scene in motion: by the benchmark's checker, or by a task's own goal."""
+"""Judges, which decide whether a scene's goal is reached: KitchenBench's checker, or a yamsim task's own goal."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _GRIPPER_PREFIX = "gripper_"  # prefix of a side: the name of that arm's two fin
 
 
 class Judge(Protocol):
-    """Judge of a scene in motion.
+    """Decides during an episode whether the goal is reached.
 
     Attributes:
         instruction: the task in words.
-        unrealized: requirements of the scene that are not realized, as sentences.
+        unrealized: requirements of the scene that the built scene does not fulfil, as sentences.
         step_info: further values for the `info` of each step.
     """
 
@@ -37,7 +37,7 @@ class Judge(Protocol):
 
 
 class KitchenJudge:
-    """The benchmark's own checker, called after each action. See `Judge`.
+    """Judges by KitchenBench's own checker, which is called after each action. See `Judge` for attributes.
 
     Attributes:
         world: answers the checker's queries.
@@ -50,13 +50,13 @@ class KitchenJudge:
         self._checker = make_success_checker(realized.blueprint, self.world)
 
     def look(self) -> tuple[bool, str]:
-        """Return the checker's verdict, as in `Judge`."""
+        """Return whether the checker finds the goal reached, and its explanation as text."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
 
 
 class GoalJudge:
-    """A task's own goal, which the episode evaluates after each control tick. See `Judge`."""
+    """Judges by a task's own goal, which the episode evaluates after each control tick. See `Judge` for attributes."""
 
     def __init__(self, realized: TaskScene, motion: SceneStepper) -> None:
         self.instruction = realized.instruction
@@ -65,18 +65,18 @@ class GoalJudge:
         self._episode = motion.episode
 
     def look(self) -> tuple[bool, str]:
-        """Return the goal's verdict, as in `Judge`."""
+        """Return whether the goal has held for its hold time, and the state of the goal as text."""
         return self._episode.succeeds, self._episode.status
 
 
 class KitchenWorld:
-    """The state of a scene in motion, for the checkers' queries.
+    """Answers the queries of KitchenBench's checkers about the present state of a scene.
 
     Names are those of the blueprint's objects, `gripper_left` and `gripper_right`; other names raise `KeyError`.
     Lengths are in m, in `world`: x ahead of the arms, y to their left, z up.
 
     Attributes:
-        scene: the state for yamsim's own goals and skills.
+        scene: the same state as yamsim's own goals and skills query it.
     """
 
     def __init__(self, realization: BenchmarkScene, motion: SceneStepper) -> None:
@@ -107,13 +107,13 @@ class KitchenWorld:
         return self.scene.volume_fraction_in_box(self._require_known(item), self._require_known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
-        """Return the mass of an object in a container, g. Nothing is poured here, so a substance is an object."""
+        """Return the mass of an object in a container, g. No scene has liquids, so a substance is an object."""
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)
 
     def opening_fraction(self, name: str) -> float:
-        """Return 0: no realized object has a part that opens."""
+        """Return 0: no object of the built scenes has a part that opens."""
         self._require_known(name)
         return 0.0
 

@@ -1,4 +1,4 @@
-"""Tasks of yamsim as scenes of the station, each judged by its own goal."""
+"""`TaskScene`: a yamsim task on the two-arm station, judged by the task's own goal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..core.expert.skills.program import build_program
 from ..core.expert.skills.skill import Skill
 from .benchmark_scene import TICK_HZ
 
-#: Name of the benchmark in the scenes' metadata, and the kind of their goals.
+#: In the metadata of scenes of yamsim tasks: the name of the benchmark, and the kind of goals.
 BENCHMARK = "yamsim"
 GOAL_KIND = "yamsim_goal"
 

@@ -57,7 +57,7 @@ expert:
 
 
 def task_entries(locations: Locations) -> list[dict[str, Any]]:
-    """Return every task that commands accept by name, JSON-ready, see `task_entry`.
+    """Return the descriptions of all tasks that commands accept by name, JSON-ready, see `task_entry`.
 
     Raises ConfigError if a task's file is not valid.
     """
@@ -65,7 +65,7 @@ def task_entries(locations: Locations) -> list[dict[str, Any]]:
 
 
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return a task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path etc.
+    """Return the description of a task, JSON-ready: name, kind, rig, prompt, things, skills, goal, starts, path etc.
 
     Raises ConfigError if no task has that name, or its file is not valid.
     """

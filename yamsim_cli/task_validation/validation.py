@@ -1,4 +1,4 @@
-"""Validation of a task: its expert succeeds often enough, and nothing else reaches its goal."""
+"""Checks of a task: its expert succeeds often enough, and wrong motions and near misses do not reach its goal."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
 
-MIN_REACH = 0.9  # share of a region that hands have to reach
-_GRID_POINTS = 8  # points along each side of a region
+MIN_REACH = 0.9  # share of the points of a start region that hands have to reach
+_GRID_POINTS = 8  # points along each side of a start region, where the reach is checked
 _HAND_HEIGHT = 0.03  # m, height of the hand over the surface
-_MIN_MOTION = 0.05  # m, smallest distance from the start at which an object counts as moved
-_STILL_SECONDS = 2.0  # s, for which no arm moves before the goal is judged
+_MIN_MOTION = 0.05  # m, distance from the start above which an object counts as moved
+_STILL_SECONDS = 2.0  # s, for which the arms hold still, besides the hold time, before the goal is evaluated
 _MAX_ATTEMPTS = 3  # attempts of each check in which the goal must not be reached
 
 # Keys of a batch report that are also in a validation report.
@@ -48,9 +48,9 @@ class TaskCheck:
     """The result of one check.
 
     Attributes:
-        name: of the check.
+        name: the check's name in reports.
         ok: whether the task passed; None if the check does not apply.
-        value: a share or a count; None without one.
+        value: the share or the count that was measured; None without one.
         detail: the figures behind the result, as text.
     """
 

@@ -1,9 +1,9 @@
-"""The episode engine: every actor acts in the same scene, with the same goal and rules for the end of an attempt.
+"""The episode engine: simulates attempts at a task, with the same scene, goal and end rules for every actor.
 
 - `episode`: `Episode`, which steps a scene, judges its goal after every control tick, and keeps the recorded states.
 - `episode_rules`: which events end an episode, and which of them fail it.
 - `grasps`: how hands hold objects: by friction, by a weld, or cloth by a constraint.
-- `held_objects`: how far objects slip and tilt in hands.
-- `monitor`: joint limits, forbidden contacts and unstable physics.
-- `commands`: drive commands that follow planned paths.
+- `held_objects`: measures how far objects slip and tilt in hands.
+- `monitor`: watches joint limits, forbidden contacts and unstable physics.
+- `commands`: computes drive commands that make arms follow planned paths.
 """

@@ -1,4 +1,4 @@
-"""The payload of an attempt: the files and figures that a worker returns."""
+"""The payload of an attempt: the outcome and the rendered files that a worker process returns."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from ..sim.encoder_readings import encoder_readings
 from .execution import SimulatedAttempt
 from .simulator import Simulator
 
-# Revision of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
-# shadows. A recording without a revision has `FIRST_LOOKS`.
+# Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
+# shadows. A recording that states no version has `FIRST_LOOKS`.
 LOOKS, FIRST_LOOKS = "2", "1"
 
-# Revision of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
+# Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
 # with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
-# moving objects are sampled again. A recording without a revision has `FIRST_ENGINE`.
+# moving objects are sampled again. A recording that states no version has `FIRST_ENGINE`.
 ENGINE, FIRST_ENGINE = "3", "1"
 
 
 def library_versions() -> dict[str, str]:
-    """Return the versions on which an episode's bytes depend; `looks` affects only its images."""
+    """Return name -> version of all software that determines an episode's files; `looks` affects only its images."""
     packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
     return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS, "engine": ENGINE} | {
         key: version(name) for key, name in packages.items()
@@ -48,7 +48,7 @@ def library_versions() -> dict[str, str]:
 
 
 def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptPayload:
-    """Return the payload of an attempt; a success has rendered files.
+    """Return the payload of an attempt: with rendered files for a success, without files for a failure.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -70,12 +70,12 @@ def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptP
 
 
 def payload_without_files(simulated: SimulatedAttempt) -> AttemptPayload:
-    """Return the payload of an attempt without files."""
+    """Return the payload of an attempt with its outcome, but without files."""
     return AttemptPayload(simulated.attempt, simulated.outcome)
 
 
 def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
-    """Return the recorded data of each state, see `dataset.lowdim`; nothing is rendered."""
+    """Return joints, poses and commands of each recorded state, by the keys of `dataset.lowdim`, without rendering."""
     ticks_per_frame = simulator.config.task.timing.ticks_per_frame
     return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
 
@@ -112,13 +112,13 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) 
 
 
 def max_openings(config: RecordConfig) -> list[float]:
-    """Return the largest opening in use of each arm's fingers, m, in the order of recordings."""
+    """Return the largest opening of one finger of each arm with fingers, m, with the arms in the recordings' order."""
     fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recording_order]
     return [each.full_opening for each in fingers if each is not None]
 
 
 def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
-    """Return camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,), without picture noise.
+    """Return camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,), without simulated image noise.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -167,7 +167,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
 
 
 def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> NDArray[np.uint16]:
-    """Return a depth image (height, width) in mm at MuJoCo's positions (nq,), for a config with `truth`.
+    """Return a depth image (height, width) in mm at MuJoCo's positions (nq,), for a config that sets `truth`.
 
     Raises:
         ResourceError: no OpenGL context could be made.
@@ -175,7 +175,7 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
     assert simulator.labels is not None, "depth is part of truth"
     renderer = _renderer(simulator, attempt)
     simulator.replica.show(qpos)
-    # Only labelled geoms have a depth, as in recorded ground truth: the sky has no label.
+    # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
     return depth_in_mm(renderer.label(simulator.replica.data, camera, labels.of_geom, labels.of_flex)[1])
 
@@ -197,7 +197,7 @@ class GroundTruthCollector:
         self._files: dict[str, bytes] = {}
 
     def add(self, data: mujoco.MjData, camera: str, renderer: SceneRenderer) -> None:
-        """Measure the ground truth of a camera's present image."""
+        """Measure and keep depth, labels and further ground truth of a camera's next frame, at the present state."""
         truth = measure_frame(data, camera, renderer, self._labels, self._T_base_in_world)
         frame = len(self._rows[camera])
         self._rows[camera].append(truth.arrays)
@@ -207,7 +207,7 @@ class GroundTruthCollector:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Path in the episode -> content."""
+        """Path in the episode -> content, for each ground-truth file."""
         files = dict(self._files)
         for camera, rows in self._rows.items():
             specs = array_specs(self._labels.names, len(rows))

@@ -15,8 +15,8 @@ def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
     """Return the commands (n, dof) of an arm's joint drives on each control tick of a path, rad.
 
     A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
-    the reference in the middle of the tick plus two leads. `kv / kp` times the velocity compensates the damping, and
-    the torque over `kp` the inertia. The arm then neither lags behind its reference nor overshoots it.
+    the reference in the middle of the tick plus two terms. `kv / kp` times the velocity compensates the damping, and
+    the planned torque over `kp` the inertia and the weight. The arm then has neither lag nor overshoot.
     """
     references = (path.joints[:-1] + path.joints[1:]) / 2
     command = references + (arm.kv * path.velocities + path.torques) / arm.kp
@@ -25,7 +25,7 @@ def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
 
 
 def grip_command(fingers: FingerAddresses, path: JointPath) -> Array:
-    """Return a gripper's commands (n,), m: `opening - 2 grip_force / gain`. Each finger takes half the force."""
+    """Return a gripper drive's commands (n,), m: `opening - 2 grip_force / gain`. The two fingers share its force."""
     clipped: Array = np.clip(path.gripper - 2 * path.grip_force / fingers.gain, *fingers.ctrl_range)
     return clipped
 

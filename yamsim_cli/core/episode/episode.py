@@ -1,4 +1,4 @@
-"""A scene in motion: commands in, states and a verdict out."""
+"""`Episode`: executes an actor's commands in a scene, records the states, and evaluates the goal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .grasps import is_weld_active, make_grasp_simulator
 from .held_objects import HeldObjectMonitor
 from .monitor import StepMonitor, describe_exceeded_limits
 
-#: Called at the start and after every physics step with the state, which it must not change.
+#: Function that is called with MuJoCo's state at the start and after every physics step. It must not change the state.
 OnStep = Callable[[mujoco.MjData], None]
 
 
@@ -34,7 +34,7 @@ class Timing(Protocol):
 
     @property
     def ticks_per_frame(self) -> int:
-        """Control ticks in a recorded frame."""
+        """Control ticks from one recorded frame to the next."""
 
     @property
     def tick(self) -> float:
@@ -47,7 +47,7 @@ class EpisodeGoal:
 
     Attributes:
         goal: the predicates that have to hold.
-        roles: the role assignment.
+        roles: which objects play the roles that the goal names.
         hold_ticks: control ticks for which the goal has to hold.
     """
 
@@ -61,13 +61,13 @@ class EpisodeResult:
     """The result of an episode.
 
     Attributes:
-        states: one for each recorded frame, from before the frame's first command acts.
+        states: the state of each recorded frame, before the frame's first command acts.
         end: how the episode ended.
-        verdict: of the goal at the end. If the goal held then, but not for its hold time, the last verdict with which
-            the goal did not hold. None without a goal.
+        verdict: evaluation of the goal at the end. If the goal held then, but not for its hold time, the last
+            evaluation in which it did not hold. None without a goal.
         held_ticks: control ticks for which the goal held without a break until the end.
-        margins: how near the arms came to their limits, and how far objects moved in hands; None if no tick passed.
-        collision: the first forbidden contact and its time, as text; None without one.
+        margins: how near joints came to their limits, and how far objects moved in hands; None if no tick passed.
+        collision: the first contact of an arm with the table or another arm, as text; None without one.
         T_at_start, T_at_end: object -> pose (4, 4) in `world`.
         speeds: object -> speed at the end, m/s.
     """
@@ -89,27 +89,27 @@ class EpisodeResult:
 
 
 class Episode:
-    """One attempt in motion. The same commands from the same start give the same bits, in any division into calls.
+    """Simulate one attempt. The same commands from the same start give bit-identical states, however calls divide them.
 
     The goal is evaluated after every control tick, for every actor. `end` says when and how the episode ended.
 
     Attributes:
         scene: the compiled scene.
         data: MuJoCo's present state, with poses and contacts up to date.
-        world: the present state by the names of objects.
+        world: answers queries of the present state by the names of objects.
         ticks: number of control ticks that have passed.
-        verdict: of the goal now, with all its margins; None without a goal.
+        verdict: evaluation of the goal now, with the measured values; None without a goal.
         held_ticks: control ticks for which the goal has held without a break.
         end: how the episode ended; None while it runs.
 
     Args:
         start: MuJoCo's positions (nq,); everything starts at rest.
-        timing: of the task.
+        timing: durations of the task's physics steps, control ticks and frames.
         sides: "left" or "right" for each of the scene's arms.
-        goal: the goal that is judged; None if the caller judges.
+        goal: the goal that is evaluated; None if the caller decides about success.
         rules: which events end the episode; `EpisodeRules()` by default.
-        world: returns the state by the names of objects; by default of all objects in the scene.
-        on_step: see `OnStep`.
+        world: makes the `SimWorld` that answers queries of the state; by default one with all objects of the scene.
+        on_step: function that is called with MuJoCo's state after every physics step.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class Episode:
 
     @property
     def actions(self) -> ActionSequence:
-        """All actions so far."""
+        """The actions of all control ticks that have passed."""
         return ActionSequence(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
 
     @property
@@ -191,7 +191,7 @@ class Episode:
         return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
 
     def readings(self, job: AttemptJob) -> Array:
-        """Return the encoder readings of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
+        """Return simulated encoder readings with a job's noise: joints in rad, finger opening in m, (arms, drives)."""
         now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
         seen = delayed_positions(self.scene, self.data)
         return encoder_readings(self.scene, now if seen is None else seen, job, self.ticks)
@@ -269,7 +269,7 @@ class Episode:
         self._check_end()
 
     def _refresh(self) -> None:
-        """Update poses and contacts, which belong to the step before after `mj_step`."""
+        """Compute poses and contacts at the present positions: `mj_step` leaves those from before the step."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

@@ -37,10 +37,10 @@ class EpisodeRules:
 
     Attributes:
         end: who ends the episode.
-        strict: whether a forbidden contact or an exceeded joint limit fails the episode. Demonstrations are strict. The
-            arms of a person or a policy may touch the table.
+        strict: whether an arm that touches the table or another arm, or exceeds a joint limit, fails the episode.
+            Demonstrations are strict. The arms of a person or a policy may touch the table.
         max_ticks: control ticks after which the episode ends; None for no time limit.
-        magnet_reach: largest distance at which a weld holds an object, m; None for any, as recorded actions need.
+        magnet_reach: largest distance at which a weld holds an object, m; None for any, which replays need.
     """
 
     end: EndRule = EndRule.ACTOR
@@ -63,7 +63,7 @@ class EpisodeEnd:
     Attributes:
         reason: the event that ended the episode.
         tick: number of control ticks that had passed.
-        cause: why the attempt failed; None if the end itself is no failure.
+        cause: why the episode counts as failed; None if it does not.
         detail: the figures behind the cause, as text.
     """
 

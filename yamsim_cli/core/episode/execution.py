@@ -1,4 +1,4 @@
-"""Execution of attempts: by a task's expert, or by given actions."""
+"""Simulation of attempts: by a task's expert, which plans its motions, or by given actions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SimulatedAttempt:
     """An attempt and its result.
 
     Attributes:
-        attempt: as sampled, with the distractors that were placed later.
+        attempt: the sampled attempt, with the distractors that were placed after its simulation.
         outcome: how the attempt ended.
         played: the result of the episode; None if nothing moved.
     """
@@ -43,7 +43,7 @@ class SimulatedAttempt:
 
 
 def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
-    """Return the attempt as performed by the task's expert, without rendering. A success gets its distractors.
+    """Simulate an attempt by the task's expert, without rendering. If it succeeds, place its distractors.
 
     Args:
         grips: whether fingers close. If not, every task that needs a grasp fails.
@@ -93,7 +93,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
 def _expert_motions(
     simulator: Simulator, episode: Episode, context: PlanningContext, log: RecoveryLog
 ) -> Iterator[MotionSegment]:
-    """Yield the motions of a task's expert. Hands are not parked once the goal is reached."""
+    """Yield the expert's motions: the task's program, then hands back to their ready postures unless the goal holds."""
     task, roles = simulator.config.task, simulator.roles
     yield from run_program(build_program(task, roles), context, roles, log)
     if not episode.succeeds:
@@ -103,11 +103,11 @@ def _expert_motions(
 def run_actions(
     simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
 ) -> SimulatedAttempt:
-    """Return the attempt as performed by given actions, judged like any other attempt.
+    """Simulate an attempt with given actions, and evaluate its goal.
 
     Args:
-        rules: of the episode in which the actions were recorded; the verdict is then the same.
-        on_step: see `Episode`.
+        rules: with the rules under which the actions were recorded, the verdict is the same.
+        on_step: is called with MuJoCo's state after every physics step.
     """
     episode = open_episode(simulator, attempt, rules, on_step)
     episode.act(actions)
@@ -135,10 +135,10 @@ def build_outcome(
 
 
 def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
-    """Return the attempt with distractors placed where nothing comes near them; unchanged if the config has none.
+    """Return the attempt with distractors placed clear of all recorded motion; unchanged if the config has none.
 
     Args:
-        states: of the whole attempt.
+        states: all states of the simulated attempt.
     """
     if simulator.placer is None:
         return attempt
@@ -147,7 +147,7 @@ def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[St
 
 
 def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt:
-    """Return the attempt with distractors that leave room for its demonstration, for other actors.
+    """Return the attempt, for other actors, with distractors placed clear of the expert's motion.
 
     The demonstration is simulated only if the config has distractors. If it fails, no distractors are placed.
     """
@@ -155,7 +155,7 @@ def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt
 
 
 def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
-    """Return whether the goal fails first at the distance by which the task is scored."""
+    """Return whether the first predicate that fails is the one whose distance scores the task."""
     target = simulator.config.task.target_predicate
     if target is None or played.verdict is None or played.verdict.reached:
         return False
@@ -166,7 +166,7 @@ def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
 def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float | None, float | None, float | None]:
     """Return an object's final distance from its target, horizontal and vertical, m; and the object's speed, m/s.
 
-    All are None for a goal without such a distance.
+    All are None for a goal that measures no distance from a target.
     """
     task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate

@@ -1,4 +1,4 @@
-"""The planners of a task's expert."""
+"""`ExpertPlanner`: the collision checker and the arm solvers with which a task's expert plans in a scene."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..scene.compiled import CompiledScene, GeomOwner
 from ..sim.sim_world import SimWorld
 
-# Hand poses that are tried to reach a place.
+# Orientations of the hand that are tried to reach a point.
 LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, tilts from straight down
 LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the tilt
 TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, turns about the hand's own axis
 
-# m and rad; a place counts as reachable at any margin to the joint limits
+# m and rad, largest errors of the hand at a reachable point; joints may be right at their limits
 _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertPlanner:
-    """Planners of skills in one scene, for all attempts in it."""
+    """Makes the planning contexts of all attempts in one scene, and answers queries of reach and resting height."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
@@ -49,7 +49,7 @@ class ExpertPlanner:
         return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Return the height (m) at which a lowered object meets something, see `CollisionChecker.rest_height`."""
+        """Lower an object from a pose (4, 4), and return its height at the first contact, else `lowest`, m."""
         return self._collision_checker.rest_height(qpos, thing, T_in_world, lowest)
 
     def planning_context(
@@ -71,7 +71,7 @@ class ExpertPlanner:
 
 
 def arm_sides(config: RecordConfig) -> tuple[str, ...]:
-    """Return the sides of the scene's arms, in the scene's order."""
+    """Return "left" or "right" for each of the scene's arms, in the scene's order."""
     return tuple(config.rig.arms[number].side for number in config.rig.recording_order)
 
 

@@ -1,4 +1,4 @@
-"""Grasp simulators: how hands hold objects. The choice depends on the grippers in a scene, not on the actor."""
+"""Grasp simulators hold objects in hands, by friction or constraints. A scene's grippers and cloth determine which."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..sim.cloth import ClothGrips
 
 
 class GraspSimulator(Protocol):
-    """Decides before every control tick what each hand holds during the tick."""
+    """Switches, before every control tick, the constraints that hold objects in hands during the tick."""
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """Return whether a constraint holds something in each arm's hand (arms,).
+        """Switch the constraints for a tick, and return whether one holds an object in each arm's hand (arms,).
 
         Args:
-            data: MuJoCo's state with poses and contacts up to date. The function switches its constraints.
+            data: MuJoCo's state with poses and contacts up to date; its constraints are switched.
             ctrl: commands (nu,) of all drives for the coming tick.
             magnet: whether each arm's weld is commanded on (arms,).
         """
@@ -35,12 +35,12 @@ class FrictionGraspSimulator:
         self._none = (False,) * len(scene.arms)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `GraspSimulator`; `magnet` is ignored."""
+        """Return False for each arm (arms,): friction needs no constraint. All arguments are ignored."""
         return self._none
 
 
 class WeldGraspSimulator:
-    """A weld in each hand, which holds the nearest object to the flange while commanded on.
+    """Holds objects by a weld in each hand: while commanded on, it fixes the object nearest to the pinch point.
 
     Args:
         scene: a scene whose arms have welds.
@@ -56,7 +56,7 @@ class WeldGraspSimulator:
         self._bodies = roots[self._geoms]
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `GraspSimulator`."""
+        """Switch each weld as `magnet` commands, and return whether it holds an object (arms,)."""
         return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
     def _switch(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
@@ -92,7 +92,7 @@ class ClothGraspSimulator:
         self._cloth_grips = ClothGrips(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """See `GraspSimulator`; `magnet` is ignored."""
+        """Switch the constraints of cloth by the fingers' commands, and return whether hands hold cloth (arms,)."""
         return self._cloth_grips.update(data, ctrl)
 
 
@@ -100,7 +100,7 @@ def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> Gr
     """Return the grasp simulator: for cloth if the scene has cloth, with welds if arms have welds, else with friction.
 
     Args:
-        magnet_reach: see `WeldGraspSimulator`.
+        magnet_reach: largest distance at which a weld holds an object, m; None for any.
     """
     if scene.cloths:
         return ClothGraspSimulator(scene)

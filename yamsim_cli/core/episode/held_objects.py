@@ -1,4 +1,4 @@
-"""How far objects slip and tilt in the hands that hold them."""
+"""`HeldObjectMonitor`: measures how far objects slip and tilt in the hands that hold them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class HeldObjectMonitor:
 
     Attributes:
         slip: largest distance that a settled object moved in a hand, m.
-        tilt: largest angle between a held object's vertical axis at its grasp and later, rad.
+        tilt: largest rotation of a held object's vertical axis since its grasp, rad.
 
     Args:
-        world: the state that is measured.
+        world: gives the present poses of the objects.
     """
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:

@@ -1,4 +1,4 @@
-"""Monitoring of every physics step: joint limits, forbidden contacts, and unstable physics."""
+"""`StepMonitor`: watches joint limits, forbidden contacts and unstable physics in every physics step."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ CONTACT_STEPS = 8  # physics steps after which contacts are checked even if thei
 
 
 class StepMonitor:
-    """Measure how near the arms come to their limits, and keep the first collision and the first breakdown of physics.
+    """Measure how near the arms come to their limits, and keep the first collision and the first fatal physics warning.
 
     Attributes:
-        collision: the first forbidden contact and its time, as text; None without one.
-        breakdown: the first breakdown of physics and its time, as text; None without one.
+        collision: the first contact of an arm with the table or another arm, as text; None without one.
+        breakdown: MuJoCo's first fatal warning and its time, as text; None without one.
 
     Args:
         steps: physics steps in a control tick.
@@ -69,10 +69,10 @@ class StepMonitor:
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
-        """Return how near the arms have come to their limits.
+        """Return how near the arms have come to their speed, torque and joint limits.
 
         Args:
-            slip, tilt: see `MotionMargins`.
+            slip, tilt: largest motion (m) and rotation (rad) of a held object, for the result.
         """
         return MotionMargins(self._velocity, self._torque, float(self._joint_margin), slip, tilt)
 

@@ -1,4 +1,4 @@
-"""Application of an attempt's variation to the scene, the renderer and the images."""
+"""`RandomizedScene`: applies an attempt's variation, its random samples, to the scene, the renderer and the images."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class RandomizedScene:
             self._uploaded = self._applied
 
     def finish(self, attempt: Attempt, image: Image, frame: int, camera: int) -> None:
-        """Apply the noise of the camera and its cable to an attempt's image (height, width, 3), in place.
+        """Add the random brightness, contrast and noise of an attempt to its image (height, width, 3), in place.
 
         Args:
-            frame, camera: indices that determine the noise.
+            frame, camera: indices of the image; each image has its own noise.
         """
         ranges = self._config.randomization.picture
         if ranges is None:

@@ -1,4 +1,4 @@
-"""Execution of attempt jobs in a worker: each attempt is a pure function of its job."""
+"""Simulation of attempts in a worker process: the result depends only on the seed and the number in the job."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .execution import demonstrate
 from .sampling import sample_attempt
 from .simulator import Simulators
 
-# Where meshes differ, in error messages: the recorder and the worker.
+# Names of the recorder and the worker in the error message about different meshes.
 _PLACE_NAMES = ("for the recorder", "there")
 
 
@@ -23,10 +23,10 @@ class AttemptRunner(Closable):
     """Run attempts from their seed and number, in a worker or in this process.
 
     Args:
-        render: whether successes become files; otherwise attempts are simulated without rendering.
+        render: whether successes are rendered to files; otherwise attempts are only simulated.
 
     Raises:
-        ResourceError: the session shows other meshes than the config states.
+        ResourceError: the session's visual meshes differ from those that the config states.
     """
 
     def __init__(self, session: Session, *, render: bool) -> None:
@@ -49,10 +49,10 @@ class AttemptRunner(Closable):
 
 
 def check_meshes(session: Session) -> None:
-    """Check that a worker shows the meshes that the config states.
+    """Check that this process renders the visual meshes that the config states.
 
     Raises:
-        ResourceError: the session shows other meshes.
+        ResourceError: the meshes differ.
     """
     expected = session.config.meshes
     if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):

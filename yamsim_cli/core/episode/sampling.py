@@ -1,4 +1,4 @@
-"""Sampling of an attempt: everything random in it, from its seed and number, before planning and motion."""
+"""Sampling of an attempt: its roles, start and variation, from its seed and number, before anything moves."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SPAWN_GAP = 2e-4  # m between a placed object and its support, so that no contac
 
 
 def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
-    """Return the attempt of a seed and a number, with everything at rest; distractors are placed later.
+    """Return the attempt of a job's seed and number, with all objects at rest; distractors are placed later.
 
     A start in which an object still moves, such as a rocking bottle, is used only if there is no other. The attempt has
     no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
@@ -123,7 +123,7 @@ def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -
 
 
 def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
-    """Return MuJoCo's positions (nq,) with those cloths crumpled that start crumpled; at `start` all are flat."""
+    """Return positions (nq,) in which the cloths that start crumpled are crumpled; in `start`, all are flat."""
     task, scene = simulator.config.task, simulator.scene
     for role, how in task.starts.items():
         for name in simulator.roles.objects_of(role):
@@ -140,7 +140,7 @@ def require_start(session: Session) -> None:
     """Check that one of the first attempts of a task has a start.
 
     Raises:
-        ConflictError: the goal already holds or objects have no room in all of them; the path leads from the config.
+        ConflictError: none has a start, for lack of room or as the goal already holds; the path is from the root.
         SimulationError: a scene cannot be compiled.
     """
     task = session.config.task

@@ -1,4 +1,4 @@
-"""The simulator of attempts: the expensive parts, which a process makes once."""
+"""`Simulator`: scene, expert's planner and renderer for attempts, which are expensive and made once in a process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Simulator(Closable):
     Args:
         session: its task has only the objects of `roles`.
         roles: the role assignment; by default the task's typical one, and the session is reduced to its objects.
-        tools: returns the solvers of the rig's arms when the expert first needs them; by default makes them.
+        tools: is called when the expert first needs the solvers of the arms; by default `make_arm_solvers`.
 
     Attributes:
         session: the session.
@@ -66,21 +66,21 @@ class Simulator(Closable):
         self._renderer: SceneRenderer | None = None
 
     def set_variation(self, attempt: Attempt) -> CompiledScene:
-        """Return the scene with an attempt's variation; valid until the next call."""
+        """Apply an attempt's variation, its random samples, and return the scene; valid until the next call."""
         return self.randomized.apply(attempt)
 
     @functools.cached_property
     def replica(self) -> StateReplay:
-        """A copy of the scene that shows recorded states."""
+        """A second state of the scene, which can be set to any recorded state."""
         return StateReplay(self.scene)
 
     @functools.cached_property
     def expert_tools(self) -> ExpertPlanner:
-        """The expert's planner; making it reads files."""
+        """The expert's planner, made at the first use, which reads files."""
         return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
-        """Make the parts that read files now: the files may be gone at the first attempt."""
+        """Make the expert's planner now, because it reads files that may be gone at the first attempt."""
         _ = self.expert_tools
 
     @property
@@ -112,7 +112,7 @@ def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
     try:
         task_of_roles = task.with_objects_of(roles)
     except ValueError as error:
-        # Such a task is from a dataset: its objects could be made in their sizes at the time of the recording.
+        # Only tasks of datasets fail here: their objects could be made in these sizes when they were recorded.
         raise SimulationError(f"task {task.name!r}: {error}") from error
     return session.with_values(task=task_of_roles.model_copy(update={"starts": session.config.starts}))
 
@@ -145,7 +145,7 @@ def simulator_for(session: Session, job: AttemptJob) -> Simulator:
 
 
 class Simulators(Closable):
-    """Make simulators and keep the most recently used. Close it, or use it as a context manager."""
+    """Makes simulators for the objects of attempts, and keeps a few. Close it, or use it as a context manager."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -178,7 +178,7 @@ def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on
     """Return the episode of an attempt at its start, in the attempt's randomized scene.
 
     Args:
-        on_step: see `Episode`.
+        on_step: is called with MuJoCo's state after every physics step.
     """
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task

@@ -35,14 +35,14 @@ from .simulator import Simulator, Simulators
 R = TypeVar("R")
 
 _MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # causes of trials that end before any motion
-_JPEG_QUALITY = 95  # of frames from a worker to the film: hardly any loss beside the film's own
+_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
 
 
 def run_batch(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
-    """Run as many trials as the config has `episodes`: the attempts that `record` makes with the same seed.
+    """Simulate `config.episodes` trials by the expert: the attempts that `record` makes with the same seed.
 
     Args:
-        thresholds: distances (m) by which the outcomes are scored, besides the task's own.
+        thresholds: distances from the target (m) that are scored as successes, besides the task's own.
 
     Returns:
         JSON-ready: the figures of `count_outcomes`, margins, rig, task, grasp, acting arms, seconds, trials.
@@ -136,8 +136,8 @@ def count_outcomes(
     """Return counts and rates of outcomes, JSON-ready.
 
     Args:
-        task: its goal judged the outcomes.
-        thresholds: distances (m) by which the outcomes are scored, if the task's goal measures a distance.
+        task: the task of the outcomes; its goal gives the task's own threshold.
+        thresholds: distances from the target (m) that are scored as successes, if the goal measures one.
         valid: whether each outcome may count as a success at any threshold.
 
     Returns:
@@ -210,14 +210,14 @@ class _ExpertFilmer(TrialFilmer):
 
 
 class TrialFilms:
-    """The output of films: one file with all trials if `path` ends in `.mp4`, else a folder with a file per trial.
+    """Writes videos of trials: one file with all trials if `path` ends in `.mp4`, else a folder with a file per trial.
 
     Args:
-        frame_period: of the trials, s.
+        frame_period: time from one frame to the next, s.
         overwrite: whether to make a backup of an existing `path` first.
 
     Raises:
-        UsageError: `path` is occupied.
+        UsageError: `path` is not empty.
         ResourceError: videos cannot be written here.
     """
 
@@ -277,7 +277,7 @@ def film_trials(
     """Film at most `limit` trials of a batch, failures first; trials in which nothing moved are left out.
 
     Args:
-        trials: as `run_batch` reports them.
+        trials: the `trials` of the result of `run_batch`.
 
     Raises:
         InterruptedJobError: the user stopped; finished films stay.
@@ -300,7 +300,7 @@ def film_jobs(
     workers: int,
     progress: Progress,
 ) -> list[FilmedTrial]:
-    """Film trials with the frames of their jobs, one job for each trial, at least one. Raises as `film_trials`."""
+    """Write trials to videos; each trial's job renders its frames in a worker. Raises the errors of `film_trials`."""
     try:
         with ProcessPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
             return films.write(_with_frames(trials, jobs, pool, progress))

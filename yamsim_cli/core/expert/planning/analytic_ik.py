@@ -40,15 +40,15 @@ _SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that
 _LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit that counts as rounding
 _REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
 _VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
-_CACHE_SIZE = 4096  # poses whose solutions are cached: a search asks for the same pose up to five times
-_HAND_LENGTH = 0.13  # m, beyond the flange; weights joints by how far they move a held object
+_CACHE_SIZE = 4096  # poses whose solutions are cached: a search solves each pose up to five times
+_HAND_LENGTH = 0.13  # m, from the flange to the fingertips; in `nearest`, a joint's weight is its distance from them
 
 
 class AnalyticIk:
-    """Find all joint positions that bring a bare arm's flange to a pose; for arms that `find_analytic_ik` accepts.
+    """Find all joint positions that bring an arm's flange to a pose; for arms that `find_analytic_ik` accepts.
 
     Args:
-        model: the bare arm of six hinge joints, see `scene.arm_model.kinematic_model`.
+        model: the arm of six hinge joints without its fingers, see `scene.arm_model.kinematic_model`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -106,10 +106,10 @@ class AnalyticIk:
         return found
 
     def maybe_reachable(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Return which of many poses (n, 4, 4) `solutions` may solve, (n,) bool; False means out of reach.
+        """Return for which flange poses (n, 4, 4) in the base `solutions` may not be empty, (n,) bool.
 
-        A batch is some 30 times as fast as single poses. Rounding in a batch differs between processors, so borderline
-        poses give True.
+        False means out of reach. A batch is some 30 times as fast as single poses. Rounding in a batch differs between
+        processors, so borderline poses give True.
 
         Args:
             margin: least distance of every joint from its limits, rad.
@@ -120,7 +120,7 @@ class AnalyticIk:
         z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
         along_1 = self._h1[2] * (wrist @ h1)
         bent = self._upper.conjugate() * self._fore
-        # Poses are dropped once a joint violates the margin. `k` indexes the arrays of the step before.
+        # Each block drops the poses whose joint is too near to a limit. `k` indexes the arrays of the previous block.
         a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
         q1, number = self._solve_all(0, a1, b1, c1, margin)
         before_6 = np.einsum("nji,nj->ni", R[number], _rotate_all(z, h1, q1))
@@ -147,8 +147,8 @@ class AnalyticIk:
         """Return both angles q about a joint's axis with `a cos q + b sin q = c` that keep a margin to the limits.
 
         Args:
-            a, b: (n,) or numbers.
-            c: (n,).
+            a, b: coefficients, (n,) or numbers.
+            c: right-hand side (n,).
 
         Returns:
             The angles (m,) and their indices into `c` (m,). The angle is 0 where every angle is a solution.
@@ -243,7 +243,7 @@ class AnalyticIk:
 
 
 def find_analytic_ik(model: mujoco.MjModel) -> AnalyticIk | None:
-    """Return a bare arm's analytic inverse kinematics, verified on random poses; None if the arm has none.
+    """Return an arm's analytic inverse kinematics, verified on random poses; None if the arm has none.
 
     The arm needs six hinge joints, parallel or antiparallel axes 2, 3 and 4, and intersecting axes 5 and 6.
     """

@@ -1,4 +1,4 @@
-"""Forward kinematics of a bare arm, and inverse kinematics that reports poses out of reach."""
+"""Forward kinematics of an arm, and inverse kinematics that raises an error with the nearest joints."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ...errors import SimulationError
 from ...geometry.se3 import Array, pose, rotation_vector
 from .ik import IkSolver
 
-_ITERATIONS = 100  # iterations of a search, which may start on the other side of the workspace
+_ITERATIONS = 100  # largest number of iterations of a search, which may start far from the pose
 _HAND_LENGTH = 0.13  # m, from the wrist to the fingertips; converts an angle to a distance
 
 
 class ArmKinematics:
-    """Forward kinematics of the hand's sites.
+    """Computes the poses of the hand's sites from joints.
 
     Args:
-        model: a bare arm, see `scene.arm_model.kinematic_model`.
+        model: an arm without fingers, see `scene.arm_model.kinematic_model`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -43,7 +43,7 @@ class ArmKinematics:
 
 @dataclass(frozen=True)
 class ReachResult:
-    """Result of a search for a pose: joints (dof,) in rad, and the errors of the pose, m and rad."""
+    """Result of an inverse kinematics search: joints (dof,) in rad, and the errors of their pose, m and rad."""
 
     joints: Array
     position_error: float
@@ -79,10 +79,10 @@ def solve_or_raise(
     position_tolerance: float,
     rotation_tolerance: float,
 ) -> ReachResult:
-    """Return the first joints within the tolerances of a pose (4, 4), from searches at each start (dof,) in turn.
+    """Return joints that bring the solvers' frame to a pose (4, 4), by a search from each start (dof,) in turn.
 
     Args:
-        solvers: run one after the other; each solver starts from the previous solver's result.
+        solvers: are run one after the other; each solver starts from the previous solver's result.
         position_tolerance, rotation_tolerance: largest errors, m and rad.
 
     Raises:

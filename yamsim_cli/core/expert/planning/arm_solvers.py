@@ -23,7 +23,7 @@ class ArmSolvers:
 
 
 def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
-    """Return the solvers of each arm in a rig's scene; building them reads files."""
+    """Return the solvers of each arm in a rig's scene, built from the arms' model files."""
 
     def tools(number: int) -> ArmSolvers:
         arm = rig.arms[number]
@@ -34,7 +34,7 @@ def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
 
 
 def start_postures(config: RecordConfig) -> tuple[ArmPosture, ...]:
-    """Return the arms' postures at the start: acting arms over the table, other arms at home with closed fingers."""
+    """Return each arm's start posture: over the table if it acts, else its home posture with closed fingers."""
     robots = [config.rig.arms[number].robot for number in config.rig.recording_order]
     return tuple(
         ArmPosture(np.array(config.start_joints), robot.fingers.initial_opening if robot.fingers else 0.0)

@@ -22,7 +22,7 @@ _FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into a grasped object:
 _DESCENT_STEP = 0.004  # m, step of the search for a resting height
 _BISECTIONS = 6  # bisections of the last step of that search
 
-_LATERAL_STEP = 0.002  # m, step of the search for free distance
+_LATERAL_STEP = 0.002  # m, step of the search in `free_distance`
 _MIN_SUPPORT_NORMAL = 0.7  # vertical component of a contact's normal above which the contact is with the support
 
 # MuJoCo's masks: two geoms collide if one geom's type and the other's affinity have a common bit. A body has the bits
@@ -46,7 +46,7 @@ class AttachedObject:
 
 
 class CollisionChecker:
-    """Check for contacts in a copy of a scene.
+    """Check for contacts of a moved arm or object, in a copy of a scene.
 
     Args:
         model: the compiled scene.
@@ -105,7 +105,7 @@ class CollisionChecker:
             arm: index of the arm.
             joints: joints (dof,) of the arm, rad.
             opening: opening of one finger, m.
-            attached: the held object.
+            attached: the object that moves with the hand; None for an empty hand.
             grasped: an object between the fingers, which the fingers may touch.
             finger_clearance: least distance of the fingers from everything else, m; default: that of the arm.
         """
@@ -121,7 +121,7 @@ class CollisionChecker:
         return f"{one} and {other}"
 
     def has_self_collision(self, arm: int, joints: Array) -> bool:
-        """Return whether links of an arm collide with each other at joints (dof,), rad."""
+        """Return whether links of an arm, except the fingers, collide with each other at joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
         self._update_contacts(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
@@ -130,15 +130,15 @@ class CollisionChecker:
     def qpos_with_arm(
         self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None = None
     ) -> Array:
-        """Return MuJoCo's positions (nq,) with an arm and its held object moved; arguments as in `find_contact`."""
+        """Return MuJoCo's positions (nq,) with an arm, its fingers (`opening`, m) and its held object `load` moved."""
         positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Return the height at which an object that is lowered from a pose (4, 4) meets something, m.
+        """Lower an object from a pose (4, 4), and return the height of its origin at the first contact, in `world`, m.
 
         Args:
-            lowest: limit of the search, m; returned if nothing is met above it.
+            lowest: limit of the search, m; returned if there is no contact above it.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         data.qpos[:] = qpos
@@ -166,10 +166,10 @@ class CollisionChecker:
         return high
 
     def free_distance(self, qpos: Array, thing: str, direction: Array, maximum: float) -> float:
-        """Return how far an object can move along a horizontal direction (2,) before it meets something, m.
+        """Return how far an object can move along a horizontal direction (2,) before it touches another one, m.
 
         Args:
-            maximum: limit of the search, m.
+            maximum: limit of the search, m; returned if there is no contact before it.
         """
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         step = direction / np.linalg.norm(direction) * _LATERAL_STEP
@@ -215,7 +215,7 @@ class CollisionChecker:
         if thing is not None:
             moves |= self._thing_of == self._things.index(thing)
         stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
-        # Geoms with the same masks in the scene are of one kind. Each kind gets its own bit.
+        # Geoms with the same type and affinity in the scene form a group. Each group gets one bit.
         masks = np.column_stack(self._masks[None, None][:2])
         kinds, kind = np.unique(masks, axis=0, return_inverse=True)
         bits = 1 << np.arange(len(kinds))

@@ -28,7 +28,7 @@ class ArmDynamics:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Return torques (n, dof), N m, at the middle of each tick, with friction, and gravity unless compensated.
+        """Return torques (n, dof), N m, at the middle of each tick: inertia, friction and uncompensated gravity.
 
         Args:
             joints: positions (n + 1, dof) at the tick boundaries, rad.
@@ -58,7 +58,7 @@ class ArmDynamics:
         Args:
             joints: positions (n, dof), rad.
             point: point of application (3,) in the pinch frame, m.
-            weight: N.
+            weight: downward force, N.
         """
         data, site = self._data, self._model.site("pinch_site").id
         jacobian = np.empty((3, self._model.nv))

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...geometry.se3 import Array, inverse
 
-_DAMPING = 1e-3 * np.eye(6)  # damping of the least squares
-_MAX_STEP = 0.4  # rad, change of a joint in a step
-_MAX_STEPS = 40  # steps of a search
+_DAMPING = 1e-3 * np.eye(6)  # damping matrix of a least-squares step
+_MAX_STEP = 0.4  # rad, largest change of a joint in a step
+_MAX_STEPS = 40  # largest number of steps of a search
 _ROTATION_LEVER = 0.25  # m, distance that an error of 1 rad counts as
 
 # m and rad, largest errors of a returned solution; `IkSolver` refines the solution.
@@ -22,10 +22,10 @@ _MIN_PROGRESS_RATIO = 0.97  # ratio of the error to the error two steps before, 
 
 
 class FastIkSolver:
-    """Fast inverse kinematics of a bare arm's held frame, less exact and less robust than `IkSolver`.
+    """Fast inverse kinematics of the site `tool`, the held frame; less exact and less robust than `IkSolver`.
 
     Args:
-        model: the bare arm, see `scene.arm_model.kinematic_model`.
+        model: the arm without fingers, see `scene.arm_model.kinematic_model`.
         T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
     """
 

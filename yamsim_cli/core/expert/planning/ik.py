@@ -1,4 +1,4 @@
-"""Inverse kinematics of a bare arm: analytic if the arm allows it, else by search with mink."""
+"""Inverse kinematics of an arm: analytic if the arm allows it, else by an iterative search with mink."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _DEFAULT_ROTATION_COSTS = (_TILT_COST, _TILT_COST, _HEADING_COST)
 
 # Levenberg-Marquardt: a step that increases the cost is undone, and a shorter step is tried. Without damping, the
 # iteration diverges for a nearly stretched arm, which is the case over a third of the table.
-_DAMPING_START = 1e-5
+_DAMPING_START = 1e-5  # damping of the first step
 _DAMPING_MIN = 1e-8
-_DAMPING_MAX = 1e4
+_DAMPING_MAX = 1e4  # damping above which the search ends
 _DAMPING_DECREASE = 0.2  # factor on the damping after a successful step
 _DAMPING_INCREASE = 10.0  # factor on the damping after a failed step
 
 _QP_SOLVER = "daqp"
 _CONVERGED = 1e-5  # rad, largest change of a joint in the last step
-_CONVERGED_COST = 1e-14  # 10 nm and a thousandth of a degree; rounding makes steps fail below this cost
+_CONVERGED_COST = 1e-14  # squared weighted error, as of 10 nm; rounding makes steps fail below this cost
 
-_MAX_STEP = 0.35  # rad, change of a joint between poses of a path; a larger change may be a change of branch
+_MAX_STEP = 0.35  # rad, largest change of a joint between poses of a path; more may be another IK branch
 _MAX_ROTATION_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
 
 # rad, least distance from a singular posture for exact solutions on a path. Nearer, as at the edge of the reach, exact
@@ -77,7 +77,7 @@ class Tolerance:
     allow_tilt: bool = False
 
     def is_met_by(self, solution: IkSolution) -> bool:
-        """Whether a solution is within the tolerance."""
+        """Return whether a solution is within the tolerance."""
         return (
             solution.position_error <= self.position
             and solution.tilt_error + solution.heading_error <= self.rotation
@@ -89,10 +89,11 @@ class IkSolver:
     """Inverse kinematics within the joint limits.
 
     An arm that `find_analytic_ik` accepts is solved exactly. For other arms, and for poses out of reach, differential
-    inverse kinematics is iterated to convergence, and the hand may tilt.
+    inverse kinematics is iterated to convergence, and the hand may tilt. The held frame, the site `tool`, is the frame
+    that solutions bring to a target: at first the pinch frame, which lies where the fingers meet.
 
     Args:
-        model: a bare arm with the sites `pinch_site` and `tool`, see `scene.arm_model.kinematic_model`.
+        model: an arm without fingers, with the sites `pinch_site` and `tool`, see `scene.arm_model.kinematic_model`.
         T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
         rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes; an error of 1 m costs 10.
     """
@@ -124,10 +125,7 @@ class IkSolver:
         return self._analytic is not None
 
     def set_held_frame(self, T_object_in_pinch: Array) -> None:
-        """Set the held frame, which later calls bring to their targets, to a pose (4, 4) in the pinch frame.
-
-        The initial held frame is the pinch frame.
-        """
+        """Set the held frame, which later calls bring to their targets, to a pose (4, 4) in the pinch frame."""
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
         tool.pos[:] = T[:3, 3]
@@ -145,7 +143,7 @@ class IkSolver:
         return self._search(T_tool_in_world, start, iterations) if exact is None else exact
 
     def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
-        """Return a solution for the next pose (4, 4) of the held frame on a path, on the same branch without a jump.
+        """Return a solution for the next pose (4, 4) of the held frame on a path, without a jump of a joint.
 
         Args:
             before: the solution for the previous pose; `solution_at` gives the first one.
@@ -159,7 +157,7 @@ class IkSolver:
         return self._search(T_tool_in_world, start, iterations)
 
     def solution_at(self, joints: Array) -> IkSolution:
-        """Return the error-free solution at joints (dof,), for the pose that the held frame has there."""
+        """Return the solution with joints (dof,) and no error, for the pose that the held frame has at them."""
         return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
     def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:

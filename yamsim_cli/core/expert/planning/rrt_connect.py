@@ -10,8 +10,8 @@ import numpy as np
 
 from ...geometry.se3 import Array
 
-_MAX_BRANCH = 0.25  # rad, change of a joint along a branch
-_EDGE_STEP = 0.06  # rad, change of a joint between two checks of an edge
+_MAX_BRANCH = 0.25  # rad, largest change of a joint along a branch
+_EDGE_STEP = 0.06  # rad, largest change of a joint between two contact checks on an edge
 _MAX_BRANCHES = 400  # branches that are tried before the search gives up
 _GOAL_BIAS = 0.3  # share of branches that grow towards the other tree
 _SHORTCUTS = 40  # random shortcuts that are tried on a found path
@@ -47,7 +47,7 @@ def plan_rrt_connect(
 
     Args:
         bounds: joint limits (dof, 2), rad.
-        find_contact: joints -> description of a contact there; None without contact.
+        find_contact: returns a description of a contact at joints (dof,); None without contact.
     """
     if find_contact(goal):
         return None
@@ -84,7 +84,7 @@ def _step_towards(here: Array, there: Array) -> Array:
 
 
 def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
-    """Grow a tree straight to a point, and return the node there; None if an obstacle is in the way."""
+    """Grow a tree straight to joints (dof,), and return the index of the node there; None if an obstacle is met."""
     node = tree.nearest(joints)
     while True:
         here = tree.nodes[node]

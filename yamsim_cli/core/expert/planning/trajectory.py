@@ -16,13 +16,13 @@ _MAX_SPEED = 2.2  # rad/s, limits a joint's speed
 _PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of its mean speed
 _WAYPOINT_PEAK = 1.5  # peak speed of a motion through waypoints without stops, as a multiple of its mean speed
 
-LINE_SPEED = 0.25  # m/s, mean speed of a hand on a straight line
-_LINE_TURN_SPEED = 1.2  # rad/s, mean rotation speed of a hand on a straight line
+LINE_SPEED = 0.25  # m/s, peak speed of a hand on a straight line
+_LINE_TURN_SPEED = 1.2  # rad/s, peak rotation speed of a hand on a straight line
 _MIN_TICKS = 6  # control ticks of the shortest motion
 
 _MAX_LINE_ERROR = 0.004  # m, distance from the curve above which a pose counts as out of reach
 _MAX_JOINT_STEP = 0.35  # rad, change of a joint in a control tick above which a pose counts as out of reach
-_LINE_ITERATIONS = 8  # iterations of each inverse kinematics search on a curve
+_LINE_ITERATIONS = 8  # largest number of iterations of each inverse kinematics search on a curve
 
 
 def minimum_jerk(fraction: float) -> float:
@@ -34,7 +34,7 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
     """Return a motion through waypoints, from rest to rest within speed limits: joints (n + 1, dof) at tick boundaries.
 
     Args:
-        points: joints (dof,), the present ones first, rad.
+        points: waypoints (dof,), rad; the first one is the present joints.
         motor_speed: no-load speed of each joint's motor (dof,), rad/s.
         tick: length of a control tick, s.
     """
@@ -68,9 +68,9 @@ def cartesian_line(
     """Return joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
 
     Args:
-        ik: solves for the held frame, see `IkSolver.set_held_frame`.
+        ik: has the held frame, the frame that moves on the line, see `IkSolver.set_held_frame`.
         start: the present joints (dof,), rad.
-        speed: mean speed of the frame, m/s.
+        speed: peak speed of the frame, m/s.
 
     Returns:
         The motion, or None if the line leaves the arm's reach.
@@ -93,10 +93,10 @@ def cartesian_curve(
     """Return joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
 
     Args:
-        ik: solves for the held frame, see `IkSolver.set_held_frame`.
+        ik: has the held frame, the frame that moves on the curve, see `IkSolver.set_held_frame`.
         start: the present joints (dof,), rad.
         pose_at: share of the curve, 0..1 -> the frame's pose (4, 4) in `world`.
-        seconds: duration at the mean speed.
+        seconds: length of the curve by the peak speed, s; the motion lasts 1.875 times as long.
 
     Returns:
         The motion, or None if the curve leaves the arm's reach.

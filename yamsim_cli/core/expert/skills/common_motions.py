@@ -1,4 +1,4 @@
-"""Motions that several skills share."""
+"""Motions that several skills share. A hand is parked if its arm is in the ready posture."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def park(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
 
 
 def unparked_hands(context: PlanningContext) -> list[Hand]:
-    """Return the hands that hold nothing and are not parked."""
+    """Return the acting hands that hold nothing and whose arms are not in their ready postures."""
     return [hand for hand in context.free_hands("any") if not _is_parked(hand)]
 
 
@@ -101,7 +101,7 @@ def park_free_hands(context: PlanningContext, except_hand: Hand | None = None) -
 
 
 def rest_segment(context: PlanningContext) -> MotionSegment:
-    """Return the segment in which everything comes to rest."""
+    """Return a short segment without motion, in which arms and released objects come to rest."""
     return context.wait_segment(_REST_TICKS)
 
 

@@ -24,38 +24,38 @@ WELD_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 # Grasps of narrow objects beside a wall: the hand tilts to the side, along the closing axis, which leaves room for the
 # hand. The object turns in the pads until it lies flat in them.
 _SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
-# m: largest half width of such an object, clearance of each finger, and raise of the hand
+# m: largest half width of such an object, clearance of each finger, and retreat of the hand along its axis
 _MAX_NARROW_HALF_WIDTH, _SIDE_CLEARANCE, _SIDE_RAISE = 0.010, 0.004, 0.004
 
 # Fingertip grasps, for places where even a tilted hand finds no room.
 # m: offset of the hand from the object's middle before closing; least distance of fingers from other objects
 _FINGERTIP_OFFSET, _FINGERTIP_DISTANCE = 0.0025, 0.0015
-_FINGERTIP_RAISES = (_SIDE_RAISE, 2 * _SIDE_RAISE)  # m, raises of the fingertips, in the order tried
+_FINGERTIP_RAISES = (_SIDE_RAISE, 2 * _SIDE_RAISE)  # m, retreats of the hand along its axis, in the order tried
 
 # Directions in which an arm that stands on the table can point its fingers.
 _MAX_UPWARD = 0.3  # largest sine of the fingers' angle above horizontal
 _MAX_BACKWARD = -0.5  # least cosine of the fingers' horizontal angle to the direction away from the base
 
 # Defaults for objects whose config has no grasp.
-CLEARANCE = 0.010  # m, of each finger
+CLEARANCE = 0.010  # m, additional opening of each finger before closing and after release
 _DEFAULT_FORCE = 15.0  # N, of each finger
 
 # Antipodal grasps, found from the object's shape.
 _MAX_PAIRS = 12  # antipodal pairs that are tried; each adds 16 candidates
-_MIN_PAIR_DISTANCE = 0.015  # m, pairs with nearer middles and similar directions count as the same
+_MIN_PAIR_DISTANCE = 0.015  # m; of pairs with nearer middles and similar directions, only the first is tried
 _APPROACH_ANGLES = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, of the hand about the closing line
 
 
 @dataclass(frozen=True, eq=False)
 class GraspCandidate:
-    """A pose of the hand relative to an object, and how the fingers close there.
+    """A pose of the hand relative to an object, with the opening and the force of the fingers at that pose.
 
     Attributes:
         T_pinch_in_thing: the pinch frame (4, 4) in the object's: z along the approach, y along the closing axis.
-        opening: of each finger around the object, m.
+        opening: of each finger when it touches the object, m.
         clearance: additional opening of each finger before closing and after release, m.
         force: of each finger, N.
-        finger_distance: least distance of the fingers from other objects, m; None for the rest of the arm's distance.
+        finger_distance: least distance of the fingers from other objects, m; None for that of the whole arm.
     """
 
     T_pinch_in_thing: Array
@@ -66,7 +66,7 @@ class GraspCandidate:
 
 
 def friction_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield the friction grasps at a config's grasp points, least tilt first."""
+    """Yield the friction grasps at the grasp points of an object's config, least tilt first."""
     points = list(_grasp_points(item))
     for lean in _LEANS:
         for T, opening, clearance, force in points:
@@ -76,7 +76,7 @@ def friction_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def weld_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield the weld grasps at a config's grasp points, least tilt first.
+    """Yield the weld grasps at the grasp points of an object's config, least tilt first.
 
     A weld holds in any direction, so the hand tilts as suits the arm. A grasp point with `tilt_deg` fixes the hand's
     direction, because the pads lie on a sloped wall there.
@@ -124,7 +124,7 @@ def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> 
 
 
 def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield fingertip grasps of a narrow object with one finger close to it, for places beside a wall."""
+    """Yield grasps of a narrow object by the fingertips, one of them close to it, for places beside a wall."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
         for T, opening, clearance, force in points:
@@ -159,7 +159,7 @@ def _grasp_points(item: ObjectConfig) -> Iterator[tuple[Array, float, float, flo
 
 
 def is_orientation_plausible(T_pinch_in_world: Array, T_base_in_world: Array) -> bool:
-    """Return whether an arm can point its hand as in a pose (4, 4): a quick test before inverse kinematics."""
+    """Return whether an arm can point its fingers as in a pose (4, 4): a quick test before inverse kinematics."""
     forward, away = T_pinch_in_world[:3, 2], (T_pinch_in_world - T_base_in_world)[:2, 3]
     if forward[2] > _MAX_UPWARD:
         return False

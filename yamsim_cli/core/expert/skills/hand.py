@@ -1,4 +1,4 @@
-"""An arm with its gripper: last command, held object, and inverse kinematics."""
+"""`Hand`: an arm with its gripper, with its last command, its held object and its inverse kinematics."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ class Hand:
         number: index of the arm in its scene.
         side: "left" or "right".
         arm: the arm's addresses in MuJoCo's arrays, and its limits.
-        ik: inverse kinematics of the pinch frame.
+        ik: inverse kinematics of the pinch frame, which lies where the fingers meet.
         dynamics: inverse dynamics.
-        ready_joints: joints (dof,) of the parked arm, rad.
+        ready_joints: joints (dof,) of the posture in which an idle arm waits, rad.
         joints: last commanded joints (dof,), rad.
         opening: last commanded opening of each finger, m.
         grip_force: last commanded force of each finger, N.
         magnet: whether the weld is commanded on; without effect on a hand that has none.
         held: the object in the hand; None without one.
-        failed_grasps: grasps with which the object could not be brought to its goal.
+        failed_grasps: grasps with which an object could not be brought to its goal; they are not tried again.
         joint_margin: least distance from joint limits in `solve_ik`, rad, see `PlanningContext.planning_limits`.
         allow_tilt: whether `solve_ik` may tilt the hand at waypoints, see `PlanningContext.planning_limits`.
     """
@@ -97,11 +97,11 @@ class Hand:
     def solve_ik(
         self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = GRASP_TOLERANCE
     ) -> Array | None:
-        """Return joints (dof,) with the pinch frame at a pose (4, 4); None without any. See `IkSolver.solve_from`."""
+        """Return joints (dof,) with the pinch frame at a pose (4, 4), near `seeds` (dof,); None if none are found."""
         return self.ik.solve_from(T_pinch_in_world, seeds, self._with_planning_limits(tolerance))
 
     def maybe_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
-        """Return which poses (n, 4, 4) `solve_ik` may reach, (n,) bool; see `IkSolver.maybe_reachable`."""
+        """Return which poses (n, 4, 4) of the pinch frame `solve_ik` may reach, (n,) bool; others are out of reach."""
         return self.ik.maybe_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
 
     def _with_planning_limits(self, tolerance: Tolerance) -> Tolerance:

@@ -28,13 +28,13 @@ _APPROACH = 0.08  # m, length of the receiver's straight approach
 
 _HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m, distances in front of the midpoint between the bases, in the order tried
 
-_MIN_ANGLE = math.radians(50)  # rad, hands whose directions differ by less collide unless side by side
+_MIN_ANGLE = math.radians(50)  # rad, hands whose fingers' directions differ by less collide unless side by side
 # rad, hands whose directions differ by more face each other, and the object may roll about the line between them
 _FACING_ANGLE = math.radians(165)
 _MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other
 _ROOMY_DISTANCE = 0.13  # m, least distance between hands at which their fingers have room between them
 # Where handovers are searched, in the order tried: least and largest distance between the hands, m (infinite unless
-# they come from the same side); drop below `height`, m; angle from the line of the bases to the line of the hands, rad.
+# they come from the same side); depth below `height`, m; angle, rad, from the line between bases to that between hands.
 # Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
 # reach from above.
 _SEARCH_ORDER = (
@@ -52,7 +52,7 @@ _TURNED_SEARCH_ORDER = (
 # takes half a second, and an object in a pile has hundreds of grasps.
 _MAX_SEARCHES = 24
 
-_BATCH_SIZE = 256  # grasps whose poses are tested in one call; a call costs as much as 200 poses in it
+_BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
 
 # rad, rolls of the object about the line between hands that face each other, in the order tried
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
@@ -82,7 +82,7 @@ class Handover(Skill):
 
     Attributes:
         thing: a role; its object is in a hand.
-        to: the hand that holds the object afterwards.
+        to: the hand that takes the object.
         height: of the object's origin over the table, m.
     """
 
@@ -97,7 +97,7 @@ class Handover(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that hand the object over, unless the receiver holds it already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         giver = require_holding_hand(context, thing, "handed over")
         if context.side_of(self.to) == giver.side:
@@ -132,7 +132,7 @@ class Handover(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill`."""
+        """Return why no handover is found for a grasp by `hand`; None if one is found. See `Skill.infeasibility`."""
         if roles.object_of(self.thing) != thing or context.side_of(self.to) == hand.side:
             return None
         receiver = next(other for other in context.hands if other is not hand)
@@ -148,7 +148,7 @@ class Handover(Skill):
         return faults[-1] if faults and all(faults) else f"no place where the {receiver.side} hand can take it"
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """See `Skill`: the line from hand to hand may deviate from the line between the bases."""
+        """Return a handover whose line from hand to hand may be turned from the line between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
     def _find_handover(
@@ -204,7 +204,7 @@ class _TurnedHandover(Handover):
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_SEARCH_ORDER
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """See `Skill`."""
+        """Return the skill itself: it has no preferences."""
         return self
 
 
@@ -229,11 +229,11 @@ class _ReceiverGrasps:
         self.faults: dict[int, str | None] = {}
 
     def open(self) -> Iterator[tuple[int, GraspCandidate]]:
-        """Yield the index and the candidate of all that are untested or suitable."""
+        """Yield index and candidate of the grasps that are untested, or with which the next skills are possible."""
         return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
     def suits(self, number: int, grip: GraspCandidate) -> bool:
-        """Return whether the next skills can continue with a candidate; each candidate is tested once."""
+        """Return whether the next skills are possible after a grasp; each grasp is tested once."""
         if number not in self.faults:
             fault = None
             if self._next_skills:
@@ -246,7 +246,7 @@ class _ReceiverGrasps:
 def _receiver_grasps(
     context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
 ) -> _ReceiverGrasps:
-    """Return the receiver's candidates, which all searches share while nothing moves: `faults` suits them all."""
+    """Return the receiver's candidates with their test results, which all searches share while nothing moves."""
     key = ("taking grips", receiver.side, thing, tuple(next_skills))
     return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 

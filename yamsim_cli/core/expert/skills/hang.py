@@ -19,7 +19,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
-_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
+_DEPTHS = (0.045, 0.055, 0.035)  # m, distances of the eye behind the peg's tip, in the order tried
 _APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
 # rad, tilts of the object about the peg, in the order tried; the object may turn when released
@@ -45,7 +45,7 @@ class Hang(Skill):
     onto: str
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
-        """See `Skill`."""
+        """Return the point (2,) of the peg's tip in `world`, m."""
         return [context.world.handle_pose(roles.object_of(self.onto), "peg")[:2, 3]]
 
     def infeasibility(
@@ -58,7 +58,7 @@ class Hang(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill`."""
+        """Return why a hand cannot hang the object with a grasp; None if nothing is known to prevent it."""
         fault = f"the {hand.side} arm does not reach the peg with it"
         load = AttachedObject(thing, T_thing_in_pinch)
         for before, T_on in self._candidates(
@@ -78,7 +78,7 @@ class Hang(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that bring the eye onto the peg and release the object; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "hung up")
         held = context.update_held(hand)

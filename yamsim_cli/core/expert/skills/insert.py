@@ -20,8 +20,8 @@ _GRID_STEPS = (0.03, 0.01)
 _FLOOR_MARGIN = 0.02  # m above a container's lowest point; an object whose lowest point is lower stands on the floor
 _HEIGHT_STEP = 0.01  # m, resolution of resting heights; at equal height the more central place is better
 
-# share of the volume. An object that fell over is in the container if at least this share is inside; tall objects do
-# not go deep.
+# share of an object's volume. An object that fell over counts as inserted if at least this share is in the container;
+# tall objects stick out.
 _MIN_SHARE_INSIDE = 0.3
 
 # shares of a container's height; a place must be inside the container at one of them. A container's bounding box also
@@ -30,7 +30,7 @@ _HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
-# rad, headings relative to the container's, in the order tried
+# rad, headings of the object relative to the container's, in the order tried
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
@@ -46,11 +46,11 @@ class Insert(PlaceSkill):
     into: str
 
     def support(self, roles: RoleAssignment) -> str:
-        """See `PlaceSkill`."""
+        """Return the name of the container."""
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`: upright goals come first; a tilted object also gets goals with its present tilt."""
+        """Return goal poses (4, 4) in the container, upright ones first; a tilted object may also keep its tilt."""
         container = roles.object_of(self.into)
         bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR_MARGIN
         upright = list[Array]()

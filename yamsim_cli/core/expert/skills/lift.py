@@ -42,7 +42,7 @@ class Lift(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that grasp the object with both hands and lift it; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand_a, hand_b = context.hands[:2]
         found = self._find_grasp_pair(context, hand_a, hand_b, thing)

@@ -33,7 +33,7 @@ class Operate(Skill):
         thing: a role.
         joint: name of the part that moves, such as `drawer`.
         to: goal as a share of the joint's range: 1 is open, 0 is closed.
-        arm: which arm.
+        arm: the arm that acts: a side, `first`, `second` or `any`.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -45,7 +45,7 @@ class Operate(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that bring the part to its goal, unless it is there already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         link = next((link for link in context.object_configs[thing].links if link.name == self.joint), None)
         if link is None or not link.handles:

@@ -23,13 +23,13 @@ from .skill import ArmSelector, Skill, holding_hand, preference_levels
 
 _APPROACH_DISTANCES = (0.09, 0.05)  # m, lengths of the straight approach; the shorter one is for tight places
 
-# Arguments of `PlanningContext.planning_limits`, in the order tried.
+# Least distance from joint limits (rad), and whether hands may tilt at waypoints, in the order tried.
 _LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 
 @dataclass(frozen=True)
 class ReachableGrasp:
-    """A grasp that a hand can reach now.
+    """A grasp candidate `grip` that a hand can reach now.
 
     Attributes:
         before: joints (dof,) before the straight approach, rad.
@@ -48,7 +48,7 @@ class Pick(Skill):
 
     Attributes:
         thing: a role.
-        arm: which arm.
+        arm: the arm that acts: a side, `first`, `second` or `any`.
         lift: height of the lift, m.
     """
 
@@ -64,7 +64,7 @@ class Pick(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that grasp and lift the object, unless a hand holds it already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         if holding_hand(context, thing) is not None:
             return
@@ -153,7 +153,7 @@ class Pick(Skill):
     def find_reachable_grasp(
         self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate
     ) -> ReachableGrasp | str | None:
-        """Return how a hand can reach a grasp of an object now; else the reason against it, in words.
+        """Return joints with which a hand reaches a grasp of an object now; else the reason why it cannot, as text.
 
         Returns:
             None if the grasp is not tried: a similar grasp failed before, or the hand cannot point there.

@@ -36,11 +36,11 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 1
 
 
 class PlaceSkill(Skill):
-    """Base class of the skills that put down a held object; subclasses define the goal.
+    """Base class of the skills that put down a held object; subclasses define `goals`, where and how it may lie.
 
     Attributes:
         thing: a role; its object is in a hand.
-        drop: height of the release over the goal, m, where fingers around the object would touch the support.
+        drop: height over the goal at which the object is released, m, so that fingers do not touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -63,7 +63,7 @@ class PlaceSkill(Skill):
         return context.cached((self, thing), lambda: CachedIterable(self.goals(context, roles, thing)))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> PlaceSkill:
-        """See `Skill`."""
+        """Return the skill itself: it has no preferences."""
         return self
 
     def _ordered_goals(
@@ -73,7 +73,7 @@ class PlaceSkill(Skill):
         return self._cached_goals(context, roles, thing)
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
-        """See `Skill`."""
+        """Return the point (2,) of the best goal in `world`, m; empty without a goal."""
         return [T[:2, 3] for T in itertools.islice(self._cached_goals(context, roles, thing), 1)]
 
     def infeasibility(
@@ -86,7 +86,7 @@ class PlaceSkill(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill`."""
+        """Return why a hand cannot put the object down with a grasp; None if it reaches a goal without contacts."""
         fault = f"there is no room for it on or in the {self.support(roles)}"
         load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.things))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
@@ -115,7 +115,7 @@ class PlaceSkill(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that bring the object over the first reachable goal, lower and release it."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "put down")
         held = context.update_held(hand)
@@ -200,11 +200,11 @@ class Place(PlaceSkill):
         return self
 
     def support(self, roles: RoleAssignment) -> str:
-        """See `PlaceSkill`."""
+        """Return the name of the object on which the held object is put, or `table`."""
         return TABLE if self.on == TABLE else roles.object_of(self.on)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
-        """See `PlaceSkill`."""
+        """Yield upright poses (4, 4) over the goal's point: with `heading_deg`, else first with the present heading."""
         onto = self.support(roles)
         place, T_onto = self._place(context, roles)
         if self.heading_deg is not None:
@@ -215,7 +215,7 @@ class Place(PlaceSkill):
             yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """See `Skill`: the object may be put down in another stable pose than upright."""
+        """Return a skill that may put the object down in other stable poses than upright, if its config allows that."""
         fixed = self.upright or self.heading_deg is not None
         if fixed or not context.object_configs[roles.object_of(self.thing)].rests_in_any_pose:
             return self
@@ -235,13 +235,13 @@ class _PlaceInAnyStablePose(Place):
     """Put an object down in any stable pose, upright if the hand reaches that."""
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """See `Skill`."""
+        """Return the skill itself: it has no preferences."""
         return self
 
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterator[Array]:
-        """See `PlaceSkill`. Upright goals come first, then the others, with the hand's steepest approach first."""
+        """Yield upright goals first, then the others, sorted by how steeply the hand would point down."""
         yield from self._cached_goals(context, roles, thing)
         lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)

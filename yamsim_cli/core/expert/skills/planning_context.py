@@ -42,8 +42,8 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 
 _GRAVITY = 9.81  # m/s^2
 
-# Free places on the table.
-_FREE_MARGIN = 0.02  # m, free space required around an object that is put down
+# Constants of the search for places on the table where nothing lies.
+_FREE_MARGIN = 0.02  # m, least distance from other objects required around an object that is put down
 _CENTRAL_X = (0.34, 0.42, 0.28)  # m, distances in front of the midpoint between the bases, in the order tried
 _CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m, distances to the side of that midpoint, in the order tried
 
@@ -84,7 +84,7 @@ class PlanningContext:
     Args:
         world: the present state of the objects.
         acting_arms: indices of the hands that may be used; the other hands keep their joints.
-        first_arm: index of the hand that begins; the other of two hands is the second.
+        first_arm: index of the hand that skills call `first`; the other of two hands is `second`.
         object_configs: name of an object -> its config.
         rng: random numbers of the path searches, seeded from the attempt's numbers.
         tick: length of a control tick, s.
@@ -273,7 +273,10 @@ class PlanningContext:
         between: str | None = None,
         beside: float | None = None,
     ) -> str | None:
-        """Return the contact of a hand at given joints; None without one. See `CollisionChecker.find_contact`."""
+        """Return the names of two geoms in contact with a hand at joints (dof,), rad; None without contact.
+
+        The last three arguments are `attached`, `grasped` and `finger_clearance` of `CollisionChecker.find_contact`.
+        """
         return self.collision_checker.find_contact(self.qpos, hand.number, joints, opening, load, between, beside)
 
     def qpos_with_hand(self, hand: Hand, joints: Array, opening: float, held: HeldObject | None) -> Array:
@@ -322,7 +325,7 @@ class PlanningContext:
         return path
 
     def plan_curve(self, hand: Hand, pose_at: Callable[[float], Array], seconds: float) -> Array:
-        """Return a motion (n + 1, dof) that moves a hand's pinch frame along a curve, see `cartesian_curve`.
+        """Return a motion (n + 1, dof) that moves a hand's pinch frame on a curve; arguments as in `cartesian_curve`.
 
         Raises:
             SkillFailedError: the curve leaves the arm's reach.
@@ -351,7 +354,7 @@ class PlanningContext:
         Args:
             motions: hand -> joints (n + 1, dof). A motion shorter than the longest waits at its end.
             fingers: hand -> target of its fingers; the fingers of other hands keep their opening and force.
-            wait_for_arrival: see `MotionSegment`.
+            wait_for_arrival: whether the next segment starts only when the arms have reached the end.
         """
         ticks = max(len(motion) for motion in motions.values()) - 1
         paths = []
@@ -402,7 +405,7 @@ class SkillFailedError(Exception):
     """No motion was found, or a skill did not have its effect. The attempt's outcome records the error.
 
     Attributes:
-        cause: as in `Outcome`.
+        cause: kind of the failure, which the attempt's outcome states.
     """
 
     def __init__(self, cause: FailureCause, detail: str) -> None:

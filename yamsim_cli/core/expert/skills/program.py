@@ -73,7 +73,7 @@ class SkillRetry:
 
 @dataclass
 class RecoveryLog:
-    """The retries of skills while a program runs."""
+    """Collects the retries of skills while a program runs."""
 
     recoveries: list[SkillRetry] = field(default_factory=list)
 
@@ -97,7 +97,7 @@ def parse_program(
 
     Args:
         steps: as in a task's YAML: each step has one key, a skill's name or `each`.
-        path: of the steps in the config, for error messages.
+        path: keys that lead to the steps in the config, for error messages.
 
     Raises:
         ConflictError: a step is not valid; the error has the path of the step.
@@ -108,7 +108,7 @@ def parse_program(
 def parse_steps(
     steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """Yield each skill of a program with its path in the config; see `parse_program`."""
+    """Yield each skill of a program, loops unrolled, with its path in the config. Arguments as in `parse_program`."""
     for k, step in enumerate(steps):
         yield from _read_step(step, roles, (*path, k), {})
 
@@ -135,7 +135,7 @@ def _read_each(
 
     `given` has the keys `of`, a role, and `do`, the steps. In the steps, `it` is the present object, `previous` the
     object before, and `number` the index of the object. The optional `skip` is the number of objects that are left out
-    at the start. The optional `order` lists the kinds of objects that are visited, in order.
+    at the start. The optional `order` lists config names: only their objects are visited, in this order.
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(

@@ -43,7 +43,7 @@ def check_task_config(config: Config) -> None:
         check_program(config)
     elif isinstance(config, RecordConfig):
         sides = [config.rig.arms[k].side for k in config.acting_indices]
-        # An error that appears only with the rig's own sides is also reported for the keys `rig` and `arm`.
+        # An error that appears only with the sides of the rig's arms is also reported for the keys `rig` and `arm`.
         for known_sides, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
             try:
                 check_program(config.task, known_sides)
@@ -59,7 +59,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
     Args:
-        sides: of the acting arms; None if unknown.
+        sides: "left" and "right", of the acting arms; None if unknown.
 
     Raises:
         ConflictError: the program or the goal is impossible; the error's path leads from the task's root.

@@ -24,11 +24,11 @@ _START_GAP = 0.03  # m, between the object and the fingers when they come down b
 _APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
 _PUSH_HEIGHT = 0.02  # m, height of the fingertips over the table
 
-_PUSH_SPEED = 0.10  # m/s
+_PUSH_SPEED = 0.10  # m/s, speed of the hand while it pushes
 
 _MAX_PUSHES = 3  # pushes before the skill fails
 
-# rad, turns of the hand about the vertical axis, relative to fingers side by side, in the order tried
+# rad, turns of the hand about the vertical axis, in the order tried; at 0, the fingers stand side by side
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
 # rad, tilts of the hand from straight down, in the order tried
 _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
@@ -41,7 +41,7 @@ class Push(Skill):
         thing: a role.
         to: x and y of the point in `world`, m.
         radius: largest distance from the point at which the push succeeds, m.
-        arm: which arm.
+        arm: the arm that acts: a side, `first`, `second` or `any`.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -53,7 +53,7 @@ class Push(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield up to three pushes, until the object is within `radius` of the point; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         for _ in range(_MAX_PUSHES):
             if self._distance(context, thing) <= self.radius:
@@ -99,7 +99,7 @@ class Push(Skill):
     def _reach(
         self, context: PlanningContext, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
-        """Return joints (dof,) over the start of the push, and the pinch frame (4, 4) at start and end; else None."""
+        """Return joints (dof,) over a push's start, and the pinch frame (4, 4) at its start and end; else None."""
         height = float(context.world.aabb(TABLE)[1][2]) + _PUSH_HEIGHT
         # The fingers point down; the closing axis lies across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])

@@ -1,4 +1,4 @@
-"""Put a held object down where there is room."""
+"""Skills that put a held object down on a free place of the table, or grasp it anew."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .skill import ArmSelector, Skill, require_holding_hand
 # rad, headings relative to the present heading, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
-# m and count: rings around the present position, and places on each, for when there is no room between the arms
+# m and count: radii of rings around the object's position, and places on each; tried if no central place is free
 _RING_RADII, _PLACES_PER_RING = (0.0, 0.06, 0.12, 0.18), 8
 
 
@@ -34,7 +34,7 @@ class PutAside(PlaceSkill):
     """
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`."""
+        """Return upright poses (4, 4) on free places of the table, in four headings each."""
         places = self._free_places(context, thing, context.central_places())
         if not places:
             places = self._free_places(context, thing, _places_in_rings(context.world.pose(thing)[:2, 3]))
@@ -73,7 +73,7 @@ def _places_in_rings(place: Array) -> list[Array]:
 
 
 def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
-    """Put an object down where there is room, else straight below; add its grasp to the hand's `failed_grasps`.
+    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`.
 
     Raises:
         SkillFailedError: no hand holds the object any more, or it cannot be lowered.
@@ -101,7 +101,7 @@ class Regrasp(Skill):
 
     Attributes:
         thing: a role; its object is in a hand.
-        arm: the arm that picks the object up.
+        arm: the arm that picks the object up: a side, `first`, `second` or `any`.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -113,6 +113,6 @@ class Regrasp(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that put the object down and pick it up again; see `Skill.run`."""
         yield from PutAside(thing=self.thing).run(context, roles, ())
         yield from Pick(thing=self.thing, arm=self.arm).run(context, roles, next_skills)

@@ -27,7 +27,7 @@ _MAX_TILT = math.radians(10)  # rad, an object that tilts more has fallen over a
 
 class SetUpright(PlaceSkill):
     """Put an object down upright, near its present place. An object that is in no hand is picked up first. If no grasp
-    allows an upright pose, the object is turned before.
+    allows an upright pose, the object is first put down with another heading, by `Turn`.
 
     Attributes:
         thing: a role.
@@ -38,7 +38,7 @@ class SetUpright(PlaceSkill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions that pick the object up, turn it if needed, and put it down upright."""
         thing, pick = roles.object_of(self.thing), Pick(thing=self.thing)
         if holding_hand(context, thing) is None:
             try:
@@ -53,7 +53,7 @@ class SetUpright(PlaceSkill):
         yield from super().run(context, roles, next_skills)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`."""
+        """Return upright poses (4, 4) on free places in rings around the object, in eight headings each."""
         low, high = context.world.aabb(thing)
         middle = (low[:2] + high[:2]) / 2
         found = []
@@ -76,7 +76,7 @@ class SetUpright(PlaceSkill):
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
 _SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
 
-_DROP_FROM = 0.2  # m over the table; the search for the resting height starts there
+_DROP_FROM = 0.2  # m over the table, height at which the search for the resting height starts
 
 
 class Turn(PlaceSkill):
@@ -87,7 +87,7 @@ class Turn(PlaceSkill):
     """
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """See `PlaceSkill`."""
+        """Return poses (4, 4) in which the object is turned so that its z axis points towards the arms."""
         T, table = context.world.pose(thing), float(context.world.aabb(TABLE)[1][2])
         low, high = context.world.aabb(thing)
         middle = (low + high) / 2

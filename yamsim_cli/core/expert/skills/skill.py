@@ -13,7 +13,7 @@ from ...geometry.se3 import Array
 from .hand import Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 
-# The arm that a skill uses: by its side, or by its turn, which follows from `RecordConfig.arm`.
+# The arm that a skill uses: by its side, by its order in the task (see `RecordConfig.arm`), or any acting arm.
 ArmSelector = Literal["left", "right", "first", "second", "any"]
 
 
@@ -74,7 +74,7 @@ class Skill(Config):
         return ()
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """Return each argument that names a role, with the role."""
+        """Return the pairs (argument, role) of all arguments that name a role and are given."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
 
 

@@ -18,7 +18,7 @@ from ..hand import Hand
 from ..planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .point_grasps import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, hands_clear
 
-SPEED = 0.12  # m/s, of a hand with cloth
+SPEED = 0.12  # m/s, speed of a hand that carries cloth
 ARCH = 0.45  # height of the path of a fold, as a share of its length
 
 _FORCE = 20.0  # N, force of closed fingers on cloth
@@ -29,7 +29,7 @@ _DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
 _OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
 _MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, a finger commanded to `APPROACH_OPENING` is stuck if it is more open
-_MAX_CLOSED_OPENING = 0.006  # m, of a closed finger: more than cloth is thick, and far less than `APPROACH_OPENING`
+_MAX_CLOSED_OPENING = 0.006  # m, largest opening of a finger that counts as closed: more than cloth is thick
 
 _RETREAT_DISTANCE = 0.04  # m, motion of a hand out from under the cloth that it placed
 _DROP_HEIGHT = 0.002  # m, height over the target at which a folded point is released
@@ -61,7 +61,7 @@ def carry_points(
 
     Args:
         arch: height of the path, as a share of its length.
-        speed: m/s.
+        speed: of the hands while they carry, m/s.
 
     Raises:
         SkillFailedError: a hand missed its point, or its fingers do not close.
@@ -175,7 +175,7 @@ def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
 
 
 def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
-    """Return a motion (n + 1, dof) out from under the cloth, lateral or forward; at rest if neither is reachable."""
+    """Return a motion (n + 1, dof) out from under the cloth, lateral or else forward; without motion if unreachable."""
     for direction in (grasp.lateral, grasp.forward):
         T = grasp.hand.pinch_pose(grasp.hand.joints)
         T[:2, 3] += _RETREAT_DISTANCE * direction

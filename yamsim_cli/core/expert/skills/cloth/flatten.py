@@ -27,18 +27,18 @@ from ..skill import Skill
 from .cloth_motions import carry_points, predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
-FLAT_LAYERS = 3.5  # layers, largest height of flat cloth
-FLAT_DISPLACEMENT = 0.06  # share of the side, largest distance of a point from its place in flat cloth
+FLAT_LAYERS = 3.5  # layer thicknesses, largest height of flat cloth
+FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, largest distance of a point from its place in flat cloth
 
 _MAX_PULLS = 6  # pulls in one flattening
-_PULL_SPEED = 0.15  # m/s
+_PULL_SPEED = 0.15  # m/s, speed of a hand that pulls cloth
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
 _RETRY_SCALE = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
 
 _PATH_SHARES = (1.0, 0.7, 0.45)  # shares of a pull's path, in the order tried, if hands do not reach all of it
 
-# Horizontal distances in layer thicknesses: of points at the target of a pulled point, and of points that follow it.
+# Layer thicknesses: largest horizontal distances of points at a pulled point's target, and of points that follow it.
 _TARGET_LAYERS, _FOLLOWING_LAYERS = 4, 6
 
 _MISSED_RADIUS = 0.02  # m, around a missed point, within which no further grasp is tried
@@ -68,7 +68,7 @@ class Flatten(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield pulls until the cloth lies flat; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         yield from flatten_cloth(context, thing)
         if not _is_flat(context, thing, FLAT_LAYERS, FLAT_DISPLACEMENT):
@@ -88,7 +88,7 @@ def flatten_cloth(
     """Pull a cloth until it lies flat, no pull makes it flatter, or `max_pulls` pulls have been made.
 
     Args:
-        layers: the largest height of flat cloth, in layers.
+        layers: the largest height of flat cloth, in layer thicknesses.
         displacement: the largest distance of a point from its place in flat cloth, as a share of the side.
 
     Raises:
@@ -138,7 +138,7 @@ def _best_pull(
 
     Args:
         missed: positions (3,) of missed points, near which no pull is tried.
-        scale: see `candidate_pulls`.
+        scale: factor on pull lengths, height limits and the least improvement.
     """
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness
@@ -176,7 +176,7 @@ def _point_placements(points: Array, pull: ClothPull, share: float, thickness: f
 
 
 def _on_cloth(points: Array, point: Point, to: Array, thickness: float) -> Array:
-    """Return the position (3,) of a point moved to `to` (2,): on the cloth that stays there, or on the table."""
+    """Return the position (3,) of a point moved to `to` (2,): on the cloth that lies at `to`, or on the table."""
     flat, place = points.reshape(-1, 3), points[point]
     there = np.linalg.norm(flat[:, :2] - to, axis=1) < _TARGET_LAYERS * thickness
     follows = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _FOLLOWING_LAYERS * thickness

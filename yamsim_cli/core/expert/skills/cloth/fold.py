@@ -18,7 +18,7 @@ from ..skill import Skill
 from .cloth_motions import SPEED, carry_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_on_point
 
-_LAYERED_SPEED = 0.08  # m/s, of folds after the first: several layers come apart at a higher speed
+_LAYERED_SPEED = 0.08  # m/s, speed of hands in folds after the first: several layers come apart at a higher speed
 _MAX_CORNER_ERROR = 0.02  # m, horizontal distance from its target below which a corner is already placed
 
 
@@ -29,7 +29,7 @@ class Fold(Skill):
 
     Attributes:
         thing: a role that cloth plays.
-        how: kind of fold.
+        how: `half`, `thirds` or `diagonal`.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -51,7 +51,7 @@ class Fold(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """See `Skill`."""
+        """Yield the motions of the folds that are not yet made; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         rows, columns = context.world.cloth_points(thing).shape[:2]
         plans = [plan.moves for plan in fold_plans(self.how, rows, columns)]

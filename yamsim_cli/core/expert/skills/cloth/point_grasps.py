@@ -41,7 +41,7 @@ class PointPlacement:
 
     Attributes:
         point: row and column of the point.
-        target: see `Target`.
+        target: returns the position (3,) in `world` to which the point is carried.
         alone: whether the point is grasped without the layers below it.
     """
 
@@ -80,7 +80,7 @@ def target_at_place(place: Array) -> Target:
 
 
 def target_on_point(point: tuple[int, int]) -> Target:
-    """Return the target on another point of the same cloth."""
+    """Return a target on another point of the cloth, by its row and column."""
     return lambda points: points[point]
 
 

@@ -12,7 +12,7 @@ from ..planning_context import PlanningContext
 from .cloth_motions import predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
-SLIDE_SPEED = 0.2  # m/s, of hands that slide cloth
+SLIDE_SPEED = 0.2  # m/s, speed of hands that slide cloth
 
 # m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight.
 _SLIDE_LENGTHS = (0.1, 0.15, 0.05, 0.0, -0.05)
@@ -24,7 +24,7 @@ _MAX_TRIALS = 8  # slides that are simulated; each simulation takes long
 def slide_grasps(
     context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
 ) -> list[PointGrasp] | None:
-    """Return grasps with which two hands slide a flat cloth until `wanted` is true; None if no slide achieves that.
+    """Return grasps with which two hands slide a flat cloth to where `wanted` is true; None if no slide achieves that.
 
     Args:
         turns: angles by which the cloth may be turned, rad.
