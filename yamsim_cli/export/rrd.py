@@ -25,7 +25,7 @@ _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot base; with two arms, in the left base.
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the base of the only or left arm.
 
     Real recordings are shown at their recorded times. Data that was not recorded is omitted.
 
@@ -80,7 +80,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
-    """Log a camera and return its entity path: below `base` if K and pose are known, else below `cameras`."""
+    """Log a camera, and return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):

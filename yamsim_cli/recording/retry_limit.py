@@ -51,7 +51,7 @@ class RetryLimitError(PartialJobError):
     """Raised if a task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
 
 
-AllStartsFail = Callable[[FailureCause, int], bool]  # cause and first attempt number -> see `all_starts_fail`
+AllStartsFail = Callable[[FailureCause, int], bool]  # (cause, first attempt) -> whether all starts fail
 
 
 class RetryLimit:
