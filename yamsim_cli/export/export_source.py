@@ -38,7 +38,7 @@ ActionSource = Literal["recorded", "measured", "none"]
 Frames = Sequence[Mapping[str, Any]]  # the frames of an episode, see `dataset.lowdim`
 
 _FPS_TOLERANCE = 0.01  # largest relative difference of a frame rate from an integer to which it is rounded
-_MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which a note is shown
+_MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which times are uneven
 ROUNDING_S = 1e-9  # s, tolerance for comparing times; without it, rounding could drop the last frame
 
 

@@ -81,7 +81,7 @@ ATTRIBUTES: Mapping[str, frozenset[str]] = {
     }.items()
 }
 
-# Element in a class -> the key of its attributes in `ATTRIBUTES`.
+# Element inside a `default` class -> the key of its attributes in `ATTRIBUTES`.
 CLASS_ELEMENTS: Mapping[str, str] = {
     **{name: f"worldbody/{name}" for name in ("joint", "geom", "site", "camera", "light")},
     **{name: f"asset/{name}" for name in ("mesh", "material")},
