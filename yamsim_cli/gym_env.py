@@ -20,10 +20,10 @@ _BOUND = 10.0  # rad and m, bound of the observation space; larger than any join
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     """A task, by default to pick an object and place it on a target. A step is a control tick of 32 ms.
 
-    The action has the format of `yamsim eval` and of the LeRobot export. For one YAM arm, the action (8,) has seven drive commands
-    (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left drives, the right
-    drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world` (2, 4, 4) of two arms
-    also have the left arm first.
+    The action has the format of `yamsim eval` and of the LeRobot export. For one YAM arm, the action (8,) has seven
+    drive commands (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left
+    drives, the right drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world`
+    (2, 4, 4) of two arms also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
     has held for its hold time, as in `yamsim eval`. With `end="actor"`, the episode continues until its truncation, and
     `info["success"]` belongs to the present tick.
@@ -127,7 +127,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         }
 
     def _roles(self) -> dict[str, str]:
-        """Return name in observations -> object name. The former is the role, or the object name if roles are shared."""
+        """Return name in observations -> object name. The former is the role, or the object if it shares its role."""
         objects = self._config.task.typical_roles.objects_by_role
         return {role if len(names) == 1 else name: name for role, names in objects.items() for name in names}
 

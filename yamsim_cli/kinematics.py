@@ -35,8 +35,8 @@ Site = Literal["pinch_site", "grasp_site"]
 # Numerical searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of
 # uniformly sampled joints needed at most 29 searches.
 _RESTARTS = 50
-# Searches from random joints for an arm with analytic inverse kinematics, after that found no solution. Source: for 25
-# poses out of reach, 50 starts solved no more than 10.
+# The same number for an arm with analytic inverse kinematics, which is tried first. Source: for 25 poses out of reach,
+# 50 searches solved no more than 10 did.
 _RESTARTS_ANALYTIC = 10
 # Cost of a rotation error of 1 rad about each axis. 1 m costs 10, so 1 rad counts as 0.1 m, about the length of the
 # hand. If the arm cannot reach the whole pose, the position decides.
@@ -151,7 +151,7 @@ class Kinematics:
         return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
-        """Yield start joints for numerical searches: `first`, clipped to the joint limits, then random joints (fixed seed)."""
+        """Yield start joints of searches: `first`, clipped to the limits, then random joints of a fixed seed."""
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)

@@ -24,7 +24,7 @@ from .core.errors import YamsimError
 
 __all__ = ["YamsimCamera"]
 
-# Cameras that are mounted upside down on a real station, so raiden rotates their pictures. Source: TRI-ML/raiden 2353b10, server.py.
+# Mounted upside down on a real station, so raiden rotates its pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
 _GRAB_S = 5.0  # s, longest wait of `grab` for a picture
 

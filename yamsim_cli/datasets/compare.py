@@ -19,7 +19,7 @@ class Difference:
         time_s: simulated time of the frame, s.
         quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
         stored, got: stored and reproduced value; numbers in the unit of the quantity, else text.
-        difference: as in `EpisodeComparison.largest`; None unless both values are finite numbers of the same shape.
+        difference: absolute up to a stored value of 1, relative above; None unless both are finite and of equal shape.
     """
 
     frame: int | None

@@ -192,7 +192,7 @@ def reproduce_frames(
 
     Args:
         simulator: simulator of the config that the episode was recorded with.
-        tolerance: largest accepted difference of numbers, see `compare_frames`.
+        tolerance: largest accepted difference of numbers: absolute up to a stored value of 1, relative above.
 
     Returns:
         The comparison; None if the episode has no actions that physics can replay.

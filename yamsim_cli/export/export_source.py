@@ -35,7 +35,7 @@ from ..core.geometry.se3 import Array
 
 # Source of exported actions: recorded commands, joints measured one frame later, or no actions.
 ActionSource = Literal["recorded", "measured", "none"]
-Frames = Sequence[Mapping[str, Any]]  # the frames of an episode, see `dataset.lowdim`
+Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of the frames of an episode
 
 _FPS_TOLERANCE = 0.01  # largest relative difference of a frame rate from an integer to which it is rounded
 _MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which times are uneven

@@ -53,7 +53,7 @@ def export_lerobot(
     Raises:
         DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
         ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
@@ -77,7 +77,7 @@ def export_real_lerobot(
         DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or the features
             of an episode differ from those of the first.
         ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 

@@ -56,8 +56,8 @@ def export_raiden(
     Raises:
         DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
         ResourceError: no renderer is available.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also for two arms with
-            `options.single`, or if the layout cannot represent an arm.
+        UsageError: `out` is in use, `options.single` is set for two arms, or the layout cannot represent an arm.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -139,7 +139,7 @@ def export_real_raiden(
         DatasetError: a file is missing, altered or damaged; the dataset has no images, beside which the layout stores
             times; or the requested commands were not recorded.
         UsageError: the layout cannot represent the arm, or frames without actions.
-        PartialJobError, InterruptedJobError: see `export_directory`.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     if actions == "none":
         raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")

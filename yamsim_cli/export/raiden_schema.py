@@ -64,7 +64,7 @@ def episode_name(number: int) -> str:
 
 
 def frame_name(frame: int, extension: str) -> str:
-    """Return the file name of a frame."""
+    """Return the file name of a frame's data or image."""
     return f"{frame:010d}.{extension}"
 
 

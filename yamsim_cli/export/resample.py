@@ -35,7 +35,7 @@ class ResampledEpisode:
         attempt: the attempt of the episode.
         times: times of the frames (n,), s.
         qpos: MuJoCo `qpos` (n, nq) at these times.
-        frames: low-dimensional data at these times, see `core.dataset.lowdim`.
+        frames: low-dimensional data (all values except images) at these times.
     """
 
     attempt: Attempt

@@ -32,7 +32,7 @@ def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwri
     Raises:
         DatasetError: a file is missing, altered or damaged.
         ResourceError: rerun is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     try:
         import rerun  # noqa: F401

@@ -38,10 +38,10 @@ def export_mp4(
         speed: playback speed; 1 is real time.
 
     Raises:
-        UsageError: a camera was not recorded, or the cameras differ in image height; also see `export_directory`.
+        UsageError: a camera was not recorded, the cameras differ in image height, or `out` is in use.
         DatasetError: an image is missing, altered or damaged, or the dataset has no images.
         ResourceError: PyAV is not installed.
-        PartialJobError, InterruptedJobError: see `export_directory`.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     chosen = _cameras(source, cameras)
     require_encoder()

@@ -92,7 +92,7 @@ class Collector:
             InterruptedJobError: the user stopped the job. Running attempts were given `_STOP_SECONDS` to finish.
             DatasetError: a lost episode cannot be reproduced on this machine.
             PartialJobError: the task fails too often, or workers keep crashing.
-            SimulationError: all attempts fail for a cause in the task itself, see `RetryLimit`.
+            SimulationError: all attempts fail for a cause in the task itself.
             OSError: a write failed.
         """
         self._report()

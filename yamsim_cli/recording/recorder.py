@@ -44,8 +44,8 @@ def record(
     """Record until the dataset holds the number of successful episodes that the config requests.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `open_destination`. ResourceError also if an object
-            has failed its certificate.
+        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened. ResourceError also if an
+            object has failed its certification.
         InterruptedJobError: the user stopped the job.
         PartialJobError: a write failed, workers keep crashing, or the task fails too often.
         SimulationError: no attempt can succeed, for a cause in the task itself.

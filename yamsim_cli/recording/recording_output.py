@@ -34,7 +34,7 @@ class RecordingOutput:
     """Output directory of a recording, and what to do if it is not empty.
 
     Attributes:
-        stage: local staging directory for episodes that wait for a slow or remote `path`; see `StagedWriter`.
+        stage: local directory for episodes that wait to be moved to a slow or remote `path`; None for none.
     """
 
     path: Path

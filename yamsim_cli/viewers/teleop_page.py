@@ -18,7 +18,7 @@ from .scene_page import ScenePage
 from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
-_GREEN, _RED = (46, 139, 87), (200, 40, 40)
+_GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255: the hand reaches its target, or not
 _STEP = 0.01  # m, translation of the target by one key press
 _TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
 _TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0

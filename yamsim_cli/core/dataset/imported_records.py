@@ -19,7 +19,7 @@ REAL = "real"  # value of `source` in the config and records of imported recordi
 
 
 class ImportedFrom(Record):
-    """Source of an imported recording: its format, as in `yamsim import FORMAT`, and the name of its file or folder."""
+    """Source of an imported recording: name of its file format, and name of its file or folder."""
 
     format: str
     name: str

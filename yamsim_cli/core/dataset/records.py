@@ -157,7 +157,7 @@ class RoleAssignmentRecord(Record):
 
 
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`; see `StartPlace`."""
+    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`, m and rad."""
 
     attempt: int
     seed: int

@@ -19,7 +19,7 @@ from .episode_facts import EpisodeFacts
 
 _LAYOUT_DIGITS = 6  # decimals to which layouts (m, rad) are compared; independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
-_PART = re.compile(r"\..+\.part")
+_PART = re.compile(r"\..+\.part")  # name of a temporary file that a crash left
 
 
 def check_dataset(

@@ -164,7 +164,7 @@ def play_simulated(
 
     Raises:
         DatasetError: the episode was not simulated, or is damaged.
-        UsageError, ResourceError: see `viewer.show_scene`.
+        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
@@ -190,7 +190,7 @@ def play_real(
         motion: motion of the arms, in the recording order of the rig.
 
     Raises:
-        UsageError, ResourceError: see `viewer.show_scene`.
+        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s

@@ -25,7 +25,7 @@ class CommandTick:
     Attributes:
         ctrl: commands to the drives (arms, drives), rad and m.
         magnet: for each arm, whether the weld was commanded to hold.
-        reference: joints and openings (arms, drives), rad and m, that the commands aim at, see `TeleopArm.reference`.
+        reference: joints and openings (arms, drives), rad and m, that the commands aim at.
     """
 
     ctrl: Array

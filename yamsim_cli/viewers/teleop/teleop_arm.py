@@ -21,7 +21,7 @@ _CLEARANCE = 0.012  # m, smallest height of the target of the finger tips above 
 
 
 class TeleopArm:
-    """Moves an arm to a target with bounded speed, and stops before a collision with the table, the other arm or itself.
+    """Moves an arm to a target with bounded speed. Stops it before a collision with the table, the other arm or itself.
 
     Attributes:
         side: "left" or "right".

@@ -56,7 +56,7 @@ class ClaimedDirectory:
 
 
 def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> ClaimedDirectory:
-    """Lock a directory for writing, and create it if missing. `locks_reach_others`: see `DirectoryLock.acquire`.
+    """Lock a directory, and create it if missing. `locks_reach_others`: whether locks work between machines.
 
     Raises:
         UsageError: `path` is not empty, or not a directory, and `mode` does not allow that.
