@@ -46,7 +46,7 @@ _WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
 # Approximate size of an episode with one camera at 640x480.
-_FRAMES = 57  # frames
+_FRAMES = 57  # frames per episode
 _IMAGE_BYTES = 22_000  # bytes of the image of a frame
 _LOWDIM_BYTES = 2_000  # bytes of the lowdim file of a frame
 _BLOCK_BYTES = 4096  # bytes, block size to which a filesystem rounds file sizes up

@@ -51,7 +51,7 @@ class StationSettings:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Return name of a `SessionOpener` setting -> value, without the name of the config."""
+        """Return the settings as keyword arguments of `SessionOpener.config`, without the name of the config."""
         apart = ("config", "spelling")
         given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
         return given | {"camera": given.pop("cameras"), "wrist": True}

@@ -258,7 +258,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
-    """Merge two comparisons. If the frames differ only in number, a difference of `once` comes first."""
+    """Merge the comparison of frames with `once`, that of whole-episode values, which precedes a wrong frame count."""
     first = frames.first_difference or once.first_difference
     if frames.first_difference and frames.first_difference.frame is None:
         first = once.first_difference or frames.first_difference

@@ -185,7 +185,7 @@ class RealSource(ExportSource):
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
-        """Return joints or commands (n, arms, drives) from rows (n, arms * drives), with gripper shares.
+        """Reshape rows (n, arms * drives) of joints or commands to (n, arms, drives), with grippers as shares.
 
         Joints are in rad. Grippers are recorded as openings of one finger in m. The function converts these to shares,
         0 closed to 1 open, without clipping.

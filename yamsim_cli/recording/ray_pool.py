@@ -1,7 +1,7 @@
 """Worker pool with actors of a Ray cluster.
 
 Actors run the same code as local worker processes, with the same retries and time limits. If an actor is lost with its
-process or node, its job uses up one try, and a new actor starts where the cluster has capacity.
+process or node, its job uses up one try. A new actor then starts where the cluster has capacity.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from ..core.workers.stop_request import StopRequest
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
-_ROUND_TRIPS_PER_FILE = 6  # network round trips; measured over sshfs: 60 ms per file at 10 ms per round trip
+_ROUND_TRIPS_PER_FILE = 6  # network round trips to write one file; over sshfs: 60 ms at 10 ms per round trip
 _ROUND_TRIP = 0.01  # s, duration of a network round trip that warnings assume
 _POLL_SECONDS = 0.5  # s, wait before the stop request is checked again
 _MIN_DURATION = 0.5  # lower bound of the frames of a successful episode, as a share of the typical number
@@ -99,7 +99,7 @@ def open_destination(
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
     if not resuming:
-        # Check before any file is written that would make the next recording fail.
+        # Check the space first: a file written before would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others
@@ -121,7 +121,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """Return the network mount of the output, or None. Warn about the cost of network mounts."""
+    """Return the network mount of the output, or None. Warn that writing to network mounts is slow."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:

@@ -74,7 +74,7 @@ class EpisodePage(ScenePage):
 
     async def _seek(self, event: Any) -> None:
         # viser runs a coroutine immediately, but a thread often only after the player has moved the slider.
-        # An event without a client comes from `update`.
+        # An event without a client was caused by `update`, not by a user.
         if event.client is not None:
             with self._player.lock:
                 self._slider_frame = self.slider.value

@@ -18,7 +18,7 @@ from .scene_page import ScenePage
 from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
-_GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255: the hand reaches its target, or not
+_GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
 _STEP = 0.01  # m, translation of the target by one key press
 _TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
 _TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0
@@ -246,7 +246,7 @@ class TargetFields:
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # An event without a client comes from `show`.
+        # An event without a client was caused by `show`, not by a user.
         if event.client is not None:
             self._typed_at = time.monotonic()
 

@@ -266,7 +266,7 @@ def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
 
 
 class RecordedImages:
-    """The images of an episode. `cameras` holds the names of the cameras that have images."""
+    """Reads the images of an episode. `cameras` holds the names of the cameras that have images."""
 
     def __init__(self, episode: RecordedEpisode) -> None:
         self._episode = episode

@@ -108,7 +108,7 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
-    # Omitted if empty, as for the tasks of format version 1, which have no goal.
+    # Margins of the goal's predicates; omitted if empty, as in format version 1.
     measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
     recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 

@@ -22,7 +22,7 @@ def arm_prefixes(rig: RigConfig) -> tuple[str, ...]:
 
 
 def drive_names(rig: RigConfig) -> tuple[str, ...]:
-    """Return the names of all drives, in recording order. They name the elements of `joints`."""
+    """Return the names of all drives, in recording order. They name the elements of `joints` in frames."""
     return tuple(
         prefix + name
         for prefix, k in zip(arm_prefixes(rig), rig.recording_order, strict=True)
@@ -62,7 +62,7 @@ class RowFormat:
 
     @property
     def actions(self) -> tuple[str, ...]:
-        """Names of the elements of an action."""
+        """Names of the elements of an action row: drive commands, then weld states."""
         return self.drives + self.welds
 
     def state(self, joints: Array) -> Row:

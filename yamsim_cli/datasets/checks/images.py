@@ -171,7 +171,7 @@ class TruthChecks:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Check the arrays of one camera: poses, keypoints and boxes."""
+        """Check keys, dtypes and shapes of the arrays of one camera: poses, keypoints and boxes."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:
@@ -186,7 +186,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """Check one depth image."""
+        """Check that a depth image decodes and has the size and the hash in the record."""
         data = self._read(name)
         if data is None:
             return
@@ -199,7 +199,7 @@ class TruthChecks:
         self._hash_fits(name, data)
 
     def check_segmentation(self, camera: str, name: str) -> None:
-        """Check one segmentation image."""
+        """Check that a segmentation image decodes, has the recorded size and hash, and has only values with a label."""
         data = self._read(name)
         if data is None:
             return

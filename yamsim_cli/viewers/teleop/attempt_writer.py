@@ -170,5 +170,5 @@ class AttemptWriter(Closable):
     def close(self) -> None:
         """Stop the thread. Attempts that are not written yet are lost."""
         self._ended.set()
-        # An episode that is being written is completed.
+        # Wait until an episode that is being written is complete.
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -102,7 +102,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
-    """Return numbered episodes. Spellings such as ep_0000001 are excluded, so that no two share a number."""
+    """Return the episodes in `ep_NNNNNN`. Spellings such as ep_0000001 are excluded, so that numbers are unique."""
     return [
         EpisodeDirectory(path, number)
         for number, path in episode_directories(dataset)
